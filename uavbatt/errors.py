@@ -1,0 +1,48 @@
+"""What can go wrong, in one line each, with the exit code of the command line.
+
+Every error that a user can cause is a `UavbattError`. Its text names the file, the place in it and
+what was expected, so that the command line prints it as it is and never a traceback.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class UavbattError(Exception):
+    """An error with a one-line message for the user; exit code 1 (failed or bad data)."""
+
+    exit_code = 1
+
+
+class BadInput(UavbattError):
+    """A file, or a place in it, that is not what was expected."""
+
+    def __init__(self, file: str | Path, place: str, expected: str) -> None:
+        where = f"{file}: {place}" if place else f"{file}"
+        super().__init__(f"{where}: expected {expected}")
+
+
+class Uncertified(UavbattError):
+    """A battery file whose hash is broken or whose verdict is `fail`."""
+
+
+class UsageError(UavbattError):
+    """The call itself cannot be carried out as it was written."""
+
+    exit_code = 2
+
+
+class MissingExtra(UavbattError):
+    """An optional dependency is absent; the message carries the pip line that adds it."""
+
+    exit_code = 3
+
+    def __init__(self, extra: str, purpose: str) -> None:
+        super().__init__(f"{purpose} needs the extra `{extra}`: pip install 'uavbatt[{extra}]'")
+
+
+class NotEnoughData(UavbattError):
+    """The data are sound but too few for the question that was asked."""
+
+    exit_code = 4

@@ -1,0 +1,114 @@
+"""What flows through the house: frozen values, SI units, the unit in the name.
+
+Sign convention: positive current discharges the battery. State of charge is 0..1, never percent.
+Unknown is NaN (`None` for flags); wire sentinels never get this far.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+NAN = math.nan
+
+
+class Status(StrEnum):
+    """May the number be shown, and if not, why."""
+
+    OK = "ok"
+    CONVERGING = "converging"
+    REFUSED = "refused"
+    STALE = "stale"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One telemetry row of one battery.
+
+    time_s counts from the first record of the log (live: a monotonic clock). consumed_Ah and
+    reported_soc are the autopilot's own words: at most a starting hint, never a measurement.
+    """
+
+    time_s: float
+    voltage_V: float
+    current_A: float = NAN
+    temp_C: float = NAN
+    consumed_Ah: float = NAN
+    reported_soc: float = NAN
+    armed: bool | None = None
+    cell_voltages_V: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PackFacts:
+    """What the vehicle itself says of its battery (parameters); NaN or None where it does not say."""
+
+    cells_series: int | None = None
+    capacity_Ah: float = NAN
+    low_voltage_V: float = NAN
+    critical_voltage_V: float = NAN
+    sag_compensated: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """A log as read: the rows of the chosen battery, and what the vehicle said of it and when."""
+
+    source: str
+    kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "csv" | "ulog"
+    samples: tuple[Sample, ...]
+    instance: int = 0
+    instances: tuple[int, ...] = (0,)
+    facts: tuple[tuple[float, PackFacts], ...] = ()  # (time_s from which they hold, facts), ascending
+    duration_s: float = NAN
+    skipped_bytes: int = 0
+    notes: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[Sample]:
+        return iter(self.samples)
+
+    def facts_at(self, time_s: float) -> PackFacts:
+        """The facts known at `time_s` [s]; an empty `PackFacts` before the first."""
+        known = PackFacts()
+        for since_s, facts in self.facts:
+            if since_s > time_s:
+                break
+            known = facts
+        return known
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The filter's belief after one sample."""
+
+    time_s: float
+    soc: float
+    soc_sd: float
+    voltage_V: float
+    current_A: float
+    temp_C: float
+    power_W: float
+    innovation_V: float
+    nis: float
+    status: Status
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
+    predicted_voltage_V: float = NAN
+    core_temp_C: float = NAN
+    resistance_scale: float = NAN
+    capacity_scale: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Remaining:
+    """Seconds until the end of flight: median, 5 % and 95 % points; NaN with a reason when refused."""
+
+    time_s: float
+    remaining_s: float
+    remaining_lo_s: float
+    remaining_hi_s: float
+    remaining_to_low_s: float
+    status: Status
+    reason: str = ""
