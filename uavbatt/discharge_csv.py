@@ -1,0 +1,154 @@
+"""`discharge.csv`: the readings of a discharge data set, checked row by row.
+
+Columns `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c` in any order; an empty cell means not
+measured. A run is one (sample, run, ambient) triple. Bounds: a lithium cell reads 0.5 to 5 V, a test chamber
+-80 to 150 °C; what lies outside is a slip of unit. Every refusal names the line.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.errors import BadInput
+
+Array = NDArray[np.float64]
+COLUMNS = ("sample", "run", "ambient_c", "time_s", "voltage_v", "current_a", "surface_c")
+MIN_POINTS = 3
+CELL_RANGE_V = (0.5, 5.0)
+TEMP_RANGE_C = (-80.0, 150.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One discharge. NaN = not measured; positive current discharges."""
+
+    sample: str
+    run: int
+    ambient_C: float
+    time_s: Array
+    voltage_V: Array
+    current_A: Array
+    surface_C: Array
+
+
+class _Row(NamedTuple):
+    line: int
+    key: tuple[str, int, float]
+    time_s: float
+    voltage_V: float
+    current_A: float
+    surface_C: float
+
+
+def read_runs(text: str, shown: str, cells_series: int) -> tuple[Run, ...]:
+    """The runs in the text of `discharge.csv`; `shown` names the file in errors."""
+    return _runs(_rows(text, shown), cells_series, shown)
+
+
+def _rows(text: str, shown: str) -> list[_Row]:
+    reader = csv.reader(io.StringIO(text))
+    header = [h.strip() for h in next(reader, [])]
+    if not any(header):
+        raise BadInput(shown, "line 1", f"the columns {','.join(COLUMNS)}, the file is empty")
+    for name in COLUMNS:
+        if name not in header:
+            near = get_close_matches(name, [h for h in header if h not in COLUMNS], 1)
+            raise BadInput(shown, "line 1", f"a column {name}" + (f", found {near[0]}" if near else ""))
+    extra = [h for h in header if h not in COLUMNS or header.count(h) > 1]
+    if extra:
+        said = f"only the columns {','.join(COLUMNS)}, found {extra[0] or 'an empty name'}"
+        raise BadInput(shown, "line 1", said)
+    rows = []
+    for cells in reader:
+        line = reader.line_num
+        if not any(c.strip() for c in cells):
+            continue
+        if len(cells) != len(header):
+            raise BadInput(shown, f"line {line}", f"{len(header)} cells, found {len(cells)}")
+        rows.append(_row(dict(zip(header, cells, strict=True)), line, shown))
+    if not rows:
+        raise BadInput(shown, "line 2", "at least one row of readings")
+    return rows
+
+
+def _row(cells: dict[str, str], line: int, shown: str) -> _Row:
+    def number(name: str, *, needed: bool = False) -> float:
+        text = cells[name].strip()
+        if not text and not needed:
+            return math.nan
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            empty = "" if needed else " or an empty cell"
+            raise BadInput(shown, f"line {line}, {name}", f"a finite number{empty}, found '{text}'")
+        return value
+
+    sample, run = cells["sample"].strip(), number("run", needed=True)
+    if not sample:
+        raise BadInput(shown, f"line {line}, sample", "a label, found an empty cell")
+    if run != int(run):
+        raise BadInput(shown, f"line {line}, run", f"a whole number, found '{cells['run'].strip()}'")
+    key = (sample, int(run), number("ambient_c", needed=True) + 0.0)
+    readings = [number(n) for n in ("voltage_v", "current_a", "surface_c")]
+    return _Row(line, key, number("time_s", needed=True), *readings)
+
+
+def _runs(rows: list[_Row], cells_series: int, shown: str) -> tuple[Run, ...]:
+    seen: dict[tuple[str, int, float, float], int] = {}
+    grouped: dict[tuple[str, int, float], list[_Row]] = {}
+    for row in rows:
+        _check_units(row, cells_series, shown)
+        first = seen.setdefault((*row.key, row.time_s), row.line)
+        if first != row.line:
+            raise BadInput(shown, f"line {row.line}", f"each reading once, it repeats line {first}")
+        run = grouped.setdefault(row.key, [])
+        if run and row.time_s <= run[-1].time_s:
+            said = f"time increasing within a run, {row.time_s:g} s follows {run[-1].time_s:g} s"
+            raise BadInput(shown, f"line {row.line}, time_s", said)
+        run.append(row)
+    for name in ("surface_C", "current_A"):
+        values = np.array([getattr(r, name) for r in rows])
+        values = values[~np.isnan(values)]
+        stuck = len(values) >= MIN_POINTS and bool(np.all(values == values[0]))
+        if stuck and (name == "surface_C" or values[0] == 0):
+            said = f"readings, every row says {values[0]:g}; leave the cells empty if it was not measured"
+            raise BadInput(shown, f"column {name.lower()}", said)
+    return tuple(_run(key, group, shown) for key, group in grouped.items())
+
+
+def _check_units(row: _Row, cells_series: int, shown: str) -> None:
+    place, cell_V = f"line {row.line}", row.voltage_V / cells_series
+    low, high = CELL_RANGE_V
+    if not (math.isnan(cell_V) or low <= cell_V <= high):
+        guess = " (millivolts?)" if 500 < cell_V <= 5000 else " (centivolts?)" if 50 < cell_V <= 500 else ""
+        said = f"{low * cells_series:g} to {high * cells_series:g} V for {cells_series} cells in series"
+        raise BadInput(shown, f"{place}, voltage_v", f"{said}, found {row.voltage_V:g}{guess}")
+    for name, value in (("ambient_c", row.key[2]), ("surface_c", row.surface_C)):
+        if not (math.isnan(value) or TEMP_RANGE_C[0] <= value <= TEMP_RANGE_C[1]):
+            guess = " (kelvin?)" if 190 < value < 425 else ""
+            raise BadInput(shown, f"{place}, {name}", f"-80 to 150 °C, found {value:g}{guess}")
+
+
+def _run(key: tuple[str, int, float], rows: list[_Row], shown: str) -> Run:
+    sample, run, ambient_C = key
+    place = f"sample {sample}, run {run} at {ambient_C:g} °C (from line {rows[0].line})"
+    time_s, voltage_V, current_A, surface_C = np.array([r[2:] for r in rows], dtype=float).T
+    measured = voltage_V[~np.isnan(voltage_V)]
+    if len(measured) < MIN_POINTS:
+        raise BadInput(shown, place, f"at least {MIN_POINTS} voltage readings, found {len(measured)}")
+    if np.all(measured == measured[0]):
+        raise BadInput(shown, place, f"a discharge, voltage_v is constant at {measured[0]:g}")
+    duration_s = time_s[-1] - time_s[0]
+    if duration_s > 1e6:
+        raise BadInput(shown, place, f"time_s in seconds, the run lasts {duration_s:g} (milliseconds?)")
+    return Run(sample, run, ambient_C, time_s, voltage_V, current_A, surface_C)
