@@ -1,1 +1,1 @@
-"""TBD."""
+"""Battery and vehicle files from bench tests and flights; the only place where an optimiser runs."""

@@ -1,0 +1,96 @@
+"""From a battery file to the numbers that the model runs on, for a pack of any size of the type."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.model import SOC_GRID, Parameters
+from uavbatt.battery.pack import Installation
+
+Array = NDArray[np.float64]
+
+
+class Pack(NamedTuple):
+    """A battery file applied to one aircraft's pack."""
+
+    cell: Parameters
+    installation: Installation
+    cutoff_V: float
+    low_V: float
+    resistance_scale_sd: float
+    capacity_scale_sd: float
+    bias_sd_V: float  # discrepancy of the model, per cell
+    bias_tau_s: float
+    temperature_sd_K: float
+
+
+# The status widens the belief: what was not gated may be another battery than it says.
+WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.6}
+
+
+def dense(knots_soc: Array, values: Array) -> Array:
+    """Knots to a table on SOC_GRID by a monotone cubic (Fritsch-Carlson), straight beyond the outer knots.
+
+    values [..., knots] -> [..., grid].
+    """
+    curve = PchipInterpolator(knots_soc, values, axis=-1)
+    inside = np.clip(SOC_GRID, knots_soc[0], knots_soc[-1])
+    table: Array = curve(inside)
+    slope = np.diff(values, axis=-1) / np.diff(knots_soc)
+    below = np.minimum(SOC_GRID - knots_soc[0], 0.0)
+    above = np.maximum(SOC_GRID - knots_soc[-1], 0.0)
+    table += slope[..., :1] * below + slope[..., -1:] * above
+    return table
+
+
+def dense_resistance(knots_soc: Array, values: Array) -> Array:
+    """As `dense`, in the logarithm so that it stays positive, and flat beyond the outer knots."""
+    curve = PchipInterpolator(knots_soc, np.log(values), axis=-1)
+    table: Array = np.exp(curve(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1])))
+    return table
+
+
+def cell_parameters(file: BatteryFile) -> Parameters:
+    """The cell of the file with its effects on."""
+    table = file.parameters
+    fields = {
+        name: value
+        for entry in file.effects
+        if EFFECTS[entry.name].acts_on == "cell"
+        for name, value in entry.parameters.items()
+    }
+    return Parameters(
+        ocv_V=dense(np.array(table.ocv_soc), np.array(table.ocv_V)),
+        r0_ohmAh=dense_resistance(np.array(table.resistance_soc), np.array(table.resistance_ohmAh)),
+        **fields,
+    )
+
+
+def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, low_V: float) -> Pack:
+    """The file scaled to `cells` in series of `capacity_Ah`, with the voltages that end the flight [V]."""
+    fields = {
+        name: value
+        for entry in file.effects
+        if EFFECTS[entry.name].acts_on == "installation"
+        for name, value in entry.parameters.items()
+    }
+    installation = Installation(cells=cells, capacity_Ah=capacity_Ah, **fields)
+    widening = WIDENING[file.status]
+    left = file.discrepancy
+    return Pack(
+        cell=cell_parameters(file),
+        installation=installation,
+        cutoff_V=cutoff_V,
+        low_V=low_V,
+        resistance_scale_sd=file.parameters.resistance_scale_sd * widening,
+        capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
+        bias_sd_V=max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening,
+        bias_tau_s=max(left.voltage_autocorrelation_s, 1.0),
+        temperature_sd_K=max(left.temperature_rmse_K, 0.2),
+    )

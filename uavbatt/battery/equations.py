@@ -1,0 +1,76 @@
+"""The equations of the battery model: one equation, one function, nothing else.
+
+Everything is per cell and normalised by capacity, so that one set of numbers serves any pack of the type:
+
+    symbol       unit              meaning
+    soc          -                 state of charge, 0..1 of the pack's present capacity
+    c_rate       1/h               current divided by capacity; positive discharges
+    R            ohm·Ah            resistance times capacity
+    T            °C                temperatures in the interface, kelvin inside the exponent
+    C_th, h      J/(K·Ah), W/(K·Ah)   heat capacity and cooling per ampere-hour and cell
+
+All functions are elementwise: floats or numpy arrays that broadcast, and they return the same. Every step is
+the exact solution for inputs held over the step, so its length is free (Plett, "Battery Management Systems"
+vol. 1, 2015, sections 2.4-2.8, for the circuit; Bernardi 1985 without the entropic term for the heat).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Number = Any  # a float or an array of them: numpy's stubs cannot say "the same as came in"
+
+KELVIN = 273.15
+REFERENCE_TEMP_C = 25.0
+SECONDS_PER_HOUR = 3600.0
+
+
+def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:
+    """Coulomb counting: soc' = -c/3600."""
+    return soc - c_rate * dt_s / SECONDS_PER_HOUR
+
+
+def relax(value: Number, target: Number, dt_s: Number, tau_s: Number) -> Number:
+    """First-order lag towards a held target, exact: x' = (target - x)/tau, for tau > 0."""
+    return target + (value - target) * np.exp(-dt_s / tau_s)
+
+
+def arrhenius(temp_C: Number, activation_K: Number) -> Number:
+    """Factor on a resistance at `temp_C`, 1 at 25 °C: exp(E (1/T - 1/T_ref)), E = activation energy / R [K]."""
+    return np.exp(activation_K * (1.0 / (temp_C + KELVIN) - 1.0 / (REFERENCE_TEMP_C + KELVIN)))
+
+
+def heat_step(
+    temp_C: Number, heat_W: Number, ambient_C: Number, dt_s: Number, capacity_JpK: Number, cooling_WpK: Number
+) -> Number:
+    """Lumped core, exact for held heat: C T' = q - h (T - T_ambient), for h > 0; all per Ah."""
+    settled_C = ambient_C + heat_W / cooling_WpK
+    return relax(temp_C, settled_C, dt_s, capacity_JpK / cooling_WpK)
+
+
+def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> Number:
+    """Current that draws `power_W` from a source with inner resistance: the smaller root of (E - R I) I = P.
+
+    Beyond the largest power that the source can give, E²/4R, the current of that largest power, E/2R.
+    """
+    root = np.sqrt(np.maximum(emf_V * emf_V - 4.0 * resistance_ohm * power_W, 0.0))
+    reachable = np.minimum(power_W, emf_V * emf_V / (4.0 * resistance_ohm))
+    return 2.0 * reachable / (emf_V + root)
+
+
+def lookup(table: NDArray[np.float64], position: Number) -> Number:
+    """Linear interpolation on a uniform grid; beyond the ends the end segments go on.
+
+    `position` in grid steps. One table [G] serves any shape; tables [batch, G] need positions [batch].
+    """
+    last = table.shape[-1] - 2
+    index = np.clip(np.floor(position), 0, last).astype(np.intp)
+    if table.ndim == 1:
+        left, right = table[index], table[index + 1]
+    else:
+        rows = np.arange(table.shape[0])
+        left, right = table[rows, index], table[rows, index + 1]
+    return left + (right - left) * (position - index)

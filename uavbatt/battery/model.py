@@ -1,0 +1,110 @@
+"""The cell model: its parameters, its state, one step, one voltage.
+
+    soc'  = -c/3600                                      coulomb counting
+    R     = R0(soc) exp(E (1/T - 1/T_ref))               resistance at once [ohm·Ah]
+    v_f'  = (c R k_f - v_f)/tau_f                        polarisation (seconds)
+    v_s'  = (c R k_s - v_s)/tau_s                        slow diffusion (minutes)
+    T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
+    V     = OCV(soc) - v_f - v_s - c R
+
+k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect
+that is off leaves its parameters at the neutral default of `Parameters`: one model, no second code path.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery import equations as eq
+from uavbatt.battery.equations import Number
+
+Array = NDArray[np.float64]
+
+SOC_GRID = np.linspace(-0.05, 1.05, 221)  # tables are dense and uniform so that a look-up is an index
+GRID_STEP = float(SOC_GRID[1] - SOC_GRID[0])
+LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
+
+
+class Parameters(NamedTuple):
+    """Per-cell parameters, normalised by capacity; the defaults are neutral ("effect off")."""
+
+    ocv_V: Array  # on SOC_GRID, or [batch, grid]
+    r0_ohmAh: Array  # on SOC_GRID, or [batch, grid]; at 25 °C
+    resistance_gain: Number = 1.0
+    polarisation_ratio: Number = 0.0
+    polarisation_tau_s: Number = 10.0
+    diffusion_ratio: Number = 0.0
+    diffusion_tau_s: Number = 120.0
+    activation_K: Number = 0.0
+    heat_gain: Number = 0.0  # 1 with self_heating; 0 leaves only the exchange with the ambient
+    heat_capacity_JpKAh: Number = 40.0
+    cooling_WpKAh: Number = 0.1
+    airflow_gain_h: Number = 0.0  # cooling grows by this share per C of load: more power, more draught
+    charge_gain: Number = 1.0  # charge taken per charge counted: capacity fade, rate capacity
+    rate_gain_h: Number = 0.0
+    sensor_lag_s: Number = 1.0
+
+
+class State(NamedTuple):
+    """State of a cell: soc [-], polarisation and diffusion overpotential [V], core and sensor [°C]."""
+
+    soc: Number
+    polarisation_V: Number
+    diffusion_V: Number
+    core_C: Number
+    sensor_C: Number
+
+
+def rested(soc: Number, temp_C: Number) -> State:
+    """A cell at rest at `soc` with one temperature throughout [°C]."""
+    zero = np.zeros(np.broadcast_shapes(np.shape(soc), np.shape(temp_C)))
+    return State(soc + zero, zero, zero, temp_C + zero, temp_C + zero)
+
+
+def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
+    """OCV(soc) [V] of one cell; straight beyond the ends of its table."""
+    return eq.lookup(p.ocv_V, (soc - SOC_GRID[0]) / GRID_STEP)
+
+
+def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
+    """R0(soc, T) [ohm·Ah]."""
+    position = np.clip((soc - SOC_GRID[0]) / GRID_STEP, 0.0, SOC_GRID.size - 1.0)
+    return p.resistance_gain * eq.lookup(p.r0_ohmAh, position) * eq.arrhenius(core_C, p.activation_K)
+
+
+def electromotive_force(p: Parameters, s: State) -> Number:
+    """What the terminals would show with the current cut off this instant [V]."""
+    return open_circuit_voltage(p, s.soc) - s.polarisation_V - s.diffusion_V
+
+
+def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
+    """Terminal voltage of one cell [V] under `c_rate` [1/h]."""
+    return electromotive_force(p, s) - c_rate * resistance(p, s.soc, s.core_C)
+
+
+def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
+    """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
+    r_ohmAh = resistance(p, s.soc, s.core_C)
+    drop_V = c_rate * r_ohmAh
+    heat_W = p.heat_gain * c_rate * (drop_V + s.polarisation_V + s.diffusion_V)
+    cooling = p.cooling_WpKAh * (1.0 + p.airflow_gain_h * np.abs(c_rate))
+    drained = c_rate * p.charge_gain * (1.0 + p.rate_gain_h * np.abs(c_rate))
+    core_C = eq.heat_step(s.core_C, heat_W, ambient_C, dt_s, p.heat_capacity_JpKAh, cooling)
+    return State(
+        soc=eq.charge_step(s.soc, drained, dt_s),
+        polarisation_V=eq.relax(s.polarisation_V, drop_V * p.polarisation_ratio, dt_s, p.polarisation_tau_s),
+        diffusion_V=eq.relax(s.diffusion_V, drop_V * p.diffusion_ratio, dt_s, p.diffusion_tau_s),
+        core_C=core_C,
+        sensor_C=eq.relax(s.sensor_C, core_C, dt_s, p.sensor_lag_s),
+    )
+
+
+def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: float) -> State:
+    """`dt_s` seconds at constant current, in equal steps no longer than LONGEST_STEP_S."""
+    steps = max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9)))
+    for _ in range(steps):
+        s = step(p, s, c_rate, ambient_C, dt_s / steps)
+    return s

@@ -1,0 +1,76 @@
+"""A pack in an aircraft: cells in series behind a harness, seen through its sensors.
+
+    I_true = (I_meas - offset)/gain + P_unmetered/V_meas
+    c      = I_true / (Q (1 - fade))
+    V_meas = gain_V ((n-1) V(soc) + V(soc_weak) - I_true R_harness) + offset_V
+
+Charge is normalised by the pack's present capacity: a faded pack draws a higher C-rate at the same current, so that
+it also shows more ohms (the ohm·Ah stay).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery import model
+from uavbatt.battery.equations import Number
+from uavbatt.battery.model import Parameters, State
+
+
+class Installation(NamedTuple):
+    """The pack's size and everything between its cells and the telemetry; neutral by default."""
+
+    cells: Number
+    capacity_Ah: Number
+    fade: Number = 0.0
+    growth: Number = 0.0
+    deficit: Number = 0.0
+    harness_ohm: Number = 0.0
+    gain_I: Number = 1.0
+    offset_A: Number = 0.0
+    unmetered_W: Number = 0.0
+    gain_V: Number = 1.0
+    offset_V: Number = 0.0
+    offset_K: Number = 0.0
+
+    @property
+    def present_capacity_Ah(self) -> Number:
+        """Capacity today [Ah]."""
+        return self.capacity_Ah * (1.0 - self.fade)
+
+
+def true_current(pack: Installation, current_A: Number, voltage_V: Number) -> Number:
+    """Current that leaves the cells [A], from the metered one [A] and the metered voltage [V]."""
+    return (current_A - pack.offset_A) / pack.gain_I + pack.unmetered_W / voltage_V
+
+
+def c_rate(pack: Installation, current_A: Number) -> Number:
+    """C-rate [1/h] of a true pack current [A]."""
+    return current_A / pack.present_capacity_Ah
+
+
+def grown(p: Parameters, pack: Installation) -> Parameters:
+    """The cell's parameters with the pack's resistance growth in them."""
+    return p._replace(resistance_gain=p.resistance_gain * (1.0 + pack.growth))
+
+
+def weak_soc(pack: Installation, soc: Number) -> Number:
+    """State of charge of the weakest cell: it gives the same charge out of (1 - deficit) of the capacity."""
+    return 1.0 - (1.0 - soc) / (1.0 - pack.deficit)
+
+
+def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Number) -> Number:
+    """True voltage at the sensor's place [V] under a true current [A]."""
+    rate = c_rate(pack, current_A)
+    strong = model.cell_voltage(p, s, rate)
+    if not np.any(pack.deficit):
+        return pack.cells * strong - current_A * pack.harness_ohm
+    weak = model.cell_voltage(p, s._replace(soc=weak_soc(pack, s.soc)), rate)
+    return (pack.cells - 1) * strong + weak - current_A * pack.harness_ohm
+
+
+def metered_voltage(pack: Installation, true_V: Number) -> Number:
+    """What the voltage sensor reports [V]."""
+    return pack.gain_V * true_V + pack.offset_V

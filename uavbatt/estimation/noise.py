@@ -1,0 +1,79 @@
+"""How uncertain the start, the model's steps and the readings are: every number with its reason.
+
+All per cell and per C, so that they hold for any pack. Variances are returned ready for the filter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uavbatt.battery.belief import SIZE, C
+from uavbatt.battery.build import Pack
+from uavbatt.battery.model import SOC_GRID, Array, open_circuit_voltage
+
+# A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
+RESTED_VOLTAGE_SD_V = 0.010
+# A reading under load before anything is known: soc from OCV ± the unknown polarisation.
+LOADED_SOC_SD = 0.15
+UNKNOWN_TEMP_SD_K = 10.0
+RESTED_C_RATE = 0.15
+
+# The row's current stands for an interval in which the load moved: 6 % of the charge for rows 1 s apart or
+# less (averaging logger), 15 % when a row comes every 10 s or slower (a snapshot of a gusty load).
+SNAPSHOT_SHARE = (0.06, 0.15)
+# Slow scales wander: resistance 3 % and capacity 1 % over ten minutes (state of health does not change in a
+# flight; what changes is how far the model's R(soc, T) and OCV are from the pack's).
+RESISTANCE_WALK_PER_S = 0.03**2 / 600.0
+CAPACITY_WALK_PER_S = 0.01**2 / 600.0
+OVERPOTENTIAL_WALK_V2PS = 0.001**2
+CORE_WALK_K2PS = 0.02**2
+
+VOLTAGE_SD_V = 0.005
+# Voltage and current of a row are not read at the same instant: the drop is known to this share.
+DROP_SHARE = (0.05, 0.12)
+
+
+def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
+    """Between the share for rows <= 1 s apart and that for >= 10 s, in the logarithm of the step."""
+    weight = float(np.clip(np.log10(max(dt_s, 1e-3)), 0.0, 1.0))
+    return shares[0] + (shares[1] - shares[0]) * weight
+
+
+def soc_from_rest(pack: Pack, cell_V: float) -> tuple[float, float]:
+    """(soc, sd) of a rested cell at `cell_V` [V], by inverting the OCV; sd from its slope there."""
+    table = np.maximum.accumulate(np.asarray(open_circuit_voltage(pack.cell, SOC_GRID)) + 1e-9 * SOC_GRID)
+    soc = float(np.clip(np.interp(cell_V, table, SOC_GRID), 0.0, 1.0))
+    near = np.interp([cell_V - RESTED_VOLTAGE_SD_V, cell_V + RESTED_VOLTAGE_SD_V], table, SOC_GRID)
+    spread = float(np.hypot((near[1] - near[0]) / 2.0, pack.bias_sd_V * (near[1] - near[0]) / 0.04))
+    return soc, float(np.clip(spread, 0.01, LOADED_SOC_SD))
+
+
+def start_covariance(pack: Pack, soc_sd: float, temp_sd_K: float, overpotential_sd_V: float) -> Array:
+    """Covariance of the first belief."""
+    sd = np.empty(SIZE)
+    sd[C.SOC] = soc_sd
+    sd[C.POLARISATION] = sd[C.DIFFUSION] = overpotential_sd_V
+    sd[C.CORE] = sd[C.SENSOR] = temp_sd_K
+    sd[C.LOG_RESISTANCE] = pack.resistance_scale_sd
+    sd[C.LOG_CAPACITY] = pack.capacity_scale_sd
+    sd[C.BIAS] = pack.bias_sd_V
+    return np.diag(sd**2)
+
+
+def process_covariance(pack: Pack, rate_c: float, dt_s: float) -> Array:
+    """What the model's step over `dt_s` at C-rate `rate_c` leaves open."""
+    share = snapshot(dt_s, SNAPSHOT_SHARE)
+    q = np.zeros(SIZE)
+    q[C.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
+    q[C.POLARISATION] = q[C.DIFFUSION] = OVERPOTENTIAL_WALK_V2PS * dt_s
+    q[C.CORE] = CORE_WALK_K2PS * dt_s
+    q[C.SENSOR] = CORE_WALK_K2PS * dt_s
+    q[C.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
+    q[C.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
+    q[C.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
+    return np.diag(q)
+
+
+def voltage_variance(drop_V: float, dt_s: float) -> float:
+    """Variance of a voltage reading per cell [V²] under an ohmic drop of `drop_V` per cell."""
+    return VOLTAGE_SD_V**2 + (snapshot(dt_s, DROP_SHARE) * drop_V) ** 2

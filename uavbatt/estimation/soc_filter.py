@@ -1,0 +1,184 @@
+"""The state-of-charge filter: an extended Kalman filter (filterpy) on the battery model.
+
+    predict   x⁻ = f(x, I, dt)           P⁻ = F P Fᵀ + Q       f: belief.transition, exact for any step
+    update    ν = z - h(x⁻), S = H P⁻ Hᵀ + R, NIS = νᵀ S⁻¹ ν   z: pack voltage, and the temperature if there is one
+
+The Jacobians F and H are central differences, taken in one batched call of the same model functions, so that no
+equation is written twice. A reading that is far off (NIS above GATE) is not thrown away but believed less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from uavbatt.battery import belief as b
+from uavbatt.battery import model
+from uavbatt.battery.belief import SIZE, Belief, C
+from uavbatt.battery.build import Pack
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.estimation import noise
+from uavbatt.records import NAN, Estimate, Sample, Status
+
+# Steps of the difference quotients: far above rounding, far below any curvature of the model.
+NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
+GATE = 16.0
+LONGEST_GAP_S = 60.0
+CONVERGED_SOC_SD = 0.06
+REFUSED_SOC_SD = 0.20
+ROOM_TEMP_C = 22.0
+
+
+class SocFilter:
+    """Samples in, estimates out; holds the belief between them. One instance follows one battery."""
+
+    def __init__(self, pack: Pack, *, ambient_C: float = NAN) -> None:
+        self.pack = pack
+        self.given_ambient_C = ambient_C
+        self._kalman: ExtendedKalmanFilter | None = None
+        self._time_s = NAN
+        self._current_A = NAN
+        self._ambient_C = ambient_C
+
+    @property
+    def belief(self) -> Belief | None:
+        """Mean and covariance after the last sample; None before the first usable one."""
+        if self._kalman is None:
+            return None
+        return Belief(self._time_s, self._kalman.x.copy(), self._kalman.P.copy(), self._ambient_C)
+
+    def restore(self, belief: Belief) -> None:
+        """Go on from a belief (a saved one, after a restart)."""
+        self._begin(belief.mean.copy(), belief.covariance.copy(), belief.time_s, belief.ambient_C)
+
+    def step(self, sample: Sample) -> Estimate:
+        """Take one sample in; a sample without voltage or current moves time only and says so."""
+        if not math.isfinite(sample.voltage_V) or not math.isfinite(sample.current_A):
+            missing = "voltage" if not math.isfinite(sample.voltage_V) else "current"
+            return self._estimate(sample, NAN, NAN, NAN, refusal=f"no {missing} in this row")
+        current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
+        if self._kalman is None:
+            self._start(sample, current_A)
+            return self._update(sample, current_A, dt_s=0.0)
+        dt_s = sample.time_s - self._time_s
+        if dt_s < 0.0:
+            return self._estimate(sample, NAN, NAN, NAN, refusal="time went backwards")
+        self._predict(current_A, dt_s)
+        self._time_s, self._current_A = sample.time_s, current_A
+        return self._update(sample, current_A, dt_s)
+
+    def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:
+        kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
+        kalman.x, kalman.P = mean, covariance
+        self._kalman, self._time_s, self._ambient_C = kalman, time_s, ambient_C
+
+    def _start(self, sample: Sample, current_A: float) -> None:
+        """First belief: from the rested voltage, or wide from the voltage under load."""
+        pack = self.pack
+        temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.temperature_sd_K
+        if not math.isfinite(temp_C):
+            temp_C, temp_sd_K = self.given_ambient_C, 3.0
+        if not math.isfinite(temp_C):
+            temp_C, temp_sd_K = ROOM_TEMP_C, noise.UNKNOWN_TEMP_SD_K
+        ambient_C = self.given_ambient_C if math.isfinite(self.given_ambient_C) else temp_C
+        rate = float(c_rate(pack.installation, current_A))
+        cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
+        is_rested = abs(rate) < noise.RESTED_C_RATE
+        soc, soc_sd = noise.soc_from_rest(pack, cell_V)
+        overpotential_sd_V = 0.003
+        for _ in range(0 if is_rested else 4):  # the drop depends on soc, which depends on the drop
+            drop_V = rate * float(model.resistance(pack.cell, soc, temp_C)) * (1.0 + pack.cell.polarisation_ratio)
+            soc, soc_sd = noise.soc_from_rest(pack, cell_V + drop_V)[0], noise.LOADED_SOC_SD
+            overpotential_sd_V = max(0.5 * abs(drop_V), 0.02)
+        mean = np.zeros(SIZE)
+        mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = soc, temp_C, temp_C
+        covariance = noise.start_covariance(pack, soc_sd, temp_sd_K, overpotential_sd_V)
+        self._begin(mean, covariance, sample.time_s, ambient_C)
+        self._current_A = current_A
+
+    def _predict(self, current_A: float, dt_s: float) -> None:
+        """Carry the belief over dt with the mean of the currents at both ends (trapezium rule)."""
+        assert self._kalman is not None
+        kalman = self._kalman
+        # Over a long gap nothing says that the load went on: half its mean, and the noise of not knowing.
+        mean_A = 0.5 * (self._current_A + current_A)
+        kalman.F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), kalman.x)
+        rate = float(c_rate(self.pack.installation, mean_A))
+        kalman.Q = noise.process_covariance(self.pack, rate, dt_s)
+        if dt_s > LONGEST_GAP_S:
+            kalman.Q[C.SOC, C.SOC] += (0.5 * rate * dt_s / 3600.0) ** 2
+        kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
+        kalman.x = moved
+
+    def _update(self, sample: Sample, current_A: float, dt_s: float) -> Estimate:
+        assert self._kalman is not None
+        kalman, pack = self._kalman, self.pack
+        cells = pack.installation.cells
+        has_temp = math.isfinite(sample.temp_C)
+
+        def reading(x: Array) -> Array:
+            volts = b.voltage(pack, x, current_A)
+            warmth = x[C.SENSOR] + pack.installation.offset_K
+            return np.stack([volts, warmth]) if has_temp else np.stack([volts])
+
+        observation, expected = _jacobian(reading, kalman.x)
+        measured = np.array([sample.voltage_V, sample.temp_C] if has_temp else [sample.voltage_V])
+        innovation = measured - expected
+        drop_V = abs(float(c_rate(pack.installation, current_A))) * float(
+            model.resistance(pack.cell, kalman.x[C.SOC], kalman.x[C.CORE])
+        )
+        variances = [cells**2 * noise.voltage_variance(drop_V, max(dt_s, 1e-3))]
+        if has_temp:
+            variances.append(pack.temperature_sd_K**2)
+        noise_R = np.diag(variances)
+        spread = observation @ kalman.P @ observation.T + noise_R
+        nis = float(innovation @ np.linalg.solve(spread, innovation))
+        if nis > GATE:  # believe it less, so that its normalised innovation is GATE
+            noise_R = noise_R + spread * (nis / GATE - 1.0)
+        kalman.update(measured, lambda x: observation, lambda x: expected, R=noise_R)
+        kalman.P = 0.5 * (kalman.P + kalman.P.T)
+        kalman.x[C.SOC] = min(max(kalman.x[C.SOC], -0.02), 1.02)
+        return self._estimate(sample, float(innovation[0]), nis, float(expected[0]))
+
+    def _estimate(
+        self, sample: Sample, innovation_V: float, nis: float, predicted_V: float, refusal: str = ""
+    ) -> Estimate:
+        mean = self._kalman.x if self._kalman is not None else np.full(SIZE, NAN)
+        soc_sd = math.sqrt(self._kalman.P[C.SOC, C.SOC]) if self._kalman is not None else NAN
+        status, reason = Status.OK, ""
+        if refusal or self._kalman is None:
+            status, reason = Status.REFUSED, refusal or "no usable sample yet"
+        elif soc_sd > REFUSED_SOC_SD:
+            status, reason = Status.REFUSED, f"state of charge known only to ±{soc_sd:.0%}"
+        elif soc_sd > CONVERGED_SOC_SD:
+            status, reason = Status.CONVERGING, f"state of charge known only to ±{soc_sd:.0%}"
+        return Estimate(
+            time_s=sample.time_s,
+            soc=float(min(max(mean[C.SOC], 0.0), 1.0)) if self._kalman is not None else NAN,
+            soc_sd=soc_sd,
+            voltage_V=sample.voltage_V,
+            current_A=sample.current_A,
+            temp_C=sample.temp_C,
+            power_W=sample.voltage_V * sample.current_A,
+            innovation_V=innovation_V,
+            nis=nis,
+            status=status,
+            reason=reason,
+            predicted_voltage_V=predicted_V,
+            core_temp_C=float(mean[C.CORE]),
+            resistance_scale=float(np.exp(mean[C.LOG_RESISTANCE])),
+            capacity_scale=float(np.exp(mean[C.LOG_CAPACITY])),
+        )
+
+
+def _jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """(∂f/∂x, f(x)) by central differences, all columns in one call of `function`."""
+    nudges = np.diag(NUDGE)
+    columns = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
+    values = function(columns)
+    plus, minus = values[:, 1 : SIZE + 1], values[:, SIZE + 1 :]
+    return (plus - minus) / (2.0 * NUDGE), values[:, 0].copy()

@@ -1,0 +1,188 @@
+"""Measured records, made ready for open-loop fitting: bench runs and flights as one kind of thing.
+
+Fine telemetry is averaged into bins of BIN_S (the model is smoother than the noise); coarse rows are split into
+steps of at most LONGEST_STEP_S with the current in between interpolated, and only the real rows are compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uavbatt.battery.model import LONGEST_STEP_S, Array
+from uavbatt.dataset import DataSet
+from uavbatt.errors import NotEnoughData
+from uavbatt.records import NAN, Flight
+
+BIN_S = 2.0
+# The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
+INDEPENDENT_S = 60.0
+RESTED_C = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """One record: rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN = not measured)."""
+
+    name: str
+    time_s: Array
+    voltage_V: Array
+    current_A: Array
+    temp_C: Array
+    ambient_C: float
+    cells: int
+    capacity_Ah: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Records side by side, [rows, records]; `compare` marks real rows, sigma is per pack."""
+
+    names: tuple[str, ...]
+    cells: Array
+    capacity_Ah: Array
+    time_s: Array
+    dt_s: Array
+    current_A: Array
+    voltage_V: Array
+    temp_C: Array
+    compare: Array
+    sigma_V: Array
+    weight: Array
+    start_temp_C: Array
+    ambient_C: Array
+    rested: Array
+
+
+def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Observed]:
+    """The runs of a data set whose current was measured."""
+    capacity = capacity_Ah or dataset.capacity_Ah
+    if capacity is None:
+        raise NotEnoughData(f"{dataset.path}: battery.toml: expected capacity_Ah to scale the measured current")
+    return [
+        Observed(
+            name=f"{dataset.name} sample {run.sample} run {run.run} at {run.ambient_C:g} °C",
+            time_s=run.time_s,
+            voltage_V=run.voltage_V,
+            current_A=run.current_A,
+            temp_C=run.surface_C,
+            ambient_C=run.ambient_C,
+            cells=dataset.cells_series,
+            capacity_Ah=capacity,
+        )
+        for run in dataset.runs
+        if np.isfinite(run.current_A).all()
+    ]
+
+
+def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
+    """The rows of a flight that have both voltage and current."""
+    rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
+    if len(rows) < 10:
+        raise NotEnoughData(f"{flight.source}: {len(rows)} rows with voltage and current: expected at least 10")
+    return Observed(
+        name=flight.source,
+        time_s=np.array([s.time_s for s in rows]),
+        voltage_V=np.array([s.voltage_V for s in rows]),
+        current_A=np.array([s.current_A for s in rows]),
+        temp_C=np.array([s.temp_C for s in rows]),
+        ambient_C=NAN,
+        cells=cells,
+        capacity_Ah=capacity_Ah,
+    )
+
+
+def until(record: Observed, time_s: float) -> Observed:
+    """The record up to `time_s`."""
+    keep = record.time_s <= time_s
+    return replace(record, **{k: getattr(record, k)[keep] for k in ("time_s", "voltage_V", "current_A", "temp_C")})
+
+
+def binned(record: Observed) -> Observed:
+    """Means over bins of BIN_S where rows come faster; the record itself otherwise."""
+    if np.median(np.diff(record.time_s)) >= 0.9 * BIN_S:
+        return record
+    index = np.floor((record.time_s - record.time_s[0]) / BIN_S).astype(int)
+    _, index = np.unique(index, return_inverse=True)
+    count = np.bincount(index)
+
+    def mean(column: Array) -> Array:
+        out: Array = np.bincount(index, column) / count
+        return out
+
+    columns = {k: mean(getattr(record, k)) for k in ("time_s", "voltage_V", "current_A", "temp_C")}
+    return replace(record, **columns)
+
+
+def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
+    """Bin, split and pad the records.
+
+    sigma_V: `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage: near the end a
+    model that is late by a few seconds is good, though volts apart. weight: the share of an independent row.
+    """
+    fine = [_split(binned(r)) for r in records]
+    rows = max(len(f["time_s"]) for f in fine)
+
+    def padded(key: str) -> Array:
+        return np.stack([np.pad(f[key], (0, rows - len(f[key])), mode="edge") for f in fine], axis=1)
+
+    time_s = padded("time_s")
+    real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
+    cells = np.array([float(r.cells) for r in records])
+    slope = padded("slope")
+    capacity = np.array([r.capacity_Ah for r in records])
+    start_temp = np.array([_start_temp(r) for r in records])
+    ambient = np.array([r.ambient_C for r in records])
+    return Stack(
+        names=tuple(r.name for r in records),
+        cells=cells,
+        capacity_Ah=capacity,
+        time_s=time_s,
+        dt_s=np.vstack([np.zeros(len(records)), np.diff(time_s, axis=0)]),
+        current_A=padded("current_A"),
+        voltage_V=padded("voltage_V"),
+        temp_C=padded("temp_C"),
+        compare=real,
+        sigma_V=np.hypot(voltage_sd_V * cells, timing_sd_s * slope),
+        weight=np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0)),
+        start_temp_C=start_temp,
+        ambient_C=np.where(np.isfinite(ambient), ambient, start_temp),
+        rested=np.array([abs(r.current_A[0]) / r.capacity_Ah < RESTED_C for r in records]),
+    )
+
+
+def _start_temp(record: Observed) -> float:
+    known = record.temp_C[np.isfinite(record.temp_C)][:8]
+    if known.size:
+        return float(np.median(known))
+    return record.ambient_C if np.isfinite(record.ambient_C) else 22.0
+
+
+def _split(record: Observed) -> dict[str, Array]:
+    """Rows and the steps between them; `real` is 1 at measured rows."""
+    time_s = record.time_s
+    spacing = np.diff(time_s, prepend=2 * time_s[0] - time_s[1])
+    pieces = [np.array([time_s[0]])]
+    for left, right in zip(time_s[:-1], time_s[1:], strict=True):
+        steps = max(1, int(np.ceil((right - left) / LONGEST_STEP_S - 1e-9)))
+        pieces.append(left + (right - left) * np.arange(1, steps + 1) / steps)
+    grid = np.concatenate(pieces)
+    real = np.isin(grid, time_s).astype(float)
+    width = max(3, int(30.0 / np.median(np.diff(time_s))) | 1)
+    smooth = np.convolve(np.pad(record.voltage_V, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
+    slope = np.abs(np.gradient(smooth, time_s))
+
+    def at(column: Array) -> Array:
+        out: Array = np.interp(grid, time_s, column)
+        return out
+
+    return {
+        "time_s": grid,
+        "real": real,
+        "voltage_V": at(record.voltage_V),
+        "current_A": at(record.current_A),
+        "temp_C": at(record.temp_C),
+        "slope": at(slope),
+        "spacing": at(spacing),
+    }

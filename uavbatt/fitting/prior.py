@@ -1,0 +1,82 @@
+"""What is known of a LiPo cell before any data: the prior that keeps a fit physical.
+
+The fit's unknowns are `Slot`s. In the optimiser's space every slot is a standard normal number u; its value is
+prior + sd·u, or prior·exp(sd·u) for what is positive. So the penalty of the prior is |u|² and no bound is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.build import dense, dense_resistance
+from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.model import Array, Parameters
+
+# Rested voltage of a LiPo cell (LiCoO2/graphite) against state of charge: rounded averages of published
+# discharge tables; ±30 mV over makes, more below 5 %.
+OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
+OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 9, 0.03, 0.015])
+
+RESISTANCE_SOC = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
+RESISTANCE_OHMAH = 0.03  # 6 mohm a cell of 5 Ah at once; lagging parts come on top
+RESISTANCE_SHAPE_SD = 0.4  # factor between neighbouring charges
+
+BASE_EFFECTS = ("polarisation", "slow_diffusion", "temperature_resistance", "self_heating", "temperature_lag")
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One unknown of a fit with its prior; `log` slots are positive and their sd is relative."""
+
+    name: str
+    prior: float
+    sd: float
+    log: bool = False
+
+
+def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS) -> tuple[Slot, ...]:
+    """OCV and R0 at their knots, the level of R0, and the quantities of the cell effects that are on."""
+    ocv = [Slot(f"ocv_{z:g}", v, sd) for z, v, sd in zip(OCV_SOC, OCV_V, OCV_SD_V, strict=True)]
+    shape = [Slot(f"r0_{z:g}", 1.0, RESISTANCE_SHAPE_SD, log=True) for z in RESISTANCE_SOC]
+    level = Slot("r0_ohmAh", RESISTANCE_OHMAH, 0.8, log=True)
+    quantities = [
+        Slot(q.name, q.prior, q.prior_sd, q.log)
+        for name in effects
+        for q in EFFECTS[name].quantities
+        if q.prior_sd > 0.0
+    ]
+    return (*ocv, *shape, level, *quantities)
+
+
+def values(slots: tuple[Slot, ...], u: Array) -> Array:
+    """Values of the slots for u [..., slots]."""
+    prior = np.array([s.prior for s in slots])
+    shift = u * np.array([s.sd for s in slots])
+    log = np.array([s.log for s in slots])
+    return np.where(log, prior * np.exp(np.where(log, np.clip(shift, -8.0, 8.0), 0.0)), prior + shift)
+
+
+def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
+    """(OCV [V], R0 [ohm·Ah]) at their knots for values x [..., slots]."""
+    at = {s.name: i for i, s in enumerate(slots)}
+    first = at[f"ocv_{OCV_SOC[0]:g}"]
+    ocv_V = x[..., first : first + OCV_SOC.size]
+    first = at[f"r0_{RESISTANCE_SOC[0]:g}"]
+    shape = x[..., first : first + RESISTANCE_SOC.size]
+    return ocv_V, x[..., at["r0_ohmAh"], None] * shape
+
+
+def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFECTS) -> Parameters:
+    """Model parameters for values x [batch, slots]; effects with a fixed quantity (heat_gain) get its prior."""
+    at = {s.name: i for i, s in enumerate(slots)}
+    ocv_V, r0_ohmAh = knots(slots, x)
+    fields = {
+        q.name: (x[..., at[q.name]] if q.name in at else q.prior)
+        for name in effects
+        if EFFECTS[name].acts_on == "cell"
+        for q in EFFECTS[name].quantities
+    }
+    return Parameters(ocv_V=dense(OCV_SOC, ocv_V), r0_ohmAh=dense_resistance(RESISTANCE_SOC, r0_ohmAh), **fields)

@@ -1,0 +1,153 @@
+"""Maximum a posteriori fit of the cell to records with measured current.
+
+Unknowns: the cell's slots, shared by all records, and per record its starting charge and the two scales that tell
+one pack from its type. A record's own unknowns touch only its own rows, so that one simulation with all records
+nudged at once gives the whole block of the Jacobian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from uavbatt.battery.model import SOC_GRID, Array, rested
+from uavbatt.battery.openloop import Trajectory, simulate
+from uavbatt.fitting import prior
+from uavbatt.fitting.observed import Stack
+from uavbatt.fitting.prior import Slot
+
+TEMPERATURE_SD_K = 0.6
+ROBUST_SCALE = 4.0
+NUDGE = 1e-4
+OWN = ("start_soc", "log_resistance", "log_capacity")
+
+
+@dataclass(frozen=True, slots=True)
+class OwnPrior:
+    """Prior sd of what each record has of its own: start of a rested / loaded record, scales of its pack."""
+
+    rested_soc: float = 0.01
+    loaded_soc: float = 0.08
+    log_resistance: float = 1e-4  # bench samples and flights of one pack; 0.1 for a fleet of packs
+    log_capacity: float = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Shared values by slot, each record's own (start soc, ln scales), and the posterior covariance of u."""
+
+    slots: tuple[Slot, ...]
+    effects: tuple[str, ...]
+    u: Array
+    own: Array  # [records, 3]
+    covariance_u: Array
+    cost: float
+
+    @property
+    def x(self) -> Array:
+        """Values of the slots."""
+        return prior.values(self.slots, self.u)
+
+    def value(self, name: str) -> float:
+        """Value of one slot."""
+        return float(self.x[[s.name for s in self.slots].index(name)])
+
+    def standard_error(self, name: str) -> float:
+        """Standard error of one slot, to first order."""
+        i = [s.name for s in self.slots].index(name)
+        slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
+        return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)
+
+
+def start_guess(stack: Stack) -> Array:
+    """Starting charge from the prior OCV at the first voltage (under load: plus a typical drop)."""
+    table = prior.dense(prior.OCV_SOC, prior.OCV_V)
+    drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 1.5 * prior.RESISTANCE_OHMAH)
+    guess: Array = np.interp(stack.voltage_V[0] / stack.cells + drop_V, table, SOC_GRID)
+    return np.clip(guess, 0.05, 1.0)
+
+
+def run(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, own: Array) -> Trajectory:
+    """Simulate variants x [variants, slots], own [variants, records, 3]; columns variant-major."""
+    variants, records = own.shape[:2]
+    cell = prior.cell(slots, np.repeat(x, records, axis=0), effects)
+    flat = own.reshape(variants * records, len(OWN))
+    cell = cell._replace(resistance_gain=np.exp(flat[:, 1]))
+    capacity = np.tile(stack.capacity_Ah, variants) * np.exp(flat[:, 2])
+    start = rested(flat[:, 0], np.tile(stack.start_temp_C, variants))
+    rate = np.tile(stack.current_A, (1, variants)) / capacity
+    return simulate(cell, start, rate, np.tile(stack.dt_s, (1, variants)), np.tile(stack.ambient_C, variants))
+
+
+def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
+    """Weighted voltage and temperature residuals [variants, rows·2, records]; 0 where nothing was measured."""
+    shape = (stack.time_s.shape[0], variants, len(stack.names))
+    volts = trajectory.voltage_V.reshape(shape) * stack.cells - stack.voltage_V[:, None, :]
+    warmth = trajectory.sensor_C.reshape(shape) - stack.temp_C[:, None, :]
+    weight = np.where(stack.compare, stack.weight, 0.0)[:, None, :]
+    scaled = np.concatenate(
+        [volts * weight / stack.sigma_V[:, None, :], np.nan_to_num(warmth) * weight / TEMPERATURE_SD_K]
+    )
+    return np.moveaxis(scaled, 1, 0)
+
+
+def fit(
+    stack: Stack,
+    effects: tuple[str, ...] = prior.BASE_EFFECTS,
+    own_prior: OwnPrior | None = None,
+    start_u: Array | None = None,
+    progress: Callable[[int], None] | None = None,
+    evaluations: int = 40,
+) -> Fit:
+    """The most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma)."""
+    slots = prior.cell_slots(effects)
+    given = own_prior or OwnPrior()
+    own_mean = np.column_stack([start_guess(stack), np.zeros((len(stack.names), 2))])
+    soc_sd = np.where(stack.rested, given.rested_soc, given.loaded_soc)
+    own_sd = np.column_stack(
+        [soc_sd, np.full(len(soc_sd), given.log_resistance), np.full(len(soc_sd), given.log_capacity)]
+    )
+    shared, records = len(slots), len(stack.names)
+
+    def evaluate(v: Array) -> Array:
+        """Residuals [variants, rows·2, records] of vectors v [variants, shared + 3·records]."""
+        x = prior.values(slots, v[:, :shared])
+        own = own_mean + own_sd * v[:, shared:].reshape(-1, records, len(OWN))
+        return residuals(stack, run(stack, slots, effects, x, own), v.shape[0])
+
+    def objective(v: Array) -> Array:
+        return np.concatenate([evaluate(v[None])[0].ravel(), v])
+
+    def jacobian(v: Array) -> Array:
+        nudges = np.zeros((shared + len(OWN), v.size))
+        nudges[:shared, :shared] = np.eye(shared) * NUDGE
+        for k in range(len(OWN)):  # every record's k-th own unknown at once
+            nudges[shared + k, shared + k :: len(OWN)] = NUDGE
+        values = evaluate(np.vstack([v, v + nudges]))
+        slopes = (values[1:] - values[0]) / NUDGE
+        block = np.zeros((slopes.shape[1], records, v.size))
+        block[:, :, :shared] = np.moveaxis(slopes[:shared], 0, -1)
+        for r in range(records):
+            for k in range(len(OWN)):
+                block[:, r, shared + r * len(OWN) + k] = slopes[shared + k, :, r]
+        if progress is not None:
+            progress(1)
+        return np.vstack([block.reshape(-1, v.size), np.eye(v.size)])
+
+    start = np.zeros(shared + records * len(OWN))
+    if start_u is not None:
+        start[:shared] = start_u
+    found = least_squares(
+        objective, start, jacobian, loss="soft_l1", f_scale=ROBUST_SCALE, max_nfev=evaluations, xtol=1e-4, ftol=1e-4
+    )
+    covariance = np.linalg.inv(found.jac.T @ found.jac)
+    own = own_mean + own_sd * found.x[shared:].reshape(records, len(OWN))
+    return Fit(slots, effects, found.x[:shared], own, covariance[:shared, :shared], float(found.cost))
+
+
+def replay(stack: Stack, found: Fit, own: Array | None = None) -> Trajectory:
+    """Open-loop simulation of the stack's records with the fitted cell (own: [records, 3])."""
+    return run(stack, found.slots, found.effects, found.x[None], (found.own if own is None else own)[None])
