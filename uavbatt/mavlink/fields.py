@@ -1,0 +1,118 @@
+"""What the fields of MAVLink messages mean: units made SI, sentinels made NaN.
+
+The functions take a decoded message (any object with the attributes of the MAVLink XML), so that a
+log file and a live link share them. Sentinels (common.xml): -1 for currents, charges and percents,
+32767 for temperature, 65535 for cell voltages; a `time_remaining` of 0 is never read at all.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+HEARTBEAT, SYS_STATUS, PARAM_VALUE, BATTERY_STATUS, BATTERY2 = 0, 1, 22, 147, 181
+
+AUTOPILOT_PX4 = 12
+_AUTOPILOT_INVALID = 8
+_TYPE_GCS = 6
+_MODE_FLAG_ARMED = 128
+_PACK_SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
+# MAV_PARAM_TYPE -> struct code: PX4 copies the integer's bytes into the float field.
+_INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryFields:
+    """One battery message in SI; NaN where the sender did not know."""
+
+    id: int
+    voltage_V: float
+    current_A: float = math.nan
+    temp_C: float = math.nan
+    consumed_Ah: float = math.nan
+    reported_soc: float = math.nan
+    cell_voltages_V: tuple[float, ...] = ()
+
+
+def pack_voltage_V(voltages_mV: Sequence[int], ext_mV: Sequence[int] = ()) -> tuple[float, tuple[float, ...]]:
+    """Pack voltage [V] and cell voltages [V] from the two voltage arrays of BATTERY_STATUS [mV].
+
+    One entry is the whole pack, several are cells, unless the first is 65534 (a pack too high for
+    one field). Zeros are fillers of careless senders: a cell at 0 V does not fly.
+    """
+    entries = [v for v in voltages_mV if v not in (0, 65535)]
+    if not entries:
+        return math.nan, ()
+    if voltages_mV[0] == _PACK_SPLIT_MV:
+        return sum(entries) / 1000, ()
+    entries += [v for v in ext_mV if 1 < v < 65535]
+    total_V = sum(entries) / 1000
+    return total_V, tuple(v / 1000 for v in entries) if len(entries) > 1 else ()
+
+
+def current_A(centiamps: int) -> float:
+    """Current [A]; -1 is unknown (a true -0.01 A cannot be told from it), 32767 is a saturated field."""
+    return math.nan if centiamps in (-1, 32767) else centiamps / 100
+
+
+def soc(percent: int) -> float:
+    """State of charge as the autopilot reports it, 0..1; anything outside 0..100 % is unknown."""
+    return percent / 100 if 0 <= percent <= 100 else math.nan
+
+
+def battery_status(msg: Any) -> BatteryFields:
+    """BATTERY_STATUS (147)."""
+    voltage_V, cells_V = pack_voltage_V(msg.voltages, getattr(msg, "voltages_ext", ()))
+    return BatteryFields(
+        id=msg.id,
+        voltage_V=voltage_V,
+        current_A=current_A(msg.current_battery),
+        temp_C=math.nan if msg.temperature == 32767 else msg.temperature / 100,
+        consumed_Ah=math.nan if msg.current_consumed == -1 else msg.current_consumed / 1000,
+        reported_soc=soc(msg.battery_remaining),
+        cell_voltages_V=cells_V,
+    )
+
+
+def sys_status(msg: Any) -> BatteryFields:
+    """SYS_STATUS (1): the fallback, ambiguous on a vehicle with several batteries."""
+    known = msg.voltage_battery not in (0, 65535)
+    return BatteryFields(
+        id=0,
+        voltage_V=msg.voltage_battery / 1000 if known else math.nan,
+        current_A=current_A(msg.current_battery),
+        reported_soc=soc(msg.battery_remaining),
+    )
+
+
+def battery2(msg: Any) -> BatteryFields:
+    """BATTERY2 (181, retired): the second battery of old ArduPilot logs, instance 1."""
+    known = msg.voltage not in (0, 65535)
+    return BatteryFields(
+        id=1,
+        voltage_V=msg.voltage / 1000 if known else math.nan,
+        current_A=current_A(msg.current_battery),
+    )
+
+
+def parameter(msg: Any, is_px4: bool) -> tuple[str, float]:
+    """Name and value of PARAM_VALUE (22); PX4 sends integers as bit patterns, ArduPilot by value."""
+    name = msg.param_id if isinstance(msg.param_id, str) else bytes(msg.param_id).decode("latin-1")
+    code = _INTEGER_CODES.get(msg.param_type) if is_px4 else None
+    if code is None:
+        return name.split("\0")[0], float(msg.param_value)
+    raw = struct.pack("<f", msg.param_value)[: struct.calcsize(code)]
+    return name.split("\0")[0], float(struct.unpack(code, raw)[0])
+
+
+def is_armed(heartbeat: Any) -> bool:
+    """The armed bit of HEARTBEAT.base_mode."""
+    return bool(heartbeat.base_mode & _MODE_FLAG_ARMED)
+
+
+def is_autopilot(heartbeat: Any) -> bool:
+    """True for the heartbeat of a flight controller, not of a ground station or a payload."""
+    return heartbeat.autopilot != _AUTOPILOT_INVALID and heartbeat.type != _TYPE_GCS

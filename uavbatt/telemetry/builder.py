@@ -1,0 +1,104 @@
+"""The one place where rows of every log format are put in order of time and cleaned.
+
+A reader pushes what it decodes, in log order; nothing here looks ahead, so that a log cut at any
+instant gives the same rows up to it.
+
+Time: seconds from the first timed record. A clock that falls back by 1 s or more is a reboot (or a
+ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+from uavbatt.records import NAN, Sample
+
+REBOOT_STEP_S = 1.0
+LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
+SEGMENT_GAP_S = 1.0
+MAX_VOLTAGE_V = 200.0
+MAX_CURRENT_A = 2000.0
+
+
+@dataclass(slots=True)
+class LogBuilder:
+    """What was read so far; mutable, and never leaves the reader of one file."""
+
+    rows: dict[int, list[Sample]] = field(default_factory=dict)
+    parameters: list[tuple[float, str, float]] = field(default_factory=list)
+    armed: bool | None = None
+    notes: list[str] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    skipped_bytes: int = 0
+    now_s: float = 0.0
+    _raw_s: float = NAN
+    _offset_s: float = NAN
+
+    def time_s(self, raw_s: float) -> float:
+        """Time since the first record [s] from the log's own clock [s]; moves `now_s` ahead."""
+        if not math.isfinite(raw_s):
+            return self.now_s
+        if math.isnan(self._raw_s):
+            self._raw_s, self._offset_s = raw_s, -raw_s
+            return 0.0
+        step_s = raw_s - self._raw_s
+        if step_s <= -REBOOT_STEP_S or step_s > LEAP_S:
+            what = "reboot" if step_s < 0 else "clock leap"
+            self.notes.append(f"{what} at {self.now_s:.1f} s: time goes on after a gap of 1 s")
+            self._offset_s = self.now_s + SEGMENT_GAP_S - raw_s
+            self._raw_s = raw_s
+        self._raw_s = max(self._raw_s, raw_s)
+        time_s = round(raw_s + self._offset_s, 6)  # microseconds are what the logs hold
+        self.now_s = max(self.now_s, time_s)
+        return time_s
+
+    def add(self, instance: int, sample: Sample) -> bool:
+        """Keep a row if it carries a possible voltage and does not lie before the last; say whether.
+
+        A first row from just before the log's first record counts as simultaneous with it.
+        """
+        kept = self.rows.get(instance, [])
+        if not 0 < sample.voltage_V <= MAX_VOLTAGE_V:
+            self.counts["rows without a possible voltage dropped"] += 1
+            return False
+        if sample.time_s < 0 and not kept:
+            sample = replace(sample, time_s=0.0)
+        if kept and sample.time_s < kept[-1].time_s:
+            self.counts["rows out of order dropped"] += 1
+            return False
+        if abs(sample.current_A) > MAX_CURRENT_A:
+            self.counts["impossible currents set to unknown"] += 1
+            sample = replace(sample, current_A=NAN)
+        self.rows.setdefault(instance, kept).append(sample)
+        return True
+
+    def add_parameter(self, time_s: float, name: str, value: float) -> None:
+        """A vehicle parameter, in force from `time_s` [s] on."""
+        if self.parameters:
+            time_s = max(time_s, self.parameters[-1][0])
+        self.parameters.append((max(time_s, 0.0), name, value))
+
+    def all_notes(self) -> list[str]:
+        """Notes in the order of reading, then what was counted."""
+        counted = [f"{n} {what}" for what, n in self.counts.items()]
+        damaged = [f"{self.skipped_bytes} bytes not readable, skipped"] if self.skipped_bytes else []
+        return self.notes + damaged + counted
+
+
+def known(value: float) -> float:
+    """`value`, or NaN if it is infinite."""
+    return value if math.isfinite(value) else NAN
+
+
+def default_instance(rows: dict[int, list[Sample]]) -> int:
+    """The first instance in the log that reports a current; if none does, the first with a voltage."""
+    with_current = [(t, i) for i, samples in rows.items() if not math.isnan(t := _first_current_s(samples))]
+    # min() keeps the first of equals, and a dict keeps the log's order: a tie goes to the earlier one.
+    return min(with_current, key=lambda pair: pair[0])[1] if with_current else next(iter(rows))
+
+
+def _first_current_s(samples: Iterable[Sample]) -> float:
+    return next((s.time_s for s in samples if not math.isnan(s.current_A)), NAN)

@@ -1,0 +1,95 @@
+"""Vehicle parameters -> what the vehicle says of its battery, as a timeline.
+
+ArduPilot: BATT_ is instance 0, BATT2_ .. BATT9_ the next, then BATTA_ and so on. PX4: BAT1_ is
+instance 0; un-numbered BAT_ names are leftovers once BATn_ exists, and are used only without it.
+0 and -1 mean "not set" for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from uavbatt.records import NAN, PackFacts
+
+_UNTOUCHED_CAPACITY_MAH = 3300.0
+_SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
+
+
+def ardupilot_prefix(instance: int) -> str:
+    """`BATT_`, `BATT2_` .. `BATT9_`, `BATTA_` ..."""
+    if instance == 0:
+        return "BATT_"
+    return f"BATT{instance + 1}_" if instance < 9 else f"BATT{chr(ord('A') + instance - 9)}_"
+
+
+def facts_timeline(
+    parameters: Iterable[tuple[float, str, float]], instance: int, is_telemetry: bool
+) -> tuple[tuple[float, PackFacts], ...]:
+    """(time [s], facts in force from then on) of one battery, ascending.
+
+    is_telemetry: the voltages came over MAVLink. The sag-compensation option bends only those;
+    ArduPilot's on-board log holds the measured voltage whatever the option says.
+    """
+    known: dict[str, float] = {}
+    timeline: list[tuple[float, PackFacts]] = []
+    for time_s, name, value in parameters:
+        if not name.startswith(("BAT", "FS_BATT")):
+            continue
+        known[name] = value
+        facts = _facts(known, instance, is_telemetry)
+        if facts == (timeline[-1][1] if timeline else PackFacts()):
+            continue
+        if timeline and timeline[-1][0] == time_s:
+            timeline.pop()
+        timeline.append((time_s, facts))
+    return tuple(timeline)
+
+
+def capacity_notes(parameters: Iterable[tuple[float, str, float]], instance: int) -> list[str]:
+    """A note when the capacity is the value ArduPilot ships with, which says nothing of the pack."""
+    name = ardupilot_prefix(instance) + "CAPACITY"
+    last = {n: value for _, n, value in parameters}
+    if last.get(name) != _UNTOUCHED_CAPACITY_MAH:
+        return []
+    return [f"{name} is 3300 mAh, ArduPilot's untouched default: it may not be this pack's"]
+
+
+def is_voltage_only(parameters: Mapping[str, float], instance: int) -> bool:
+    """True when the monitor measures no current (BATT_MONITOR 3): a logged 0 A is then no reading."""
+    return parameters.get(ardupilot_prefix(instance) + "MONITOR") == 3
+
+
+def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> PackFacts:
+    """Facts of `instance` from all parameters known so far."""
+    prefix = ardupilot_prefix(instance)
+    cells = _px4(known, instance, "N_CELLS")
+    empty_V = _px4(known, instance, "V_EMPTY")
+    capacity_mAh = _first(known, prefix + "CAPACITY", _px4_name(known, instance, "CAPACITY"))
+    low_names = [prefix + "LOW_VOLT"] + (["FS_BATT_VOLTAGE"] if instance == 0 else [])
+    critical_V = _first(known, prefix + "CRT_VOLT")
+    options = known.get(prefix + "OPTIONS")
+    return PackFacts(
+        cells_series=int(cells) if cells >= 1 else None,
+        capacity_Ah=capacity_mAh / 1000 if capacity_mAh > 0 else NAN,
+        low_voltage_V=_first(known, *low_names),
+        critical_voltage_V=critical_V if critical_V > 0 or not cells * empty_V > 0 else cells * empty_V,
+        sag_compensated=None if options is None else is_telemetry and _has_bit(options),
+    )
+
+
+def _has_bit(options: float) -> bool:
+    return options == options and bool(int(options) & _SAG_COMPENSATED_TELEMETRY)
+
+
+def _px4_name(known: Mapping[str, float], instance: int, what: str) -> str:
+    numbered = any(name.startswith(f"BAT{n}_") for n in range(1, 5) for name in known)
+    return f"BAT_{what}" if instance == 0 and not numbered else f"BAT{instance + 1}_{what}"
+
+
+def _px4(known: Mapping[str, float], instance: int, what: str) -> float:
+    return _first(known, _px4_name(known, instance, what))
+
+
+def _first(known: Mapping[str, float], *names: str) -> float:
+    """The first of the named parameters that is set (> 0), else NaN."""
+    return next((known[name] for name in names if known.get(name, 0.0) > 0), NAN)

@@ -1,0 +1,119 @@
+"""`read_log`: recognise a flight log by its content and read it into a `Flight`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from uavbatt.errors import BadInput, UsageError
+from uavbatt.records import Flight
+from uavbatt.telemetry import csv_table, dataflash_binary, dataflash_text, tlog, ulog
+from uavbatt.telemetry.builder import LogBuilder, default_instance
+from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
+from uavbatt.telemetry.tlog_frames import looks_like_tlog
+
+KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
+_HEAD_BYTES = 65_536
+_FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
+_WORD = re.compile(r"[A-Za-z_]{2,}")
+
+
+def read_log(path: str | Path, instance: int | None = None) -> Flight:
+    """Read a flight log of any supported kind.
+
+    instance: the battery to read (ArduPilot's instances, MAVLink's ids: from 0). By default the
+    first in the log that reports a current; if none does, the first with a voltage.
+    Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
+    """
+    path = Path(path)
+    data = _bytes(path)
+    kind = _kind(path, data)
+    log = _read(kind, path, data)
+    if not log.rows:
+        dropped = "; ".join(log.all_notes())
+        raise BadInput(path, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
+    return _flight(path, kind, log, instance)
+
+
+def _bytes(path: Path) -> bytes:
+    if path.is_dir():
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found no such file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
+    if not data.strip():
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found an empty file")
+    return data
+
+
+def _kind(path: Path, data: bytes) -> str:
+    """The kind of log, from its content; the suffix only where the head is damaged."""
+    head = data[:_HEAD_BYTES]
+    if data.startswith(ulog.MAGIC):
+        return "ulog"
+    if data.startswith(dataflash_binary.FMT_START):
+        return "dataflash-binary"
+    if _is_text(head):
+        if _FMT_LINE.search(head):
+            return "dataflash-text"
+        if path.suffix.lower() == ".csv" or _is_table(head):
+            return "csv"
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found text of another kind")
+    # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
+    if looks_like_tlog(data):
+        return "tlog"
+    if dataflash_binary.FMT_START in head:
+        return "dataflash-binary"
+    if _FMT_LINE.search(head):
+        return "dataflash-text"
+    raise BadInput(path, "", f"{KNOWN_KINDS}, found a file of another kind")
+
+
+def _is_text(head: bytes) -> bool:
+    """No NUL, and hardly any byte that text does not have."""
+    odd = sum(byte < 9 or 13 < byte < 32 for byte in head)
+    return b"\0" not in head and odd <= len(head) // 1000 and b"%PDF" not in head[:8]
+
+
+def _is_table(head: bytes) -> bool:
+    """True if the first line could be the header of a telemetry table, well or badly spelt."""
+    first = head.lstrip().split(b"\n")[0].decode("utf-8", errors="replace")
+    names = {name.lower() for name in _WORD.findall(first)}
+    return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
+
+
+def _read(kind: str, path: Path, data: bytes) -> LogBuilder:
+    if kind == "dataflash-binary":
+        return dataflash_binary.read(data)
+    if kind == "dataflash-text":
+        return dataflash_text.read(data)
+    if kind == "tlog":
+        return tlog.read(data)
+    if kind == "ulog":
+        return ulog.read(path, data)
+    return csv_table.read(path, data)
+
+
+def _flight(path: Path, kind: str, log: LogBuilder, instance: int | None) -> Flight:
+    """The rows of the asked or default instance, with the facts that concern it."""
+    there = tuple(sorted(log.rows))
+    chosen = default_instance(log.rows) if instance is None else instance
+    if chosen not in log.rows:
+        named = ", ".join(str(i) for i in there)
+        raise UsageError(f"{path}: no battery instance {chosen}; the log has: {named}")
+    facts = facts_timeline(log.parameters, chosen, is_telemetry=kind == "tlog")
+    return Flight(
+        source=str(path),
+        kind=kind,
+        samples=tuple(log.rows[chosen]),
+        instance=chosen,
+        instances=there,
+        facts=facts,
+        duration_s=log.now_s,
+        skipped_bytes=log.skipped_bytes,
+        notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
+    )

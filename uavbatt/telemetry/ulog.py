@@ -1,0 +1,101 @@
+"""PX4 logs (.ulg) through pyulog (extra `ulog`).
+
+`battery_status` (one topic instance a battery) keeps its unknowns as voltage 0, current -1,
+remaining -1, temperature NaN or 0. Names of other fields moved between versions, these did not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from uavbatt.errors import BadInput, MissingExtra
+from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.builder import LogBuilder, known
+
+MAGIC = b"ULog\x01\x12\x35"
+_TOPICS = ["battery_status", "vehicle_status"]
+_ARMED_STATE = 2  # vehicle_status.arming_state
+_US = 1e6
+
+Event = tuple[int, int, Any]  # (time [us], rank at equal times, what happened)
+
+
+def read(path: Path, data: bytes) -> LogBuilder:
+    """All batteries' rows and the parameters of a ULog file."""
+    ulog = _open(path, data)
+    log = LogBuilder()
+    log.time_s(ulog.start_timestamp / _US)
+    for name, value in ulog.initial_parameters.items():
+        log.add_parameter(0.0, name, float(value))
+    for time_us, _, what in sorted(_events(ulog), key=lambda event: event[:2]):
+        # PX4 logs the last sample from before the start too: it counts as the start.
+        time_s = log.time_s(max(time_us, ulog.start_timestamp) / _US)
+        if isinstance(what, bool):
+            log.armed = what
+        elif isinstance(what[0], str):
+            log.add_parameter(time_s, what[0], float(what[1]))
+        else:
+            instance, row = what
+            log.add(instance, _sample(row, time_s, log.armed))
+    log.time_s(ulog.last_timestamp / _US)
+    if ulog.file_corruption:
+        log.notes.append("the file is damaged: what pyulog could read is used")
+    if ulog.dropouts:
+        lost_s = sum(dropout.duration for dropout in ulog.dropouts) / 1000
+        log.notes.append(f"{len(ulog.dropouts)} dropouts of the logger, {lost_s:.1f} s in all")
+    return log
+
+
+def _open(path: Path, data: bytes) -> Any:
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise MissingExtra("ulog", "reading PX4 .ulg logs") from None
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
+            return ULog(io.BytesIO(data), message_name_filter_list=_TOPICS)
+    except Exception as error:  # pyulog raises whatever its parsing happens to raise
+        raise BadInput(path, "", f"a readable ULog file ({type(error).__name__} while reading)") from None
+
+
+def _events(ulog: Any) -> Iterator[Event]:
+    """Parameter changes, arming and battery rows with their times, each kind in its own order."""
+    for time_us, name, value in ulog.changed_parameters:
+        yield int(time_us), 0, (name, value)
+    for topic in ulog.data_list:
+        stamps = topic.data["timestamp"]
+        if topic.name == "vehicle_status" and topic.multi_id == 0:
+            for time_us, state in zip(stamps, topic.data["arming_state"], strict=True):
+                yield int(time_us), 1, bool(state == _ARMED_STATE)
+        elif topic.name == "battery_status":
+            for index, time_us in enumerate(stamps):
+                yield int(time_us), 2, (topic.multi_id, _row(topic.data, index))
+
+
+def _row(columns: Any, index: int) -> dict[str, float]:
+    return {name: float(values[index]) for name, values in columns.items()}
+
+
+def _sample(row: dict[str, float], time_s: float, armed: bool | None) -> Sample:
+    current_A, temp_C = row.get("current_a", NAN), row.get("temperature", NAN)
+    consumed_mAh, remaining = row.get("discharged_mah", NAN), row.get("remaining", NAN)
+    return Sample(
+        time_s=time_s,
+        voltage_V=row.get("voltage_v", NAN),
+        current_A=NAN if current_A == -1 else known(current_A),
+        temp_C=NAN if temp_C == 0 else known(temp_C),
+        consumed_Ah=NAN if consumed_mAh == -1 else known(consumed_mAh) / 1000,
+        reported_soc=remaining if 0 <= remaining <= 1 else NAN,
+        armed=armed,
+        cell_voltages_V=_cells(row),
+    )
+
+
+def _cells(row: dict[str, float]) -> tuple[float, ...]:
+    """Measured cell voltages [V]; exactly equal ones are the pack's voltage divided by the autopilot."""
+    cells = [v for name, v in row.items() if name.startswith("voltage_cell_v[") and v > 0]
+    return tuple(cells) if len(set(cells)) > 1 else ()
