@@ -227,3 +227,14 @@ def levels(
     notes = (uneven,) if longest > end else ()
     left_out = tuple(f"sample {s} (one run)" for s in counts if s not in samples)
     return Levels(ambient_C, quantity, samples, occasions, grid, values, left_out, notes)
+
+
+def whole_minutes(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V") -> Levels | None:
+    """`levels` at the whole minutes when the runs were read more often than that, else as read."""
+    table = levels(dataset, ambient_C, quantity)
+    if table is None or len(table.time_s) < 2 or float(np.median(np.diff(table.time_s))) >= 60:
+        return table
+    first = math.ceil(float(table.time_s[0]) / 60)
+    last = math.floor(float(table.time_s[-1]) / 60)
+    minutes = np.array([60.0 * m for m in range(first, last + 1)])
+    return levels(dataset, ambient_C, quantity, minutes) if len(minutes) >= MIN_POINTS else table
