@@ -1,0 +1,101 @@
+"""One forecast against one truth: the formulas behind `score`, on numbers or arrays of equal length.
+
+A forecast (5, 50 and 95 % point) is read as the split normal distribution through its three points: two half
+normals with a common median, `s_lo = (median - lo)/z`, `s_hi = (hi - median)/z`, z = 1.645. Three equal points
+are a point mass, so a method without an interval needs no case of its own.
+
+References: Gneiting & Raftery, Strictly proper scoring rules, JASA 102 (2007), eq. 20-21, for CRPS; Clopper &
+Pearson, Biometrika 26 (1934), for the binomial interval.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import betaincinv, ndtr
+
+FloatArray = NDArray[np.float64]
+
+Z90 = 1.6448536269514722
+"""Half width of the central 90 % interval of a normal distribution, in standard deviations."""
+
+
+def crps_gaussian(truth: ArrayLike, mean: ArrayLike, sd: ArrayLike) -> FloatArray:
+    """CRPS of N(mean, sd), sd > 0: sd [z (2 Phi(z) - 1) + 2 phi(z) - 1/sqrt(pi)], z = (truth - mean)/sd."""
+    sd = np.asarray(sd, float)
+    z = (np.asarray(truth, float) - np.asarray(mean, float)) / sd
+    phi = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+    return np.asarray(sd * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * phi - 1.0 / math.sqrt(math.pi)))
+
+
+def crps_samples(truth: float, samples: ArrayLike) -> float:
+    """CRPS of an ensemble: mean |x - truth| - mean |x - x'| / 2, by the sorted form in n log n."""
+    x = np.sort(np.asarray(samples, float))
+    n = x.size
+    spread = float(np.sum((2.0 * np.arange(1, n + 1) - n - 1.0) * x)) / (n * n)
+    return float(np.mean(np.abs(x - truth))) - spread
+
+
+def crps_quantiles(truth: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
+    """CRPS of the split normal through the 5, 50 and 95 % points; |truth - median| when they coincide.
+
+    integral of (F - step)^2 = s_lo G(-|d|/s_lo) + s_hi G(0) + s_lo (G(|d|/s_lo) - G(0)) for d = truth - median
+    below 0, mirrored above; G(z) = z Phi^2 + 2 Phi phi - Phi(z sqrt 2)/sqrt(pi) is the integral of Phi^2.
+    """
+    s_lo, s_hi = _half_widths(lo, median, hi)
+    d = np.asarray(truth, float) - np.asarray(median, float)
+    near, far = np.where(d < 0, s_lo, s_hi), np.where(d < 0, s_hi, s_lo)
+    z = np.abs(d) / near
+    half = float(_integral_of_cdf_squared(np.zeros(())))
+    return np.asarray(near * (_integral_of_cdf_squared(z) - half + _integral_of_cdf_squared(-z)) + far * half)
+
+
+def _integral_of_cdf_squared(z: FloatArray) -> FloatArray:
+    """Integral of Phi^2 from -inf to z."""
+    phi = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+    cdf = ndtr(z)
+    return np.asarray(z * cdf**2 + 2.0 * cdf * phi - ndtr(z * math.sqrt(2.0)) / math.sqrt(math.pi))
+
+
+def _half_widths(lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """The two standard deviations; a nanosecond at least, so that a point needs no case of its own."""
+    middle = np.asarray(median, float)
+    s_lo = np.maximum((middle - np.asarray(lo, float)) / Z90, 1e-9)
+    s_hi = np.maximum((np.asarray(hi, float) - middle) / Z90, 1e-9)
+    return s_lo, s_hi
+
+
+def mass_within(a: ArrayLike, b: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
+    """Probability of the split normal between `a` and `b`; 0 where the median is NaN."""
+    s_lo, s_hi = _half_widths(lo, median, hi)
+
+    def cdf(x: ArrayLike) -> FloatArray:
+        d = np.asarray(x, float) - np.asarray(median, float)
+        return np.asarray(ndtr(d / np.where(d < 0, s_lo, s_hi)))
+
+    return np.nan_to_num(cdf(b) - cdf(a), nan=0.0)
+
+
+def binomial_interval(hits: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Clopper-Pearson interval of a share of `hits` in `trials`; (0, 1) without trials."""
+    tail = (1.0 - confidence) / 2.0
+    low = float(betaincinv(hits, trials - hits + 1, tail)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1, trials - hits, 1.0 - tail)) if hits < trials else 1.0
+    return low, high
+
+
+def fixed_percentage(truth_s: ArrayLike, forecast_s: ArrayLike, hits: int) -> tuple[float, float]:
+    """The plain rival of an interval: forecast +- p of itself, p the least that covers `hits` truths.
+
+    Gives (p, mean width [s]). A forecast of 0 (a refusal) is never covered.
+    """
+    truth, forecast = np.asarray(truth_s, float), np.nan_to_num(np.asarray(forecast_s, float))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        needed = np.where(forecast > 0.0, np.abs(truth - forecast) / forecast, math.inf)
+    if not 0 < hits <= needed.size:
+        raise ValueError(f"{hits} hits: expected 1 to {needed.size}")
+    share = float(np.sort(needed)[hits - 1])
+    width_s = float(np.mean(2.0 * share * forecast)) if math.isfinite(share) else math.inf
+    return share, width_s
