@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 
+import numpy as np
 from numpy.typing import ArrayLike
 from scipy import integrate, optimize, stats
 
@@ -109,7 +110,7 @@ def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float =
     C_r = found.s_r**2 / sigma_r**2
     C_R = (found.s_R**2 - share * found.s_r**2) / (sigma_R**2 - share * sigma_r**2)
     limits = float(stats.chi2.ppf(1 - alpha, df)) / df, float(stats.chi2.ppf(1 - alpha, p - 1)) / (p - 1)
-    return PrecisionCheck(C_r, limits[0], C_R, limits[1], not (C_r > limits[0] or C_R > limits[1]))
+    return PrecisionCheck(C_r, limits[0], C_R, limits[1], bool(np.all(np.array([C_r, C_R]) <= limits)))
 
 
 @cache
