@@ -28,10 +28,12 @@ class Pack(NamedTuple):
     bias_sd_V: float  # discrepancy of the model, per cell
     bias_tau_s: float
     temperature_sd_K: float
+    lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
 
 
-# The status widens the belief: what was not gated may be another battery than it says.
-WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.6}
+# The status widens the belief: what was not gated may be another battery than it says. (A generic file states
+# spreads that are wide by themselves.)
+WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25}
 
 
 def dense(knots_soc: Array, values: Array) -> Array:
@@ -93,4 +95,13 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         bias_sd_V=max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening,
         bias_tau_s=max(left.voltage_autocorrelation_s, 1.0),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
+        lag_share=(_relative(file, "polarisation_ratio"), _relative(file, "diffusion_ratio")),
     )
+
+
+def _relative(file: BatteryFile, quantity: str) -> float:
+    """Relative standard error of an effect's quantity, between 10 % and 80 %."""
+    for entry in file.effects:
+        if entry.parameters.get(quantity):
+            return float(np.clip(entry.standard_error.get(quantity, 0.0) / entry.parameters[quantity], 0.1, 0.8))
+    return 0.1

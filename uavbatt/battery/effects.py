@@ -51,13 +51,13 @@ CELL_EFFECTS = (
         "polarisation",
         "voltage that lags a load step by seconds",
         "cell",
-        (_ratio("polarisation_ratio", 0.8), _tau("polarisation_tau_s", 1.0, 60.0, 12.0)),
+        (_ratio("polarisation_ratio", 0.5), _tau("polarisation_tau_s", 1.0, 60.0, 12.0)),
     ),
     Effect(
         "slow_diffusion",
         "voltage that sinks and recovers over minutes",
         "cell",
-        (_ratio("diffusion_ratio", 1.2), _tau("diffusion_tau_s", 60.0, 1000.0, 140.0)),
+        (_ratio("diffusion_ratio", 0.8), _tau("diffusion_tau_s", 60.0, 1000.0, 140.0)),
     ),
     Effect(
         "temperature_resistance",

@@ -25,7 +25,7 @@ SNAPSHOT_SHARE = (0.06, 0.15)
 # flight; what changes is how far the model's R(soc, T) and OCV are from the pack's).
 RESISTANCE_WALK_PER_S = 0.03**2 / 600.0
 CAPACITY_WALK_PER_S = 0.01**2 / 600.0
-OVERPOTENTIAL_WALK_V2PS = 0.001**2
+OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
 VOLTAGE_SD_V = 0.005
@@ -60,18 +60,29 @@ def start_covariance(pack: Pack, soc_sd: float, temp_sd_K: float, overpotential_
     return np.diag(sd**2)
 
 
-def process_covariance(pack: Pack, rate_c: float, dt_s: float) -> Array:
-    """What the model's step over `dt_s` at C-rate `rate_c` leaves open."""
+def process_covariance(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
+    """What the model's step from `mean` over `dt_s` at C-rate `rate_c` leaves open.
+
+    An overpotential whose ratio is known to a share wanders within that share of itself, with its own time
+    constant: variance share² v² (1 - exp(-2 dt/tau)) a step.
+    """
     share = snapshot(dt_s, SNAPSHOT_SHARE)
     q = np.zeros(SIZE)
     q[C.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
-    q[C.POLARISATION] = q[C.DIFFUSION] = OVERPOTENTIAL_WALK_V2PS * dt_s
+    lags = zip((C.POLARISATION, C.DIFFUSION), pack.lag_share, _lag_times(pack), strict=True)
+    for component, part, tau_s in lags:
+        forgotten = -np.expm1(-2.0 * dt_s / tau_s)
+        q[component] = OVERPOTENTIAL_WALK_V2PS * dt_s + (part * mean[component]) ** 2 * forgotten
     q[C.CORE] = CORE_WALK_K2PS * dt_s
     q[C.SENSOR] = CORE_WALK_K2PS * dt_s
     q[C.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
     q[C.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
     q[C.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
     return np.diag(q)
+
+
+def _lag_times(pack: Pack) -> tuple[float, float]:
+    return float(pack.cell.polarisation_tau_s), float(pack.cell.diffusion_tau_s)
 
 
 def voltage_variance(drop_V: float, dt_s: float) -> float:

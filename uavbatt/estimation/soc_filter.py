@@ -31,6 +31,7 @@ LONGEST_GAP_S = 60.0
 CONVERGED_SOC_SD = 0.06
 REFUSED_SOC_SD = 0.20
 ROOM_TEMP_C = 22.0
+FULL_SOC_SD = 0.01
 
 
 class SocFilter:
@@ -108,7 +109,7 @@ class SocFilter:
         mean_A = 0.5 * (self._current_A + current_A)
         kalman.F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), kalman.x)
         rate = float(c_rate(self.pack.installation, mean_A))
-        kalman.Q = noise.process_covariance(self.pack, rate, dt_s)
+        kalman.Q = noise.process_covariance(self.pack, kalman.x, rate, dt_s)
         if dt_s > LONGEST_GAP_S:
             kalman.Q[C.SOC, C.SOC] += (0.5 * rate * dt_s / 3600.0) ** 2
         kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
@@ -140,9 +141,19 @@ class SocFilter:
         if nis > GATE:  # believe it less, so that its normalised innovation is GATE
             noise_R = noise_R + spread * (nis / GATE - 1.0)
         kalman.update(measured, lambda x: observation, lambda x: expected, R=noise_R)
+        self._keep_soc_possible()
         kalman.P = 0.5 * (kalman.P + kalman.P.T)
-        kalman.x[C.SOC] = min(max(kalman.x[C.SOC], -0.02), 1.02)
         return self._estimate(sample, float(innovation[0]), nis, float(expected[0]))
+
+    def _keep_soc_possible(self) -> None:
+        """A cell is never more than full: told to the filter as a reading, so that what is correlated follows."""
+        assert self._kalman is not None
+        kalman = self._kalman
+        excess = float(kalman.x[C.SOC]) - 1.0
+        if excess > 0.0:
+            row = np.zeros((1, SIZE))
+            row[0, C.SOC] = 1.0
+            kalman.update(np.array([-excess]), lambda x: row, lambda x: np.zeros(1), R=np.eye(1) * FULL_SOC_SD**2)
 
     def _estimate(
         self, sample: Sample, innovation_V: float, nis: float, predicted_V: float, refusal: str = ""

@@ -6,9 +6,12 @@ steps of at most LONGEST_STEP_S with the current in between interpolated, and on
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.model import LONGEST_STEP_S, Array
 from uavbatt.dataset import DataSet
@@ -47,7 +50,7 @@ class Stack:
     current_A: Array
     voltage_V: Array
     temp_C: Array
-    compare: Array
+    compare: NDArray[np.bool_]
     sigma_V: Array
     weight: Array
     start_temp_C: Array
@@ -96,7 +99,17 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
 def until(record: Observed, time_s: float) -> Observed:
     """The record up to `time_s`."""
     keep = record.time_s <= time_s
-    return replace(record, **{k: getattr(record, k)[keep] for k in ("time_s", "voltage_V", "current_A", "temp_C")})
+    return _mapped(record, lambda column: column[keep])
+
+
+def _mapped(record: Observed, change: Callable[[Array], Array]) -> Observed:
+    return replace(
+        record,
+        time_s=change(record.time_s),
+        voltage_V=change(record.voltage_V),
+        current_A=change(record.current_A),
+        temp_C=change(record.temp_C),
+    )
 
 
 def binned(record: Observed) -> Observed:
@@ -111,8 +124,7 @@ def binned(record: Observed) -> Observed:
         out: Array = np.bincount(index, column) / count
         return out
 
-    columns = {k: mean(getattr(record, k)) for k in ("time_s", "voltage_V", "current_A", "temp_C")}
-    return replace(record, **columns)
+    return _mapped(record, mean)
 
 
 def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
@@ -164,7 +176,7 @@ def _split(record: Observed) -> dict[str, Array]:
     time_s = record.time_s
     spacing = np.diff(time_s, prepend=2 * time_s[0] - time_s[1])
     pieces = [np.array([time_s[0]])]
-    for left, right in zip(time_s[:-1], time_s[1:], strict=True):
+    for left, right in pairwise(time_s):
         steps = max(1, int(np.ceil((right - left) / LONGEST_STEP_S - 1e-9)))
         pieces.append(left + (right - left) * np.arange(1, steps + 1) / steps)
     grid = np.concatenate(pieces)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from uavbatt.battery.build import dense
 from uavbatt.battery.model import SOC_GRID, Array, rested
 from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.fitting import prior
@@ -29,7 +30,7 @@ OWN = ("start_soc", "log_resistance", "log_capacity")
 class OwnPrior:
     """Prior sd of what each record has of its own: start of a rested / loaded record, scales of its pack."""
 
-    rested_soc: float = 0.01
+    rested_soc: float = 0.005
     loaded_soc: float = 0.08
     log_resistance: float = 1e-4  # bench samples and flights of one pack; 0.1 for a fleet of packs
     log_capacity: float = 1e-4
@@ -64,7 +65,7 @@ class Fit:
 
 def start_guess(stack: Stack) -> Array:
     """Starting charge from the prior OCV at the first voltage (under load: plus a typical drop)."""
-    table = prior.dense(prior.OCV_SOC, prior.OCV_V)
+    table = dense(prior.OCV_SOC, prior.OCV_V)
     drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 1.5 * prior.RESISTANCE_OHMAH)
     guess: Array = np.interp(stack.voltage_V[0] / stack.cells + drop_V, table, SOC_GRID)
     return np.clip(guess, 0.05, 1.0)
@@ -143,7 +144,8 @@ def fit(
     found = least_squares(
         objective, start, jacobian, loss="soft_l1", f_scale=ROBUST_SCALE, max_nfev=evaluations, xtol=1e-4, ftol=1e-4
     )
-    covariance = np.linalg.inv(found.jac.T @ found.jac)
+    slopes = np.asarray(found.jac, dtype=float)
+    covariance = np.linalg.inv(slopes.T @ slopes)
     own = own_mean + own_sd * found.x[shared:].reshape(records, len(OWN))
     return Fit(slots, effects, found.x[:shared], own, covariance[:shared, :shared], float(found.cost))
 

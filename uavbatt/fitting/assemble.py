@@ -1,0 +1,111 @@
+"""From a fit to a battery file: values, standard errors, and what the model leaves unexplained."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy, EffectEntry, ParameterTable
+from uavbatt.battery.model import Array
+from uavbatt.battery.openloop import Trajectory
+from uavbatt.fitting import prior
+from uavbatt.fitting.observed import Stack
+from uavbatt.fitting.prior import Slot
+
+DECIMALS = 6
+
+
+def rounded(value: float) -> float:
+    """Six significant digits: what the data can carry, and what a person can compare."""
+    return float(f"{value:.{DECIMALS}g}")
+
+
+def parameter_table(
+    slots: tuple[Slot, ...],
+    x: Array,
+    standard_error: dict[str, float],
+    resistance_scale_sd: float,
+    capacity_scale_sd: float,
+    c_rate: float | None = None,
+    c_rate_sd: float | None = None,
+) -> ParameterTable:
+    """[parameters] of the values x [slots]."""
+    ocv_V, r0_ohmAh = prior.knots(slots, x)
+    return ParameterTable(
+        ocv_soc=[float(z) for z in prior.OCV_SOC],
+        ocv_V=[rounded(v) for v in ocv_V],
+        resistance_soc=[float(z) for z in prior.RESISTANCE_SOC],
+        resistance_ohmAh=[rounded(r) for r in r0_ohmAh],
+        resistance_scale_sd=rounded(resistance_scale_sd),
+        capacity_scale_sd=rounded(capacity_scale_sd),
+        c_rate=None if c_rate is None else rounded(c_rate),
+        c_rate_sd=None if c_rate_sd is None else rounded(c_rate_sd),
+        standard_error={k: rounded(v) for k, v in standard_error.items()},
+    )
+
+
+def effect_entries(
+    slots: tuple[Slot, ...], x: Array, standard_error: dict[str, float], effects: tuple[str, ...]
+) -> list[EffectEntry]:
+    """[[effects]] of the values x [slots]."""
+    at = {s.name: i for i, s in enumerate(slots)}
+    entries = []
+    for name in effects:
+        quantities = EFFECTS[name].quantities
+        entries.append(
+            EffectEntry(
+                name=name,
+                parameters={q.name: rounded(float(x[at[q.name]]) if q.name in at else q.prior) for q in quantities},
+                standard_error={q.name: rounded(standard_error[q.name]) for q in quantities if q.name in at},
+            )
+        )
+    return entries
+
+
+def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source: str) -> Discrepancy:
+    """What the model leaves on these records: bias, RMSE, correlation time of voltage; RMSE of temperature.
+
+    The RMSE is that of the slow part: what is uncorrelated from row to row is the sensor's noise, not the model's.
+    Rows count by how flat the voltage is there (`Stack.sigma_V`), since near the end volts apart are seconds apart.
+    """
+    bias, squares, lagged, temps = [], [], [], []
+    for j in range(len(stack.names)):
+        rows = stack.compare[:, j]
+        flat = np.min(stack.sigma_V[rows, j]) / stack.sigma_V[rows, j]
+        error = (trajectory.voltage_V[rows, j] * stack.cells[j] - stack.voltage_V[rows, j]) * flat
+        bias.append(float(np.mean(error)))
+        squares.append(float(np.mean(error[:-1] * error[1:])))  # lag one: without the white part
+        lagged.append(_correlation_time(error, stack.time_s[rows, j]))
+        temps.append(float(np.nanmean((trajectory.sensor_C[rows, j] - stack.temp_C[rows, j]) ** 2)))
+    temperature = float(np.sqrt(np.nanmean(temps))) if np.isfinite(temps).any() else 2.0
+    return Discrepancy(
+        voltage_bias_V=rounded(float(np.mean(bias))),
+        voltage_rmse_V=rounded(float(np.sqrt(max(float(np.mean(squares)), 1e-6)))),
+        voltage_autocorrelation_s=rounded(float(np.median(lagged))),
+        temperature_rmse_K=rounded(temperature),
+        held_out=held_out,
+        source=source,
+    )
+
+
+def _correlation_time(error: Array, time_s: Array) -> float:
+    """Lag [s] at which the autocorrelation falls below 1/e, of a record on a nearly even grid."""
+    centred = error - np.mean(error)
+    spectrum = np.fft.rfft(centred, 2 * len(centred))
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: len(centred)]
+    below = np.flatnonzero(correlation < correlation[0] / np.e)
+    lag = int(below[0]) if below.size else len(centred) - 1
+    return float(lag * np.median(np.diff(time_s)))
+
+
+def battery_file(
+    battery: Battery,
+    table: ParameterTable,
+    effects: list[EffectEntry],
+    left: Discrepancy,
+    certificate: Certificate,
+) -> BatteryFile:
+    """The file, not yet sealed."""
+    return BatteryFile(
+        battery=battery, parameters=table, effects=effects, discrepancy=left, certificate=certificate
+    )

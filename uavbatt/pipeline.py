@@ -1,0 +1,206 @@
+"""Samples -> estimates -> remaining: the one engine that replay, live, fleet and other programs run.
+
+    estimator = Estimator.from_battery("lpab-3s", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimate, remaining = estimator.step(sample)
+
+What the caller does not say of the pack (cells, capacity, cut-off) comes from the vehicle's own parameters
+(`update_facts`), then from the voltage and the battery file; where each came from stays readable in `resolved`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from uavbatt.battery import file as battery_file
+from uavbatt.battery.belief import Belief
+from uavbatt.battery.build import Pack, pack_of
+from uavbatt.battery.file import BatteryFile
+from uavbatt.errors import UsageError
+from uavbatt.estimation.soc_filter import SocFilter
+from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+
+FULLEST_CELL_V = 4.30
+EMPTIEST_CELL_V = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class PackOptions:
+    """What the caller states of the pack; None or NaN = not stated."""
+
+    cells: int | None = None
+    capacity_Ah: float = NAN
+    cutoff_V: float = NAN
+    low_V: float = NAN
+    reserve_soc: float = 0.0
+    ambient_C: float = NAN
+    stated_power_W: float = NAN
+    forecast_period_s: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Resolved:
+    """The pack as it is estimated, and where each number came from."""
+
+    battery: str
+    status: str
+    cells: int
+    cells_from: str
+    capacity_Ah: float
+    capacity_from: str
+    cutoff_V: float
+    cutoff_from: str
+    low_V: float
+    low_from: str
+
+
+class Estimator:
+    """State of charge and remaining time of one battery, sample by sample."""
+
+    def __init__(self, battery: BatteryFile, options: PackOptions | None = None) -> None:
+        self.battery = battery
+        self.options = options or PackOptions()
+        self.resolved: Resolved | None = None
+        self._facts = PackFacts()
+        self._filter: SocFilter | None = None
+        self._forecaster: Forecaster | None = None
+
+    @classmethod
+    def from_battery(
+        cls,
+        battery: str | Path,
+        *,
+        cells: int | None = None,
+        capacity_Ah: float = NAN,
+        cutoff_V: float = NAN,
+        reserve_soc: float = 0.0,
+        allow_uncertified: bool = False,
+    ) -> Estimator:
+        """An estimator for a packaged battery by name or a battery file by path; see `battery.file.read`."""
+        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, reserve_soc=reserve_soc)
+        return cls(battery_file.read(battery, allow_uncertified=allow_uncertified), options)
+
+    @property
+    def belief(self) -> Belief | None:
+        """The filter's belief after the last sample."""
+        return self._filter.belief if self._filter is not None else None
+
+    def update_facts(self, facts: PackFacts) -> None:
+        """What the vehicle says of its pack, known from now on.
+
+        New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
+        """
+        if facts == self._facts:
+            return
+        self._facts = facts
+        if self.resolved is None:
+            return
+        now = self._resolve(self.resolved.cells)
+        if (now.cells, now.capacity_Ah) != (self.resolved.cells, self.resolved.capacity_Ah):
+            self._filter = self._forecaster = None
+        self.resolved = now
+        if self._filter is not None and self._forecaster is not None:
+            self._filter.pack = self._forecaster.pack = self._pack(now)
+
+    def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
+        """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""
+        if self._filter is None or self._forecaster is None:
+            if not math.isfinite(sample.voltage_V):
+                return _unknown(sample)
+            self.resolved = self._resolve(_cells_from_voltage(sample.voltage_V, self.battery.battery.cells_series))
+            pack = self._pack(self.resolved)
+            self._filter = SocFilter(pack, ambient_C=self.options.ambient_C)
+            self._forecaster = Forecaster(
+                pack,
+                Settings(self.options.stated_power_W, self.options.reserve_soc, self.options.forecast_period_s),
+            )
+        estimate = self._filter.step(sample)
+        estimate = replace(estimate, warnings=self._warnings(sample, estimate))
+        return estimate, self._forecaster.step(sample, estimate, self._filter.belief)
+
+    def _pack(self, resolved: Resolved) -> Pack:
+        return pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+
+    def _resolve(self, guessed_cells: int) -> Resolved:
+        """Stated by the caller, else by the vehicle, else by voltage (cells) or battery file."""
+        given, said, typed = self.options, self._facts, self.battery.battery
+        cells, cells_from = _first(
+            (given.cells, "--cells"), (said.cells_series, "vehicle"), (guessed_cells, "first voltage")
+        )
+        capacity_Ah, capacity_from = _first(
+            (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
+        )
+        if capacity_Ah is None:
+            raise UsageError(
+                f"capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah"
+            )
+        share = cells / typed.cells_series
+        cutoff_V, cutoff_from = _first(
+            (given.cutoff_V, "--cutoff-voltage"),
+            (said.critical_voltage_V, "vehicle"),
+            (typed.cutoff_V * share, "battery file"),
+        )
+        low_V, low_from = _first(
+            (given.low_V, "--low-voltage"),
+            (said.low_voltage_V, "vehicle"),
+            (None if typed.low_V is None else typed.low_V * share, "battery file"),
+            (NAN, "nobody"),
+        )
+        return Resolved(
+            battery=typed.name,
+            status=self.battery.status,
+            cells=int(cells),
+            cells_from=cells_from,
+            capacity_Ah=float(capacity_Ah),
+            capacity_from=capacity_from,
+            cutoff_V=float(cutoff_V),
+            cutoff_from=cutoff_from,
+            low_V=float(low_V),
+            low_from=low_from,
+        )
+
+    def _warnings(self, sample: Sample, estimate: Estimate) -> tuple[str, ...]:
+        """What a reader of the number must know beside it."""
+        assert self.resolved is not None
+        certificate, typed = self.battery.certificate, self.battery.battery
+        found = []
+        if certificate.status != "certified":
+            found.append(f"battery file is {certificate.status}, not certified")
+        elif (self.resolved.cells, self.resolved.capacity_Ah) != (typed.cells_series, typed.capacity_Ah):
+            size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
+            found.append(f"the certificate is for a {size} pack; this one is scaled from it")
+        validated = certificate.validated_ambient_C
+        known = estimate.core_temp_C
+        if validated and math.isfinite(known) and not min(validated) - 5.0 <= known <= max(validated) + 20.0:
+            found.append(f"pack at {known:.0f} °C is outside the validated range")
+        if not math.isfinite(sample.temp_C):
+            found.append("no usable pack temperature")
+        if self._facts.sag_compensated:
+            found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
+        return tuple(found)
+
+
+def _unknown(sample: Sample) -> tuple[Estimate, Remaining]:
+    reason = "no voltage in this row"
+    nothing = (NAN,) * 2
+    estimate = Estimate(
+        sample.time_s, *nothing, NAN, sample.current_A, sample.temp_C, NAN, NAN, NAN, Status.REFUSED, reason
+    )
+    return estimate, Remaining(sample.time_s, *nothing, *nothing, Status.REFUSED, reason)
+
+
+def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
+    """The first candidate that is known, with its source; the last one as it is when none is."""
+    for value, source in candidates:
+        if value is not None and math.isfinite(value):
+            return value, source
+    return candidates[-1][0], candidates[-1][1]  # type: ignore[return-value]
+
+
+def _cells_from_voltage(voltage_V: float, typical: int) -> int:
+    """Cells in series that fit the first voltage: the battery file's own if plausible, else the fewest."""
+    if EMPTIEST_CELL_V <= voltage_V / typical <= FULLEST_CELL_V:
+        return typical
+    return max(1, math.ceil(voltage_V / FULLEST_CELL_V))

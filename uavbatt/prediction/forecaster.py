@@ -1,0 +1,161 @@
+"""The forecaster: belief and load to come -> seconds until the end of flight, or a refusal with its reason.
+
+It keeps what a forecast needs from the past (the recent load, whether the aircraft flies) and the last forecast,
+which counts down between two.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.belief import Belief, C
+from uavbatt.battery.build import Pack
+from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.prediction import load, spread
+from uavbatt.prediction.endurance import time_to_end
+from uavbatt.prediction.load import RecentLoad, Scenarios
+from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
+
+FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
+FLYING_TAU_S = 3.0
+FLYING_AFTER_S = 5.0
+STEPS = 100
+SHORTEST_STEP_S, LONGEST_STEP_S = 1.0, 10.0
+LONGEST_HORIZON_S = 6 * 3600.0
+SMALLEST_SD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the operator asks of a forecast; NaN power means "as recently"."""
+
+    stated_power_W: float = NAN
+    reserve_soc: float = 0.0
+    period_s: float = 5.0
+
+
+class Forecast(NamedTuple):
+    """One forecast, at the time it was made [s]."""
+
+    time_s: float
+    median_s: float
+    lo_s: float
+    hi_s: float
+    low_warning_s: float
+
+
+class Forecaster:
+    """Turns estimates into remaining time; one instance follows one flight."""
+
+    def __init__(self, pack: Pack, settings: Settings | None = None) -> None:
+        self.pack = pack
+        self.settings = settings or Settings()
+        self._load = RecentLoad()
+        self._rate_c = 0.0
+        self._flying_since_s = NAN
+        self._time_s = NAN
+        self._last: Forecast | None = None
+
+    def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
+        """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
+        self._remember(sample)
+        refusal = self._refusal(sample, estimate)
+        if refusal or belief is None:
+            self._last = None
+            return _refused(sample.time_s, refusal or "no belief about the pack yet")
+        if self._last is None or sample.time_s - self._last.time_s >= self.settings.period_s:
+            made = self.forecast(belief, sample.time_s)
+            if made is None:
+                self._last = None
+                return _refused(sample.time_s, "the end lies beyond six hours: the load is not that of a flight")
+            self._last = made
+        return _counted_down(self._last, sample.time_s, estimate)
+
+    def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
+        """A fresh forecast from the belief and the load to come; None when no end is in sight."""
+        scenarios = self._scenarios()
+        energy_Wh = self._energy_Wh(belief)
+        horizon_s = 1.3 * energy_Wh * 3600.0 / (scenarios.mean_W * float(np.min(scenarios.factor)))
+        if not horizon_s < LONGEST_HORIZON_S:
+            return None
+        typical_s = max(energy_Wh * 3600.0 / scenarios.mean_W, 1.0)
+        dt_s = float(np.clip(typical_s / STEPS, SHORTEST_STEP_S, LONGEST_STEP_S))
+        steps = int(np.ceil(horizon_s / dt_s)) + 2
+        points = spread.sigma_points(self.pack, belief, typical_s)
+        many = scenarios.factor.shape[1]
+        x = np.concatenate([points, np.repeat(points[:, :1], many, axis=1)], axis=1)
+        factor = np.concatenate([np.ones((scenarios.factor.shape[0], points.shape[1])), scenarios.factor], axis=1)
+        power_W = np.broadcast_to(scenarios.mean_W * factor, (steps, x.shape[1]))
+        ends = time_to_end(self.pack, x, power_W, belief.ambient_C, dt_s, self.settings.reserve_soc)
+        end_s = np.minimum(ends.end_s, horizon_s)
+        center_s = end_s[points.shape[1] :]
+        relative = spread.relative_sd(end_s[: points.shape[1]])
+        sd_s = np.maximum(center_s * relative, SMALLEST_SD_S)
+        lo_s, median_s, hi_s = spread.mixture_points(center_s, sd_s, scenarios.weight)
+        low_s = float(min(ends.low_s[0], horizon_s)) if math.isfinite(self.pack.low_V) else NAN
+        return Forecast(time_s, median_s, lo_s, hi_s, low_s)
+
+    def _scenarios(self) -> Scenarios:
+        stated_W = self.settings.stated_power_W
+        if math.isfinite(stated_W):
+            return load.constant(stated_W, load.STATED_SPREAD)
+        return load.constant(max(self._load.mean_W, 1.0), self._load.spread)
+
+    def _energy_Wh(self, belief: Belief) -> float:
+        """A generous guess of what is left: charge above zero at 4 V a cell."""
+        installation = self.pack.installation
+        soc = max(float(belief.mean[C.SOC]), 0.0) + 2.0 * math.sqrt(belief.covariance[C.SOC, C.SOC]) + 0.01
+        capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[C.LOG_CAPACITY]))
+        return float(soc * capacity_Ah * installation.cells * 4.0)
+
+    def _remember(self, sample: Sample) -> None:
+        if not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
+            return
+        installation = self.pack.installation
+        current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
+        rate = float(c_rate(installation, current_A))
+        dt_s = sample.time_s - self._time_s if math.isfinite(self._time_s) else 0.0
+        self._time_s = sample.time_s
+        self._rate_c = rate + (self._rate_c - rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else rate
+        if self._rate_c < FLYING_C:
+            self._flying_since_s = NAN
+            return
+        if not math.isfinite(self._flying_since_s):
+            self._flying_since_s = sample.time_s
+        self._load = self._load.after(sample.time_s, sample.voltage_V * current_A)
+
+    def _refusal(self, sample: Sample, estimate: Estimate) -> str:
+        if estimate.status is Status.REFUSED:
+            return estimate.reason
+        if math.isfinite(self.settings.stated_power_W):
+            return ""
+        if not math.isfinite(self._flying_since_s):
+            return "on the ground or no load: nothing tells the load to come"
+        if sample.time_s - self._flying_since_s < FLYING_AFTER_S and not math.isfinite(self._load.mean_W):
+            return "the load of this flight is not known yet"
+        return ""
+
+
+def _refused(time_s: float, reason: str) -> Remaining:
+    return Remaining(time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)
+
+
+def _counted_down(last: Forecast, time_s: float, estimate: Estimate) -> Remaining:
+    age_s = time_s - last.time_s
+
+    def left(value_s: float) -> float:
+        return max(value_s - age_s, 0.0) if math.isfinite(value_s) else NAN
+
+    return Remaining(
+        time_s=time_s,
+        remaining_s=left(last.median_s),
+        remaining_lo_s=left(last.lo_s),
+        remaining_hi_s=left(last.hi_s),
+        remaining_to_low_s=left(last.low_warning_s),
+        status=estimate.status,
+        reason=estimate.reason,
+    )

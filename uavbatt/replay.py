@@ -1,0 +1,114 @@
+"""Replay of a flight log through the pipeline, and what came of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.errors import BadInput
+from uavbatt.pipeline import Estimator
+from uavbatt.prediction import score
+from uavbatt.records import NAN, Estimate, Flight, Remaining, Status
+
+CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One output line: the estimate and the forecast after one row."""
+
+    estimate: Estimate
+    remaining: Remaining
+
+
+def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
+    """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
+    if not any(math.isfinite(s.current_A) for s in flight.samples):
+        raise BadInput(flight.source, f"battery {flight.instance}", "a measured current, none of its rows has one")
+    for sample in flight.samples:
+        estimator.update_facts(flight.facts_at(sample.time_s))
+        yield Step(*estimator.step(sample))
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The forecast at one instant before the known end: error = forecast - truth [s]; inside = in the interval."""
+
+    label: str
+    before_end_s: float
+    remaining_s: float
+    lo_s: float
+    hi_s: float
+
+    @property
+    def error_s(self) -> float:
+        """Positive is optimistic; NaN when refused."""
+        return self.remaining_s - self.before_end_s
+
+    @property
+    def inside(self) -> bool:
+        """Whether the truth lies in the 90 % interval."""
+        return self.lo_s <= self.before_end_s <= self.hi_s
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a replay shows in figures."""
+
+    rows: int
+    duration_s: float
+    end_voltage_V: float
+    end_soc: float
+    end_soc_sd: float
+    end_of_flight_s: float
+    refused_in_air: float
+    mean_nis: float
+    checkpoints: tuple[Checkpoint, ...]
+
+
+def outcome(run: list[Step], cutoff_V: float) -> Outcome:
+    """Figures of a finished replay; the truth is the end of flight that the log itself shows, if it does."""
+    time_s = np.array([s.estimate.time_s for s in run])
+    volts = np.array([s.estimate.voltage_V for s in run])
+    amps = np.array([s.estimate.current_A for s in run])
+    end_s = score.end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
+    known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
+    flying = np.nan_to_num(amps) > _loaded_A(amps)
+    since_s = time_s[flying][0] + 60.0 if flying.any() else math.inf
+    judged = [s for s, f in zip(run, flying, strict=True) if f and s.estimate.time_s > since_s]
+    refused = sum(s.remaining.status is Status.REFUSED for s in judged)
+    nis = np.array([s.estimate.nis for s in run])
+    take_off_s = float(time_s[flying][0]) if flying.any() else NAN
+    return Outcome(
+        rows=len(run),
+        duration_s=float(time_s[-1] - time_s[0]),
+        end_voltage_V=float(volts[np.isfinite(volts)][-1]) if np.isfinite(volts).any() else NAN,
+        end_soc=known[-1].soc if known else NAN,
+        end_soc_sd=known[-1].soc_sd if known else NAN,
+        end_of_flight_s=end_s,
+        refused_in_air=refused / len(judged) if judged else NAN,
+        mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
+        checkpoints=_checkpoints(run, time_s, take_off_s, end_s) if math.isfinite(end_s) else (),
+    )
+
+
+def _loaded_A(amps: Array) -> float:
+    """The current above which a row counts as under load: a third of the flight's upper current."""
+    return float(np.nanpercentile(amps, 90)) / 3.0
+
+
+def _checkpoints(run: list[Step], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:
+    wanted = [("half time", (end_s - take_off_s) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
+    found = []
+    for label, before_s in wanted:
+        index = int(np.searchsorted(time_s, end_s - before_s + 1e-6, side="right")) - 1
+        if end_s - before_s < take_off_s or index < 0:
+            continue
+        line = run[index].remaining
+        true_s = end_s - line.time_s
+        found.append(Checkpoint(label, true_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
+    return tuple(found)
