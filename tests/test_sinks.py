@@ -57,9 +57,7 @@ def test_values_are_rounded_and_unknown_is_none() -> None:
     ],
 )
 def test_status_and_reason_belong_together(estimate: Status, remaining: Status, expected: str) -> None:
-    made = line(
-        replace(ESTIMATE, status=estimate, reason="e"), replace(REMAINING, status=remaining, reason="r")
-    )
+    made = line(replace(ESTIMATE, status=estimate, reason="e"), replace(REMAINING, status=remaining, reason="r"))
     assert f"{made['status']} {made['reason']}" == expected
 
 

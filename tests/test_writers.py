@@ -64,10 +64,7 @@ def test_tlog_sys_status_and_parameters(tmp_path: Path) -> None:
 def test_tlog_heartbeats_follow_arming(tmp_path: Path) -> None:
     path = tmp_path / "f.tlog"
     write_tlog(path, FLIGHT, {})
-    beats = [
-        (round(m._timestamp - EPOCH_US * 1e-6, 3), bool(m.base_mode & 128))
-        for m in messages(path, "HEARTBEAT")
-    ]
+    beats = [(round(m._timestamp - EPOCH_US * 1e-6, 3), bool(m.base_mode & 128)) for m in messages(path, "HEARTBEAT")]
     assert beats == [(0.0, False), (0.5, True), (2.0, True), (63.731, False)]
 
 

@@ -105,9 +105,7 @@ class CsvSink:
 
     def write(self, line: Line) -> None:
         """Write one row."""
-        self._rows.writerow(
-            "; ".join(value) if isinstance(value, list) else value for value in in_order(line).values()
-        )
+        self._rows.writerow("; ".join(value) if isinstance(value, list) else value for value in in_order(line).values())
 
 
 def in_order(line: Line) -> Line:

@@ -97,9 +97,7 @@ def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[bytes]
 def format_record(layout: Layout) -> bytes:
     """The FMT record that describes `layout`."""
     length = len(HEAD) + 1 + layout.body.size
-    return FMT.record(
-        layout.type, length, layout.name.encode(), layout.format.encode(), layout.columns.encode()
-    )
+    return FMT.record(layout.type, length, layout.name.encode(), layout.format.encode(), layout.columns.encode())
 
 
 def parameter_record(time_us: int, name: str, value: float) -> bytes:
