@@ -220,6 +220,6 @@ def _crossed(
         mean, o, k, ms, s_r=math.sqrt(v_e), s_occasion=math.nan if alone else math.sqrt(v_o), s_sample=math.sqrt(v_s),
         s_I=s_I, s_R=math.sqrt(v_o + v_s + v_e),
         s_r_interval=UNKNOWN if alone else sd_interval(math.sqrt(ms_e), dfs[2]), s_I_interval=i_I, s_R_interval=i_R,
-        p_occasion=p_values[0], p_sample=p_values[1], u_mean=math.sqrt(ms_o / (o * k)),
+        p_occasion=p_values[0], p_sample=p_values[1], u_mean=math.sqrt((v_o if alone else v_o + v_e / k) / o),
         reproducibility="ok" if k >= 3 else "not enough data", notes=notes,
     )  # fmt: skip

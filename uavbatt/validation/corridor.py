@@ -1,0 +1,256 @@
+"""The corridor of permissible dispersion: mean of repeated tests with its limits, per instant or per voltage.
+
+Three half-widths about one mean: the study's C = 2S, pointwise; the 95/95 tolerance band, pointwise; and the
+simultaneous band that holds a new curve at all instants at once with 95 %. The spread is that of one new result
+under intermediate precision (occasion and residual of the crossed model); with three samples or more the sample
+part is added. In time at fixed voltage the same is done with crossing times, the natural axis of a flight.
+
+Where a temperature was tested once, near repeats one degree apart stand in (`series.quasi_replicates`); where
+there are none the mean is the single run and every width is NaN: not enough data.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.dataset import DataSet, Levels, whole_minutes
+from uavbatt.validation import bands
+from uavbatt.validation.cells import Array
+from uavbatt.validation.crossing import Which, crossing_time
+from uavbatt.validation.intervals import satterthwaite
+from uavbatt.validation.series import QuasiReplicates, quasi_replicates
+
+MIN_OCCASIONS = 3
+NDBool = NDArray[np.bool_]
+Basis = Literal["repeats", "quasi-replicates", "one run"]
+
+
+@dataclass(frozen=True, slots=True)
+class Corridor:
+    """Mean and half-widths at `at` (time_s for values, voltage_V for crossing times).
+
+    `quantity` is voltage_V, surface_C or crossing_s and gives the unit of mean, s and widths. `S` is the plain SD
+    of all results (equation 17); `s_r`, `s_occasion`, `s_sample` are the parts, `s` the SD of one new result.
+    `n_effective` and `df` belong to the mean and to `s`. `covers_one`, `covers_all` are the probabilities that
+    mean ± C holds a new curve at one instant and at all at once. NaN = not known.
+    """
+
+    ambient_C: float
+    quantity: str
+    at: Array
+    mean: Array
+    u_mean: Array
+    S: Array
+    s_r: Array
+    s_occasion: Array
+    s_sample: Array
+    s: Array
+    C: Array
+    tolerance: Array
+    simultaneous: Array
+    n_effective: Array
+    df: Array
+    simultaneous_factor: float
+    covers_one: float
+    covers_all: float
+    occasions: int
+    samples: int
+    basis: Basis
+    status: Literal["ok", "not enough data"]
+    notes: tuple[str, ...]
+
+    def inside(self, values: Array, half_width: Array | None = None) -> NDBool:
+        """Which of `values` lie within the mean ± `half_width` (default C)."""
+        width = self.C if half_width is None else half_width
+        within: NDBool = np.abs(values - self.mean) <= width + 1e-9
+        return within
+
+
+@dataclass(frozen=True, slots=True)
+class LeaveOneOut:
+    """Each occasion judged by the corridor of the others: `inside[occasion, sample]` at all instants at once."""
+
+    occasions: tuple[int, ...]
+    samples: tuple[str, ...]
+    inside: NDBool
+    share_one: float
+    share_all: float
+
+
+def shared_table(levels: Levels) -> tuple[Array, tuple[str, ...]]:
+    """`values[occasion, sample, level]` without gaps, and what was left out to get there."""
+    values = levels.values
+    present = ~np.isnan(values).any(axis=2)
+    runs = present.sum(axis=0)
+    most = int(runs.max())
+    kept = np.asarray(runs >= max(2.0, most / 2) if most > 1 else runs == most, dtype=bool)
+    notes = [f"sample {s} left out: {n} of {most} occasions"
+             for s, n, k in zip(levels.samples, runs, kept, strict=True) if not k]  # fmt: skip
+    complete = present[:, kept].all(axis=1)
+    if complete.sum() >= 2 or not kept.sum() > 1:
+        if complete.sum() < len(complete):
+            notes.append(f"{int((~complete).sum())} occasions left out that not all samples share")
+        return values[complete][:, kept], tuple(notes)
+    tables = [levels.curves(int(j)) for j in np.flatnonzero(kept)]
+    n = min(len(t) for t in tables)
+    notes.append("the samples share no occasions: their runs are taken in order")
+    return np.stack([t[:n] for t in tables], axis=1), tuple(notes)
+
+
+def corridor(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V", seed: int = 5725) -> Corridor | None:
+    """The corridor at one ambient temperature, at fixed times; None if the quantity was not measured there."""
+    levels = whole_minutes(dataset, ambient_C, quantity)
+    if levels is None:
+        return None
+    table, notes = shared_table(levels)
+    notes = levels.left_out + levels.notes + notes
+    if len(table) >= MIN_OCCASIONS:
+        return from_table(ambient_C, quantity, levels.time_s, table, notes, seed)
+    group = _group_at(dataset, ambient_C) if quantity == "voltage_V" else None
+    if group is not None:
+        return from_quasi_replicates(ambient_C, group, notes, seed)
+    return _unknown(ambient_C, quantity, levels.time_s, table, notes)
+
+
+def corridors(dataset: DataSet, quantity: str = "voltage_V", seed: int = 5725) -> dict[float, Corridor]:
+    """The corridor of every ambient temperature at which `quantity` was measured."""
+    found = ((t, corridor(dataset, t, quantity, seed)) for t in dataset.ambients_C)
+    return {t: c for t, c in found if c is not None}
+
+
+def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
+    """Voltages [V] that every run falls through after the first reading: steps of 0.1 V for three cells."""
+    step = round(0.1 * dataset.cells_series / 3, 2)
+    late = levels.values[:, :, 1:] if len(levels.time_s) > 2 else levels.values
+    high, low = float(np.nanmin(late[:, :, 0])), float(np.nanmax(np.nanmin(levels.values, axis=2)))
+    low = max(low, dataset.cutoff_V)
+    return np.array([i * step for i in range(math.ceil(low / step + 1e-6), math.floor(high / step + 1e-6) + 1)])
+
+
+def time_corridor(
+    dataset: DataSet, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
+) -> Corridor | None:
+    """The corridor of crossing times [s] at fixed voltages; None without voltages that every run falls through."""
+    levels = whole_minutes(dataset, ambient_C)
+    if levels is None:
+        return None
+    volts = crossing_levels(dataset, levels) if voltages_V is None else np.asarray(voltages_V, dtype=float)
+    if not len(volts):
+        return None
+    values = np.full((*levels.values.shape[:2], len(volts)), math.nan)
+    for run in dataset.at(ambient_C):
+        if run.sample in levels.samples:
+            where = (levels.occasions.index(run.run), levels.samples.index(run.sample))
+            values[where] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
+    timed = Levels(ambient_C, "crossing_s", levels.samples, levels.occasions, volts, values)
+    table, notes = shared_table(timed)
+    if len(table) >= MIN_OCCASIONS:
+        return from_table(ambient_C, "crossing_s", volts, table, levels.left_out + notes, seed)
+    return _unknown(ambient_C, "crossing_s", volts, table, levels.left_out + notes)
+
+
+def from_table(
+    ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...] = (), seed: int = 5725
+) -> Corridor:
+    """The corridor from `table[occasion, sample, level]` of repeats, three occasions or more."""
+    o, k, levels = table.shape
+    parts = bands.components(table)
+    with_samples = k >= 3
+    s = parts.sd(with_samples)
+    s_r, s_o, s_s = (np.sqrt(np.maximum(np.diag(m), 0.0)) for m in (parts.residual, parts.occasion, parts.sample))
+    if k == 1:
+        s_r = np.full(levels, math.nan)
+    u2 = s_o**2 / o + np.nan_to_num(s_r) ** 2 / (o * k) + (s_s**2 / k if with_samples else 0.0)
+    df = _effective_df(parts, with_samples)
+    n_eff = np.divide(s**2, u2, out=np.full(levels, float(o)), where=u2 > 0)
+    by_model, by_plain = bands.new_curve_scores(parts, with_samples, seed)
+    factor = bands.simultaneous_factor(by_model)
+    tolerance = np.array([bands.tolerance_factor(n, d) for n, d in zip(n_eff, df, strict=True)])
+    one, every = bands.coverage(by_plain, 2.0)
+    flat = table - table[0, 0]
+    S = flat.reshape(o * k, levels).std(axis=0, ddof=1)
+    few = (f"{k} sample{'s' * (k > 1)}: the corridor says nothing of other packs",) if k < 3 else ()
+    return Corridor(
+        ambient_C, quantity, at, table[0, 0] + flat.mean(axis=(0, 1)), np.sqrt(u2), S, s_r, s_o, s_s, s,
+        2 * S, tolerance * s, factor * s, n_eff, df, factor, one, every, o, k, "repeats", "ok", notes + few,
+    )  # fmt: skip
+
+
+def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
+    """Satterthwaite degrees of freedom of s² per level."""
+    o, k = parts.occasions, parts.samples
+    if k == 1:
+        return np.full(len(parts.occasion), o - 1.0)
+    v_o, v_s, v_e = (np.maximum(np.diag(m), 0.0) for m in (parts.occasion, parts.sample, parts.residual))
+    dfs = (o - 1.0, (o - 1.0) * (k - 1.0), k - 1.0)
+    found = []
+    for a, b, e in zip(v_o, v_s, v_e, strict=True):
+        rest = 1 - 1 / k - (1 / o if with_samples else 0.0)
+        terms = [(k * a + e) / k, rest * e, (o * b + e) / o if with_samples else 0.0]
+        found.append(satterthwaite(terms, dfs) if sum(terms) > 0 else float(o - 1))
+    return np.array(found)
+
+
+def _group_at(dataset: DataSet, ambient_C: float) -> QuasiReplicates | None:
+    hits = (g for g in quasi_replicates(dataset) if np.any(np.abs(g.ambients_C - ambient_C) < 0.25))
+    return next(hits, None)
+
+
+def from_quasi_replicates(
+    ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...] = (), seed: int = 5725
+) -> Corridor:
+    """The corridor about a line in temperature through one-time curves one degree apart."""
+    m, levels = group.residuals.shape
+    covariance = group.residuals.T @ group.residuals / (m - 2)
+    t = group.ambients_C - group.ambients_C.mean()
+    design = np.column_stack([np.ones(m), t])
+    hat = design @ np.linalg.pinv(design)
+    at = np.array([1.0, ambient_C - float(group.ambients_C.mean())]) @ np.linalg.pinv(design)
+    root = np.linalg.eigh(covariance)
+    rng = np.random.default_rng(seed)
+    half = root.eigenvectors * np.sqrt(np.maximum(root.eigenvalues, 0.0))
+    y = rng.standard_normal((bands.DRAWS, m, levels)) @ half.T
+    sd = np.sqrt(((y - hat @ y) ** 2).sum(axis=1) / (m - 2))
+    scores = np.abs(rng.standard_normal((bands.DRAWS, levels)) @ half.T - at @ y) / np.where(sd > 0, sd, np.inf)
+    factor = bands.simultaneous_factor(scores)
+    one, every = bands.coverage(scores, 2.0)
+    n_eff = np.full(levels, 1 / group.leverage(ambient_C))
+    tolerance = np.array([bands.tolerance_factor(n, d) for n, d in zip(n_eff, group.df, strict=True)])
+    s, unknown = group.sd, np.full(levels, math.nan)
+    low, high = float(group.ambients_C.min()), float(group.ambients_C.max())
+    said: tuple[str, ...] = (f"scatter of {m} one-time curves about a line from {low:g} to {high:g} °C, one series of one pack",)
+    said += tuple(f"left out: {where}" for where in group.left_out)
+    return Corridor(
+        ambient_C, "voltage_V", group.time_s, group.line(ambient_C), s / np.sqrt(n_eff), s, unknown, unknown, unknown,
+        s, 2 * s, tolerance * s, factor * s, n_eff, group.df, factor, one, every, m, 1, "quasi-replicates", "ok",
+        notes + said,
+    )  # fmt: skip
+
+
+def _unknown(ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...]) -> Corridor:
+    nan, mean = np.full(len(at), math.nan), np.full(len(at), math.nan) if table.size == 0 else table.mean(axis=(0, 1))
+    said = (f"{len(table)} run{'s' * (len(table) != 1)} at {ambient_C:g} °C: a corridor needs {MIN_OCCASIONS} repeats",)
+    return Corridor(
+        ambient_C, quantity, at, mean, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, math.nan, math.nan,
+        math.nan, len(table), table.shape[1], "one run", "not enough data", notes + said,
+    )  # fmt: skip
+
+
+def leave_one_out(levels: Levels) -> LeaveOneOut | None:
+    """Each occasion against mean ± 2S of all the others; None with fewer than four shared occasions."""
+    table, _ = shared_table(levels)
+    o, k, size = table.shape
+    if o < MIN_OCCASIONS + 1:
+        return None
+    inside = np.empty((o, k, size), dtype=bool)
+    for i in range(o):
+        rest = np.delete(table, i, axis=0).reshape(-1, size) - table[0, 0]
+        gap = np.abs(table[i] - table[0, 0] - rest.mean(axis=0))
+        inside[i] = gap <= 2 * rest.std(axis=0, ddof=1) + 1e-9
+    every: NDBool = np.asarray(inside.all(axis=2))
+    return LeaveOneOut(levels.occasions[:o], levels.samples[:k], every, float(inside.mean()), float(every.mean()))
