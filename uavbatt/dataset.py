@@ -22,7 +22,8 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import numpy as np
 
-from uavbatt.discharge_csv import MIN_POINTS, Array, Run, read_runs
+from uavbatt.discharge_csv import MIN_POINTS, Array, read_runs
+from uavbatt.discharge_csv import Run as Run
 from uavbatt.errors import BadInput
 
 QUANTITIES = ("voltage_V", "surface_C", "current_A")

@@ -72,6 +72,16 @@ class Corridor:
 
 
 @dataclass(frozen=True, slots=True)
+class Shared:
+    """`table[occasion, sample, level]` without gaps."""
+
+    table: Array
+    occasions: tuple[int, ...]
+    samples: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class LeaveOneOut:
     """Each occasion judged by the corridor of the others: `inside[occasion, sample]` at all instants at once."""
 
@@ -82,24 +92,29 @@ class LeaveOneOut:
     share_all: float
 
 
-def shared_table(levels: Levels) -> tuple[Array, tuple[str, ...]]:
-    """`values[occasion, sample, level]` without gaps, and what was left out to get there."""
-    values = levels.values
-    present = ~np.isnan(values).any(axis=2)
-    runs = present.sum(axis=0)
-    most = int(runs.max())
-    kept = np.asarray(runs >= max(2.0, most / 2) if most > 1 else runs == most, dtype=bool)
-    notes = [f"sample {s} left out: {n} of {most} occasions"
-             for s, n, k in zip(levels.samples, runs, kept, strict=True) if not k]  # fmt: skip
-    complete = present[:, kept].all(axis=1)
-    if complete.sum() >= 2 or not kept.sum() > 1:
-        if complete.sum() < len(complete):
-            notes.append(f"{int((~complete).sum())} occasions left out that not all samples share")
-        return values[complete][:, kept], tuple(notes)
-    tables = [levels.curves(int(j)) for j in np.flatnonzero(kept)]
+def shared_table(levels: Levels) -> Shared:
+    """The occasions that all samples share, as a full table, and what was left out to get there.
+
+    A sample with less than half of the runs of the longest is left out rather than the occasions it lacks; samples
+    that share no two occasions are put side by side in the order of their runs.
+    """
+    present: NDBool = np.asarray(~np.isnan(levels.values).any(axis=2))
+    runs = [int(n) for n in present.sum(axis=0)]
+    most = max(runs)
+    kept = [j for j, n in enumerate(runs) if n >= max(min(2, most), most / 2)]
+    names = tuple(levels.samples[j] for j in kept)
+    lost = [j for j in range(len(runs)) if j not in kept]
+    notes = [f"sample {levels.samples[j]} left out: {runs[j]} of {most} occasions" for j in lost]
+    complete = np.flatnonzero(present[:, kept].all(axis=1))
+    if len(complete) >= 2 or len(kept) == 1:
+        missed = len(levels.occasions) - len(complete)
+        notes += [f"{missed} occasions left out that not all samples share"] * bool(missed)
+        occasions = tuple(levels.occasions[i] for i in complete)
+        return Shared(levels.values[complete][:, kept], occasions, names, tuple(notes))
+    tables = [levels.curves(j) for j in kept]
     n = min(len(t) for t in tables)
     notes.append("the samples share no occasions: their runs are taken in order")
-    return np.stack([t[:n] for t in tables], axis=1), tuple(notes)
+    return Shared(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
 
 
 def corridor(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V", seed: int = 5725) -> Corridor | None:
@@ -107,8 +122,8 @@ def corridor(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V", se
     levels = whole_minutes(dataset, ambient_C, quantity)
     if levels is None:
         return None
-    table, notes = shared_table(levels)
-    notes = levels.left_out + levels.notes + notes
+    shared = shared_table(levels)
+    table, notes = shared.table, levels.left_out + levels.notes + shared.notes
     if len(table) >= MIN_OCCASIONS:
         return from_table(ambient_C, quantity, levels.time_s, table, notes, seed)
     group = _group_at(dataset, ambient_C) if quantity == "voltage_V" else None
@@ -148,10 +163,11 @@ def time_corridor(
             where = (levels.occasions.index(run.run), levels.samples.index(run.sample))
             values[where] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
     timed = Levels(ambient_C, "crossing_s", levels.samples, levels.occasions, volts, values)
-    table, notes = shared_table(timed)
+    shared = shared_table(timed)
+    table, notes = shared.table, levels.left_out + shared.notes
     if len(table) >= MIN_OCCASIONS:
-        return from_table(ambient_C, "crossing_s", volts, table, levels.left_out + notes, seed)
-    return _unknown(ambient_C, "crossing_s", volts, table, levels.left_out + notes)
+        return from_table(ambient_C, "crossing_s", volts, table, notes, seed)
+    return _unknown(ambient_C, "crossing_s", volts, table, notes)
 
 
 def from_table(
@@ -223,8 +239,8 @@ def from_quasi_replicates(
     tolerance = np.array([bands.tolerance_factor(n, d) for n, d in zip(n_eff, group.df, strict=True)])
     s, unknown = group.sd, np.full(levels, math.nan)
     low, high = float(group.ambients_C.min()), float(group.ambients_C.max())
-    said: tuple[str, ...] = (f"scatter of {m} one-time curves about a line from {low:g} to {high:g} °C, one series of one pack",)
-    said += tuple(f"left out: {where}" for where in group.left_out)
+    source = f"scatter of {m} one-time curves about a line from {low:g} to {high:g} °C, one series of one pack"
+    said = (source, *(f"left out: {where}" for where in group.left_out))
     return Corridor(
         ambient_C, "voltage_V", group.time_s, group.line(ambient_C), s / np.sqrt(n_eff), s, unknown, unknown, unknown,
         s, 2 * s, tolerance * s, factor * s, n_eff, group.df, factor, one, every, m, 1, "quasi-replicates", "ok",
@@ -243,7 +259,8 @@ def _unknown(ambient_C: float, quantity: str, at: Array, table: Array, notes: tu
 
 def leave_one_out(levels: Levels) -> LeaveOneOut | None:
     """Each occasion against mean ± 2S of all the others; None with fewer than four shared occasions."""
-    table, _ = shared_table(levels)
+    shared = shared_table(levels)
+    table = shared.table
     o, k, size = table.shape
     if o < MIN_OCCASIONS + 1:
         return None
@@ -253,4 +270,4 @@ def leave_one_out(levels: Levels) -> LeaveOneOut | None:
         gap = np.abs(table[i] - table[0, 0] - rest.mean(axis=0))
         inside[i] = gap <= 2 * rest.std(axis=0, ddof=1) + 1e-9
     every: NDBool = np.asarray(inside.all(axis=2))
-    return LeaveOneOut(levels.occasions[:o], levels.samples[:k], every, float(inside.mean()), float(every.mean()))
+    return LeaveOneOut(shared.occasions, shared.samples, every, float(inside.mean()), float(every.mean()))

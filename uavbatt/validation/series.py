@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.dataset import DataSet
-from uavbatt.discharge_csv import Run
+from uavbatt.dataset import DataSet, Flag, Run
 from uavbatt.validation.cells import Array
 from uavbatt.validation.crossing import crossing_time
 
@@ -100,8 +99,11 @@ def breaks(dataset: DataSet) -> tuple[Break, ...] | None:
     )
 
 
-def quasi_replicates(dataset: DataSet) -> tuple[QuasiReplicates, ...]:
-    """Groups of five one-time curves or more, at most one degree apart, that no break divides."""
+def quasi_replicates(dataset: DataSet, with_flagged: bool = False) -> tuple[QuasiReplicates, ...]:
+    """Groups of five one-time curves or more, at most one degree apart, that no break divides.
+
+    Readings that the data set flags take part only `with_flagged`; the groups name those left out.
+    """
     divided = {b.high_C for b in breaks(dataset) or ()}
     groups: list[list[Run]] = []
     for run in single_series(dataset):
@@ -110,13 +112,14 @@ def quasi_replicates(dataset: DataSet) -> tuple[QuasiReplicates, ...]:
             groups[-1].append(run)
         else:
             groups.append([run])
-    return tuple(_line(group, dataset) for group in groups if len(group) >= MIN_CURVES)
+    flags = () if with_flagged else dataset.flags
+    return tuple(_line(group, flags) for group in groups if len(group) >= MIN_CURVES)
 
 
-def _line(group: list[Run], dataset: DataSet) -> QuasiReplicates:
+def _line(group: list[Run], flags: tuple[Flag, ...]) -> QuasiReplicates:
     T, y = np.array([r.ambient_C for r in group]), np.array([r.voltage_V for r in group])
     left_out = []
-    for flag in dataset.flags:
+    for flag in flags:
         for i, run in enumerate(group):
             same = flag.sample == run.sample and flag.ambient_C == run.ambient_C and flag.run == run.run
             if same and flag.time_s is not None and flag.column == "voltage_v":
