@@ -140,6 +140,9 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
         return np.stack([np.pad(f[key], (0, rows - len(f[key])), mode="edge") for f in fine], axis=1)
 
     time_s = padded("time_s")
+    resting = np.abs(padded("current_A")) < RESTED_C * np.array([r.capacity_Ah for r in records])
+    weight = np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0))
+    weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage tells the OCV where it starts
     real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
     cells = np.array([float(r.cells) for r in records])
     slope = padded("slope")
@@ -156,8 +159,8 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
         voltage_V=padded("voltage_V"),
         temp_C=padded("temp_C"),
         compare=real,
-        sigma_V=np.hypot(voltage_sd_V * cells, timing_sd_s * slope),
-        weight=np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0)),
+        sigma_V=np.hypot(voltage_sd_V * cells, np.where(resting, 0.0, timing_sd_s * slope)),
+        weight=weight,
         start_temp_C=start_temp,
         ambient_C=np.where(np.isfinite(ambient), ambient, start_temp),
         rested=np.array([abs(r.current_A[0]) / r.capacity_Ah < RESTED_C for r in records]),

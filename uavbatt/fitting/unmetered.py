@@ -1,0 +1,130 @@
+"""Fit of the cell to bench tests whose current was not measured: the study's tables.
+
+The motor asks a constant current of unknown C-rate until the speed controller's limiter takes over and holds the
+voltage; the tests share that load, so that one simulated test stands for all. Voltage and surface temperature are
+fitted together, at the whole minutes at which the study reads them. The C-rate is not identifiable (OCV and
+resistance move with it): it has a prior, and its covariance with the resistance goes into the battery file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from uavbatt.battery import model
+from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.fitting import prior
+from uavbatt.fitting.prior import Slot
+
+STEP_S = 5.0
+LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
+SURFACE_SD_K = 0.5
+NUDGE = 1e-4
+
+LOAD_SLOTS = (
+    Slot("c_rate", 8.0, 1.5),
+    Slot("start_soc", 0.98, 0.02),
+    Slot("limit_cell_V", 3.12, 0.02),
+    Slot("start_offset_K", -2.0, 1.5),  # the pack comes from a room, the chamber is warmer
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanTest:
+    """What is fitted: mean voltage [V] and surface temperature [°C] of the tests at their instants [s]."""
+
+    time_s: Array
+    voltage_V: Array
+    voltage_sd_V: Array
+    surface_C: Array
+    cells: int
+    ambient_C: float
+
+
+@dataclass(frozen=True, slots=True)
+class UnmeteredFit:
+    """Values u of the slots (cell first, then load) with their posterior covariance."""
+
+    slots: tuple[Slot, ...]
+    effects: tuple[str, ...]
+    u: Array
+    covariance_u: Array
+
+    @property
+    def x(self) -> Array:
+        """Values of the slots."""
+        return prior.values(self.slots, self.u)
+
+    def value(self, name: str) -> float:
+        """Value of one slot."""
+        return float(self.x[[s.name for s in self.slots].index(name)])
+
+    def standard_error(self, name: str) -> float:
+        """Standard error of one slot, to first order."""
+        i = [s.name for s in self.slots].index(name)
+        slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
+        return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)
+
+
+def limited_test(p: Parameters, start: State, rate: Array, limit_V: Array, ambient_C: float, time_s: Array) -> Array:
+    """Discharge at constant C-rate, current cut back so that the cell never falls below `limit_V`.
+
+    Returns [2, instants, batch]: cell voltage [V] and sensor temperature [°C]. The instant 0 is before the load.
+    """
+    out = np.empty((2, time_s.size, start.soc.size))
+    state, now_s = start, 0.0
+    for k, until_s in enumerate(time_s):
+        while now_s < until_s - 1e-9:
+            dt_s = min(STEP_S, until_s - now_s)
+            state = model.step(p, state, _limited(p, state, rate, limit_V), ambient_C, dt_s)
+            now_s += dt_s
+        asked = _limited(p, state, rate, limit_V) if until_s > 0.0 else np.zeros_like(rate)
+        out[0, k], out[1, k] = model.cell_voltage(p, state, asked), state.sensor_C
+    return out
+
+
+def _limited(p: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
+    room = (model.electromotive_force(p, state) - limit_V) / model.resistance(p, state.soc, state.core_C)
+    held: Array = np.clip(room, 0.0, rate)
+    return held
+
+
+def slots_of(effects: tuple[str, ...]) -> tuple[Slot, ...]:
+    """Cell slots, then those of the unknown load."""
+    return (*prior.cell_slots(effects), *LOAD_SLOTS)
+
+
+def predict(slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, test: MeanTest, time_s: Array) -> Array:
+    """Pack voltage [V] and surface temperature [°C] at `time_s` for values x [batch, slots]: [2, instants, batch]."""
+    at = {s.name: i for i, s in enumerate(slots)}
+    load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
+    start = model.rested(np.minimum(load["start_soc"], 1.0), test.ambient_C + load["start_offset_K"])
+    cell = prior.cell(slots, x, effects)
+    out = limited_test(cell, start, load["c_rate"], load["limit_cell_V"], test.ambient_C, time_s)
+    out[0] *= test.cells
+    return out
+
+
+def fit(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> UnmeteredFit:
+    """Most probable cell and load for the mean test."""
+    slots = slots_of(effects)
+    sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
+
+    def evaluate(u: Array) -> Array:
+        volts, surface = predict(slots, effects, prior.values(slots, u), test, test.time_s)
+        misfit_V = (volts - test.voltage_V[:, None]) / sigma_V[:, None]
+        misfit_K = np.nan_to_num(surface - test.surface_C[:, None]) / SURFACE_SD_K
+        return np.concatenate([misfit_V, misfit_K, u.T])
+
+    def objective(u: Array) -> Array:
+        return evaluate(u[None])[:, 0]
+
+    def jacobian(u: Array) -> Array:
+        values = evaluate(np.vstack([u, u + NUDGE * np.eye(u.size)]))
+        return (values[:, 1:] - values[:, :1]) / NUDGE
+
+    found = least_squares(objective, np.zeros(len(slots)), jacobian, max_nfev=60, xtol=1e-6, ftol=1e-8)
+    slopes = np.asarray(found.jac, dtype=float)
+    return UnmeteredFit(slots, effects, found.x, np.linalg.inv(slopes.T @ slopes))
