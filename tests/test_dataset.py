@@ -1,0 +1,157 @@
+"""The discharge data-set folder: what it holds, and one line for every way it can be wrong."""
+
+import shutil
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uavbatt import dataset
+from uavbatt.errors import BadInput
+
+HEADER = "sample,run,ambient_c,time_s,voltage_v,current_a,surface_c\n"
+BATTERY = """name = "x"\nchemistry = "LiPo"\ncells_series = 3\ncutoff_V = 9.3\nload = "unknown"\nsource = "test"\n"""
+ROWS = "a,1,25,0,12.5,,\na,1,25,60,11.0,,\na,1,25,120,10.5,,\n"
+
+
+def folder(tmp_path: Path, rows: str = ROWS, battery: str = BATTERY, header: str = HEADER) -> Path:
+    (tmp_path / "battery.toml").write_text(battery, "utf-8")
+    (tmp_path / "discharge.csv").write_text(header + rows, "utf-8")
+    return tmp_path
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(BadInput) as raised:
+        dataset.load(path)
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def test_packaged_study():
+    study = dataset.load()
+    assert (study.name, study.cells_series, study.capacity_Ah, study.cutoff_V) == ("lpab-3s", 3, None, 9.3)
+    assert len(study.runs) == 48
+    assert len(study.ambients_C) == 28
+    assert sum(np.isfinite(r.surface_C).all() for r in study.runs) == 10
+    assert all(np.isnan(r.current_A).all() for r in study.runs)
+    misprint = next(f for f in study.flags if f.kind == "likely misprint")
+    flagged = next(r for r in study.runs if r.sample == "T1" and r.ambient_C == misprint.ambient_C)
+    assert flagged.voltage_V[flagged.time_s == misprint.time_s] == [10.45]  # flagged, never changed
+
+
+def test_levels_of_the_study():
+    volts = dataset.levels(dataset.load(), 25)
+    assert volts.values.shape == (10, 2, 9)
+    assert volts.left_out == ("sample T1 (one run)",)
+    assert volts.cells(0)[0][:3] == [12.52, 12.48, 12.49]
+    heat = dataset.levels(dataset.load(), 25, "surface_C")
+    assert heat.samples == ("1",)
+    assert dataset.levels(dataset.load(), 10).samples == ("T1",)
+    assert dataset.levels(dataset.load(), 10, "surface_C") is None
+
+
+def test_digest_is_of_the_content_not_of_the_bytes(tmp_path):
+    source = resources.files("uavbatt") / "data" / "study"
+    for name in ("battery.toml", "discharge.csv"):
+        text = (source / name).read_text("utf-8")
+        (tmp_path / name).write_bytes(("# note\n" * (name != "discharge.csv") + text).replace("\n", "\r\n").encode())
+    assert dataset.load(tmp_path).sha256 == dataset.load().sha256
+    text = (tmp_path / "discharge.csv").read_text("utf-8").replace("12.52", "12.53", 1)
+    (tmp_path / "discharge.csv").write_text(text, "utf-8")
+    assert dataset.load(tmp_path).sha256 != dataset.load().sha256
+
+
+def test_digest_covers_the_battery_too(tmp_path):
+    first = dataset.load(folder(tmp_path)).sha256
+    assert dataset.load(folder(tmp_path, battery=BATTERY.replace("9.3", "9.4"))).sha256 != first
+
+
+def test_runs_of_different_lengths_are_compared_where_all_are(tmp_path):
+    rows = ROWS + "a,2,25,0,12.5,,\na,2,25,60,11.1,,\na,2,25,120,10.6,,\na,2,25,180,10.0,,\n"
+    table = dataset.levels(dataset.load(folder(tmp_path, rows)), 25)
+    assert list(table.time_s) == [0, 60, 120]
+    assert "runs end between 120 s and 180 s" in table.notes[0]
+
+
+def test_missing_readings_are_nan(tmp_path):
+    rows = "a,1,25,0,12.5,,\na,1,25,60,,3.5,\na,1,25,120,10.5,,24\na,1,25,180,10.1,3.4,25\n"
+    run = dataset.load(folder(tmp_path, rows)).runs[0]
+    assert np.isnan(run.voltage_V[1]) and np.isnan(run.current_A[0]) and run.surface_C[3] == 25
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (ROWS.replace("11.0", "11000"), "discharge.csv: line 3, voltage_v: expected 1.5 to 15 V"),
+        (ROWS.replace("11.0", "11000"), "millivolts?"),
+        (ROWS.replace("11.0", "1100"), "centivolts?"),
+        (ROWS.replace("11.0", "nan"), "line 3, voltage_v: expected a finite number"),
+        (ROWS.replace("11.0", "eleven"), "found 'eleven'"),
+        (ROWS.replace("a,1,25,60", "a,1,25,"), "line 3, time_s: expected a finite number, found ''"),
+        (ROWS + "a,1,25,60,11.0,,\n", "line 5: expected each reading once, it repeats line 3"),
+        (ROWS + "a,1,25,90,11.0,,\n", "line 5, time_s: expected time increasing"),
+        (ROWS[: ROWS.rindex("a,1")], "at least 3 voltage readings, found 2"),
+        (ROWS.replace("11.0", "12.5").replace("10.5", "12.5"), "voltage_v is constant at 12.5"),
+        (ROWS.replace(",,\n", ",,20\n"), "column surface_c: expected readings, every row says 20"),
+        (ROWS.replace(",,\n", ",0,\n"), "column current_a: expected readings, every row says 0"),
+        (ROWS.replace("a,1,25,60", "a,1,298,60"), "line 3, ambient_c: expected -80 to 150 °C, found 298 (kelvin?)"),
+        (ROWS.replace("a,1,25,60", "a,1.5,25,60"), "line 3, run: expected a whole number, found '1.5'"),
+        (ROWS.replace("a,1,25,60", ",1,25,60"), "line 3, sample: expected a label"),
+        (ROWS.replace("11.0,,", "11.0,"), "line 3: expected 7 cells, found 6"),
+        (ROWS.replace("25,60", "25,60000000"), "line 4, time_s: expected time increasing"),
+        ("", "line 2: expected at least one row"),
+    ],
+)
+def test_bad_rows_name_their_line(tmp_path, rows, said):
+    assert said in complaint(folder(tmp_path, rows))
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        (HEADER.replace("voltage_v", "voltag_v"), "line 1: expected a column voltage_v, found voltag_v"),
+        (HEADER.replace(",surface_c", ""), "line 1: expected a column surface_c"),
+        (HEADER.replace("\n", ",humidity\n"), "found humidity"),
+        ("", "line 1: expected a column sample"),
+    ],
+)
+def test_bad_header(tmp_path, header, said):
+    assert said in complaint(folder(tmp_path, header=header))
+
+
+@pytest.mark.parametrize(
+    ("battery", "said"),
+    [
+        (BATTERY.replace("cells_series = 3\n", ""), "battery.toml: key cells_series: expected it to be there"),
+        (BATTERY + "cutof_V = 9\n", "did you mean cutoff_V?"),
+        (BATTERY.replace("= 3", '= "three"'), "key cells_series"),
+        (BATTERY.replace("9.3", "-1"), "key cutoff_V"),
+        (BATTERY + "capacity_Ah = 5000\n", "capacity_Ah: expected ampere-hours, found 5000 (mAh?)"),
+        (BATTERY + "[uncertainty]\nvoltage_resolution = 0.01\n", "key uncertainty.voltage_resolution"),
+        (BATTERY + "oops", "expected TOML"),
+    ],
+)
+def test_bad_battery_names_the_key(tmp_path, battery, said):
+    assert said in complaint(folder(tmp_path, battery=battery))
+
+
+def test_bad_folders(tmp_path):
+    assert "found nothing" in complaint(tmp_path / "none")
+    assert "battery.toml and discharge.csv missing" in complaint(tmp_path)
+    (tmp_path / "battery.toml").write_text(BATTERY)
+    assert "discharge.csv missing" in complaint(tmp_path)
+    assert "found a file" in complaint(tmp_path / "battery.toml")
+    (tmp_path / "discharge.csv").write_bytes(b"\xff\xfe\x00")
+    assert "text in UTF-8" in complaint(tmp_path)
+    (tmp_path / "discharge.csv").write_text("")
+    assert "the file is empty" in complaint(tmp_path)
+
+
+def test_column_order_does_not_matter(tmp_path):
+    a = dataset.load(folder(tmp_path))
+    (tmp_path / "b").mkdir()
+    shutil.copy(tmp_path / "battery.toml", tmp_path / "b")
+    turned = "\n".join(",".join(reversed(line.split(","))) for line in (HEADER + ROWS).splitlines())
+    (tmp_path / "b" / "discharge.csv").write_text(turned)
+    assert dataset.load(tmp_path / "b").sha256 == a.sha256

@@ -1,0 +1,115 @@
+"""The findings are computed: they are there on the study, and gone when their cause is taken away."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uavbatt import dataset
+from uavbatt.validation.findings import findings
+
+
+@pytest.fixture(scope="module")
+def study():
+    return dataset.load()
+
+
+@pytest.fixture(scope="module")
+def found(study):
+    return findings(study)
+
+
+def one(found, kind):
+    (finding,) = [f for f in found if f.kind == kind]
+    return finding
+
+
+def changed(study, change):
+    return replace(study, runs=tuple(replace(r, **change(r)) for r in study.runs))
+
+
+def test_samples_are_not_independent(found):
+    numbers = one(found, "dependent_samples").numbers
+    assert (numbers["identical"], numbers["compared"]) == (49, 90)
+    assert numbers["p_value"] <= 5.1e-5
+    assert numbers["correlation"] == pytest.approx(0.938, abs=5e-4)
+
+
+def test_voltage_steps_down_after_run_6(found):
+    finding = one(found, "drift")
+    assert finding.numbers["after_run"] == 6 and "steps down after run 6" in finding.title
+    assert finding.numbers["step"] == pytest.approx(-0.09, abs=0.005)
+
+
+def test_curve_at_25_is_outside_at_5_of_9(found):
+    finding = one(found, "curve_outside_corridor")
+    assert (finding.numbers["outside"], finding.numbers["instants"]) == (5, 9)
+    assert "1, 5, 6, 7, 8 min" in finding.detail
+
+
+def test_pooling_is_forbidden_for_temperature(found):
+    assert "surface temperature" in one(found, "pooling_forbidden").title
+    assert "0, 1, 4 min" in one(found, "pooling_forbidden").title
+
+
+def test_two_s_holds_two_thirds(found):
+    finding = one(found, "corridor_coverage")
+    assert finding.numbers["share"] == pytest.approx(0.65) and "65%" in finding.title
+
+
+def test_F_emp_misprint_and_breaks(found):
+    assert "2.83" in one(found, "F_emp_not_reproducible").title
+    assert one(found, "likely_misprint").numbers["ambient_C"] == -1
+    breaks = [(f.numbers["low_C"], f.numbers["high_C"]) for f in found if f.kind == "series_break"]
+    assert breaks == [(4, 5), (35, 40)]
+
+
+def test_serious_findings_come_first(found):
+    order = [f.severity for f in found]
+    assert order == sorted(order, key=["serious", "warning", "note"].index)
+    assert order[0] == "serious"
+
+
+def test_mending_the_misprint_takes_the_finding_away(study):
+    def mend(run):
+        at = (run.sample == "T1") & (run.ambient_C == -1.0) & (run.time_s == 60)
+        return {"voltage_V": np.where(at, 10.75, run.voltage_V)}
+
+    assert not [f for f in findings(changed(study, mend)) if f.kind == "likely_misprint"]
+
+
+def test_shuffled_runs_of_sample_2_are_not_called_dependent(study):
+    order = np.random.default_rng(12).permutation(10)
+    second = [r for r in study.runs if r.sample == "2"]
+    shuffled = {r.run: second[i].voltage_V for r, i in zip(second, order, strict=True)}
+    other = changed(study, lambda r: {"voltage_V": shuffled[r.run]} if r.sample == "2" else {})
+    assert not [f for f in findings(other) if f.kind == "dependent_samples"]
+
+
+def test_runs_in_random_order_do_not_drift(study):
+    order = np.random.default_rng(13).permutation(10) + 1
+    other = changed(study, lambda r: {"run": int(order[r.run - 1])} if r.sample != "T1" else {})
+    assert not [f for f in findings(other) if f.kind == "drift"]
+
+
+def synthetic(study, samples, runs, seed=14):
+    rng = np.random.default_rng(seed)
+    time = 5.0 * np.arange(100)
+    nan = np.full(100, np.nan)
+    made = [
+        dataset.Run(str(s), r, 25.0, time, 16 - 0.006 * time + rng.normal(0, 0.02, 100), nan, nan)
+        for s in range(1, samples + 1)
+        for r in range(1, runs + 1)
+    ]
+    return replace(study, name="other", cells_series=4, cutoff_V=12.4, runs=tuple(made), flags=())
+
+
+@pytest.mark.parametrize(("samples", "runs"), [(1, 1), (1, 2), (1, 3), (2, 2), (3, 4), (4, 12), (1, 12)])
+def test_other_data_sets_do_not_crash_and_sound_ones_are_not_accused(study, samples, runs):
+    kinds = {f.kind for f in findings(synthetic(study, samples, runs))}
+    assert not kinds & {"dependent_samples", "drift", "F_emp_not_reproducible", "likely_misprint", "series_break"}
+    assert ("reproducibility_unknown" in kinds) == (samples < 3 and runs > 1)
+
+
+def test_a_temperature_without_runs_has_only_the_findings_of_the_series(study):
+    assert {f.kind for f in findings(study, 60.0)} == {"likely_misprint", "series_break"}
