@@ -216,6 +216,8 @@ def levels(
     begin, end = max(float(s[0]) for s in spans.values()), float(spans[id(shortest)][1])
     grid = shortest.time_s if grid_s is None else np.asarray(grid_s, dtype=float)
     grid = grid[(grid >= begin) & (grid <= end)]
+    if not len(grid):
+        return None
     occasions = tuple(sorted({r.run for r in used}))
     values = np.full((len(occasions), len(samples), len(grid)), math.nan)
     for run in used:

@@ -141,8 +141,11 @@ def corridors(dataset: DataSet, quantity: str = "voltage_V", seed: int = 5725) -
 def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
     """Voltages [V] that every run falls through after the first reading: steps of 0.1 V for three cells."""
     step = round(0.1 * dataset.cells_series / 3, 2)
-    late = levels.values[:, :, 1:] if len(levels.time_s) > 2 else levels.values
-    high, low = float(np.nanmin(late[:, :, 0])), float(np.nanmax(np.nanmin(levels.values, axis=2)))
+    curves = np.concatenate([levels.curves(j) for j in range(len(levels.samples))])
+    if not len(curves):
+        return np.array([])
+    late = curves[:, 1:] if len(levels.time_s) > 2 else curves
+    high, low = float(late[:, 0].min()), float(curves.min(axis=1).max())
     low = max(low, dataset.cutoff_V)
     return np.array([i * step for i in range(math.ceil(low / step + 1e-6), math.floor(high / step + 1e-6) + 1)])
 
@@ -159,7 +162,7 @@ def time_corridor(
         return None
     values = np.full((*levels.values.shape[:2], len(volts)), math.nan)
     for run in dataset.at(ambient_C):
-        if run.sample in levels.samples:
+        if run.sample in levels.samples and run.run in levels.occasions:
             where = (levels.occasions.index(run.run), levels.samples.index(run.sample))
             values[where] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
     timed = Levels(ambient_C, "crossing_s", levels.samples, levels.occasions, volts, values)

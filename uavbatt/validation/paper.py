@@ -162,13 +162,19 @@ def replay(dataset: DataSet, ambient_C: float = 25.0) -> PaperReplay:
         columns, surface, notes = columns + _columns(heat, warm), _pooled(heat, warm), notes + more
     agreements: tuple[Agreement, ...] = ()
     claim = None
-    if dataset.name == STUDY and ambient_C == 25.0 and volts.values.shape == (10, 2, 9) and heat is not None:
+    if dataset.name == STUDY and ambient_C == 25.0 and heat is not None and _is_whole(volts, tables, heat):
         printed = printed_tables()
         surface = rebuild(heat.curves(0), printed)
         agreements = (_table5(tables[0][:, 0], printed), _table8(pooled, printed), _table9(surface, printed))
         claim = _fisher_claim(pooled, printed)
         notes += ("temperatures of sample 2 are not printed: rebuilt from Table 9 and equation (17)",)
     return PaperReplay(ambient_C, volts.samples, columns, pooled, surface, agreements, claim, notes)
+
+
+def _is_whole(volts: Levels, tables: list[Array], heat: Levels) -> bool:
+    """Are the tables of the size that the study printed: 2 x 10 x 9 voltages, 10 x 9 temperatures?"""
+    whole = [t.shape for t in tables] == [(10, 9)] * 2 and list(volts.time_s) == [60.0 * m for m in range(9)]
+    return whole and heat.curves(0).shape == (10, 9)
 
 
 def _columns(levels: Levels, tables: list[Array]) -> tuple[Column, ...]:

@@ -120,8 +120,8 @@ def range_factor(n: int, probability: float = 0.95) -> float:
         raise BadCells(f"a range needs two results or more, found {n}")
 
     def density(x: float, w: float) -> float:  # the largest result at x, the others within w below it
-        inside = stats.norm.cdf(x) - stats.norm.cdf(x - w)
-        return float(n * stats.norm.pdf(x) * inside ** (n - 1))
+        inside = (math.erf(x / math.sqrt(2)) - math.erf((x - w) / math.sqrt(2))) / 2
+        return n * math.exp(-x * x / 2) / math.sqrt(2 * math.pi) * inside ** (n - 1)
 
     def beyond(w: float) -> float:
         return float(integrate.quad(density, -8, 8 + w, args=(w,), limit=200)[0]) - probability
