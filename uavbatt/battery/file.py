@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from datetime import date
 from importlib import resources
 from pathlib import Path
@@ -20,6 +18,7 @@ import msgspec
 import tomli_w
 
 from uavbatt import __version__
+from uavbatt.aside import written_aside
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.errors import BadInput, Uncertified
 
@@ -146,15 +145,8 @@ def write(file: BatteryFile, path: Path) -> Path:
     """Seal and write the file, whole or not at all; returns the path."""
     content = _without_none(msgspec.to_builtins(sealed(file)))
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            tomli_w.dump(content, stream)
-        os.chmod(aside, 0o644)
-        os.replace(aside, path)
-    except BaseException:
-        Path(aside).unlink(missing_ok=True)
-        raise
+    with written_aside(path, "wb") as stream:
+        tomli_w.dump(content, stream)
     return path
 
 

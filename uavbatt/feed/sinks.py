@@ -10,13 +10,12 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Protocol, TextIO
 
+from uavbatt.aside import written_aside
 from uavbatt.records import Estimate, Remaining, Status
 
 COLUMNS: Mapping[str, int | None] = {
@@ -115,28 +114,12 @@ def in_order(line: Line) -> Line:
     return {key: line[key] for key in COLUMNS}
 
 
-@contextmanager
-def text_aside(path: str | Path) -> Iterator[TextIO]:
-    """A text file (UTF-8) that appears under `path` only when the block ends without an exception.
-
-    `-` is standard output. Written beside the target, so that the renaming is atomic; removed on failure.
-    """
-    if str(path) == "-":
-        yield sys.stdout
-        return
-    target = Path(path)
-    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with aside.open("w", encoding="utf-8", newline="") as file:
-            yield file
-        os.replace(aside, target)
-    finally:
-        aside.unlink(missing_ok=True)
+text_aside = written_aside
 
 
 @contextmanager
 def _opened(path: str | Path, kind: Callable[[TextIO], Sink]) -> Iterator[Sink]:
-    with text_aside(path) as file:
+    with written_aside(path) as file:
         yield kind(file)
 
 

@@ -25,7 +25,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from uavbatt.mavlink.tlog_writer import ascending_us, written_aside
+from uavbatt.aside import written_aside
+from uavbatt.mavlink.tlog_writer import ascending_us
 from uavbatt.records import NAN, Sample
 
 HEAD = b"\xa3\x95"
@@ -73,7 +74,7 @@ def write_dataflash(
 
     instance : number of the battery in BAT.Inst; `battery_id` of the tlog writer
     """
-    with written_aside(path) as file:
+    with written_aside(path, "wb") as file:
         for layout in LAYOUTS:
             file.write(format_record(layout))
         for name, value in (parameters or {}).items():

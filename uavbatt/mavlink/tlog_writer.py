@@ -25,15 +25,14 @@ Source: mavlink common.xml and the MAVLink file format of QGroundControl / MAVPr
 from __future__ import annotations
 
 import math
-import os
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from uavbatt.aside import written_aside
 from uavbatt.records import Sample
 
 EPOCH_US = 1_700_000_000_000_000
@@ -43,22 +42,6 @@ HEARTBEAT_PERIOD_S = 1.0
 UINT16_MAX = 65535
 INT16_MAX = 32767
 CELLS, CELLS_EXT = 10, 4  # entries of voltages[] and of voltages_ext[]
-
-
-@contextmanager
-def written_aside(path: str | Path) -> Iterator[BinaryIO]:
-    """A binary file that appears under `path` only when the block ends without an exception.
-
-    It is written beside the target (same file system, so the renaming is atomic) and removed on failure.
-    """
-    target = Path(path)
-    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with aside.open("wb") as file:
-            yield file
-        os.replace(aside, target)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def ascending_us(time_s: float, last_us: int) -> int:
@@ -87,7 +70,7 @@ def write_tlog(
     epoch_us : wall time of time_s = 0 [us since 1970]
     """
     encoder: Any = common.MAVLink(None, srcSystem=system_id, srcComponent=1)
-    with written_aside(path) as file:
+    with written_aside(path, "wb") as file:
 
         def put(message: Any, time_us: int) -> None:
             file.write(struct.pack(">Q", (epoch_us + time_us) & ~0x3))
