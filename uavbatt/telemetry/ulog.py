@@ -50,6 +50,24 @@ def read(path: Path, data: bytes) -> LogBuilder:
     return log
 
 
+class _EndlessReading(Exception):
+    """pyulog turns in a circle: it steps back by what it asked for where the file gave it less."""
+
+
+class _BoundedFile(io.BytesIO):
+    """A file in memory that ends pyulog's circling at a cut definitions section."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self._reads_left = 8 * len(data) + 1000  # a sound file takes two reads a message
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._reads_left -= 1
+        if self._reads_left < 0:
+            raise _EndlessReading
+        return super().read(size)
+
+
 def _open(path: Path, data: bytes) -> Any:
     try:
         from pyulog import ULog
@@ -57,9 +75,9 @@ def _open(path: Path, data: bytes) -> Any:
         raise MissingExtra("ulog", "reading PX4 .ulg logs") from None
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
-            return ULog(io.BytesIO(data), message_name_filter_list=_TOPICS)
+            return ULog(_BoundedFile(data), message_name_filter_list=_TOPICS)
     except Exception as error:  # pyulog raises whatever its parsing happens to raise
-        raise BadInput(path, "", f"a readable ULog file ({type(error).__name__} while reading)") from None
+        raise BadInput(path, "", f"a sound ULog file, pyulog gave up ({type(error).__name__})") from None
 
 
 def _events(ulog: Any) -> Iterator[Event]:
@@ -68,7 +86,7 @@ def _events(ulog: Any) -> Iterator[Event]:
         yield int(time_us), 0, (name, value)
     for topic in ulog.data_list:
         stamps = topic.data["timestamp"]
-        if topic.name == "vehicle_status" and topic.multi_id == 0:
+        if topic.name == "vehicle_status" and topic.multi_id == 0 and "arming_state" in topic.data:
             for time_us, state in zip(stamps, topic.data["arming_state"], strict=True):
                 yield int(time_us), 1, bool(state == _ARMED_STATE)
         elif topic.name == "battery_status":

@@ -1,0 +1,87 @@
+"""Telemetry CSV: what is read, and how each slip is named."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from uavbatt.errors import BadInput
+from uavbatt.records import Flight
+from uavbatt.telemetry import read_log
+
+HEAD = "time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n"
+
+
+def read(tmp_path: Path, text: str, name: str = "flight.csv") -> Flight:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return read_log(path)
+
+
+def test_all_columns(tmp_path: Path) -> None:
+    flight = read(tmp_path, HEAD + "5,16.4,12.5,25,0.7,0.8,1\n6.5,16.3,,nan,,,\n")
+    first, second = flight.samples
+    assert flight.kind == "csv"
+    assert (first.time_s, first.voltage_V, first.current_A, first.temp_C) == (0.0, 16.4, 12.5, 25.0)
+    assert (first.consumed_Ah, first.reported_soc, first.armed) == (0.7, 0.8, True)
+    assert second.time_s == 1.5 and second.armed is None
+    assert all(math.isnan(v) for v in (second.current_A, second.temp_C, second.consumed_Ah, second.reported_soc))
+
+
+def test_order_of_columns_bom_spaces_and_unknown_columns(tmp_path: Path) -> None:
+    flight = read(tmp_path, "\ufeffvoltage_V, altitude_m ,time_s\r\n16.4,3,0\r\n\r\n16.3,4,1\r\n", "any.txt")
+    assert [s.voltage_V for s in flight.samples] == [16.4, 16.3]
+    assert math.isnan(flight.samples[0].current_A)
+    assert flight.notes == ("column `altitude_m` is not known, ignored",)
+
+
+def test_a_long_pause_is_no_reboot(tmp_path: Path) -> None:
+    flight = read(tmp_path, "time_s,voltage_V\n0,16\n100000,15\n")
+    assert [s.time_s for s in flight.samples] == [0.0, 100000.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s,current_A\n0,1\n", "header: expected a column `voltage_V`"),
+        ("voltage_V,current_A\n0,1\n", "header: expected a column `time_s`"),
+        ("time_s,voltge_V\n0,1\n", "column `voltge_V`: expected the known column `voltage_V`"),
+        ("time_s,voltage_v\n0,1\n", "column `voltage_v`: expected the known column `voltage_V`"),
+        ("time_s,voltage_mV\n0,1\n", "column `voltage_mV`: expected the known column `voltage_V`"),
+        ("time_s,voltage_V,curent_A\n0,1,2\n", "column `curent_A`: expected the known column `current_A`"),
+        ("time_s,voltage_V,temperature_C\n0,1,2\n", "`temp_C`"),
+        ("time_s,voltage_V,voltage_V\n0,1,2\n", "column `voltage_V`: expected each column once"),
+        ("time_s;voltage_V\n0;1\n", "found semicolons"),
+        ("time_s\tvoltage_V\n0\t1\n", "found tabs"),
+        ("time_s,voltage_V\n0,16\n,16\n", r"row 2 \(line 3\), column time_s: expected a number, found an empty"),
+        ("time_s,voltage_V\n0,16\n1,nan\n", r"row 2 \(line 3\), column voltage_V: expected a number"),
+        ("time_s,voltage_V\n0,16\n1,inf\n", r"row 2 \(line 3\), column voltage_V: expected a number"),
+        ("time_s,voltage_V\n0,abc\n", r"row 1 \(line 2\), column voltage_V: expected a number, found `abc`"),
+        ("time_s,voltage_V,current_A\n0,16,1_0\n", "column current_A: expected a number"),
+        ("time_s,voltage_V\n0,16\n5,16\n4,16\n", r"row 3 \(line 4\), column time_s: expected time not before 5 s"),
+        ("time_s,voltage_V\n0,16400\n", r"row 1 \(line 2\), column voltage_V: expected volts"),
+        ("time_s,voltage_V,reported_soc\n0,16,80\n", r"row 1 \(line 2\), column reported_soc: expected 0..1"),
+        ("time_s,voltage_V,armed\n0,16,yes\n", "column armed: expected 0 or 1"),
+        ("time_s,voltage_V\n0,16\n1,16,3\n", r"row 2 \(line 3\): expected 2 cells, found 3"),
+        ("time_s,voltage_V\n", "expected battery messages with a voltage"),
+    ],
+)
+def test_slips_are_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(BadInput, match=message) as caught:
+        read(tmp_path, text)
+    assert str(tmp_path / "flight.csv") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cut_last_row_is_left_out(tmp_path: Path) -> None:
+    flight = read(tmp_path, "time_s,voltage_V,current_A\n0,16,1\n1,16,1\n2,1")
+    assert len(flight.samples) == 2
+    assert flight.skipped_bytes == 3
+
+
+def test_real_tables(shared_data: Path) -> None:
+    flight = read_log(shared_data / "flights/m100/m100_001_752.csv")
+    assert len(flight.samples) == 61
+    assert (flight.samples[1].time_s, flight.samples[1].current_A) == (11.002, 17.325)

@@ -1,0 +1,174 @@
+"""Recognising logs, files that are none, ULog, and the description of a log."""
+
+from __future__ import annotations
+
+import math
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uavbatt.errors import BadInput, MissingExtra
+from uavbatt.records import Flight, PackFacts, Sample
+from uavbatt.telemetry import read_log
+from uavbatt.telemetry.info import describe, lines
+from uavbatt.telemetry.plausibility import plausible_temperature_C, sag_correlation, temperature_verdict
+
+
+@pytest.mark.parametrize("name", ["a.tlog", "a.BIN", "a.log", "a.csv", "a.ulg", "a"])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\n \n",
+        b"\x89PNG\r\n\x1a\n" + random.Random(1).randbytes(3000),
+        b"%PDF-1.7\n" + random.Random(2).randbytes(3000),
+        random.Random(4).randbytes(5000),
+        b"Dear all,\nthis is a letter.\n",
+        b"\0" * 4000,
+        b"ULog\x01\x12\x35",
+        b"ULog\x01\x12\x35" + random.Random(5).randbytes(3000),
+        b"\xa3\x95\x80" + random.Random(6).randbytes(3000),
+    ],
+    ids=["empty", "blank", "png", "pdf", "noise", "text", "zeros", "ulog head", "ulog noise", "dataflash noise"],
+)
+def test_no_flight_log(tmp_path: Path, name: str, data: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(BadInput) as caught:
+        read_log(path)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+    assert capsys.readouterr().out == ""
+
+
+def test_missing_and_directory(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="found no such file"):
+        read_log(tmp_path / "nowhere.tlog")
+    with pytest.raises(BadInput, match="found a directory"):
+        read_log(str(tmp_path))
+
+
+def test_import_is_light() -> None:
+    code = "import sys, uavbatt.telemetry; print(any(m in sys.modules for m in ('pymavlink', 'pyulog', 'numpy')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_ulog_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35" + bytes(100))
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    with pytest.raises(MissingExtra, match=r"uavbatt\[ulog\]"):
+        read_log(path)
+
+
+def test_real_ulog(shared_data: Path) -> None:
+    pytest.importorskip("pyulog")
+    one = read_log(shared_data / "flights/px4/hexa_6s_33s.ulg")
+    assert (one.kind, len(one.samples), one.instances) == ("ulog", 166, (0,))
+    assert one.facts_at(0.0).cells_series == 6  # not the 3 of the left-over BAT_N_CELLS
+    assert math.isnan(one.facts_at(0.0).capacity_Ah)
+    assert one.samples[0].time_s == pytest.approx(0.42527)
+    two = read_log(shared_data / "flights/px4/vtol_ground_two_batteries.ulg", instance=1)
+    assert two.instances == (0, 1)
+    assert two.samples[0].voltage_V == pytest.approx(49.745, abs=1e-3)
+    assert two.facts_at(0.0) == PackFacts(12, 6.0, math.nan, 42.0, None) or two.facts_at(0.0).cells_series == 12
+
+
+def test_a_cut_ulog_is_a_prefix(shared_data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyulog")
+    data = (shared_data / "flights/px4/hexa_6s_33s.ulg").read_bytes()
+    path = tmp_path / "cut.ulg"
+    path.write_bytes(data[: int(len(data) * 0.6)])
+    whole, cut = read_log(shared_data / "flights/px4/hexa_6s_33s.ulg"), read_log(path)
+    assert [repr(s) for s in cut.samples] == [repr(s) for s in whole.samples[: len(cut.samples)]]
+    assert 0 < len(cut.samples) < len(whole.samples)
+
+
+def test_plausible_temperature() -> None:
+    assert plausible_temperature_C(25.0) == 25.0
+    for impossible in (math.nan, math.inf, 0.0, 2510.0, -60.0):
+        assert math.isnan(plausible_temperature_C(impossible))
+    assert plausible_temperature_C(26.0, 25.0, 0.1) == 26.0
+    assert math.isnan(plausible_temperature_C(35.0, 25.0, 1.0))
+    assert plausible_temperature_C(35.0, 25.0, 60.0) == 35.0
+
+
+def flown(rows: int = 300, step_s: float = 1.0, **constant: float) -> list[Sample]:
+    made = []
+    for n in range(rows):
+        current_A = 10.0 + 5.0 * (n % 3)
+        values = {
+            "voltage_V": 16.0 - 0.02 * current_A - 0.001 * n, "current_A": current_A, "temp_C": 25 + 0.01 * n,
+            "consumed_Ah": 15.0 * n * step_s / 3600,
+        }  # fmt: skip
+        made.append(Sample(time_s=n * step_s, armed=True, **{**values, **constant}))
+    return made
+
+
+def flight(samples: list[Sample], facts: PackFacts | None = None, **more: object) -> Flight:
+    known = ((0.0, facts or PackFacts(4, 5.0)),)
+    return Flight("x", "tlog", tuple(samples), facts=known, duration_s=samples[-1].time_s, **more)  # type: ignore[arg-type]
+
+
+def test_description_of_a_good_log() -> None:
+    info = describe(flight(flown()))
+    assert (info.trust, info.reasons, info.gaps) == ("yes", (), ())
+    assert info.rate_Hz == 1.0
+    assert info.drawn_Ah == pytest.approx(15 * 299 / 3600, rel=0.01)
+    assert info.counter_Ah == pytest.approx(info.drawn_Ah, rel=0.01)
+    assert info.missing == ("reported_soc",)
+    assert info.current_range_A == (10.0, 20.0)
+    assert any("trust        yes" in line for line in lines(info))
+
+
+@pytest.mark.parametrize(
+    ("constant", "trust", "reason"),
+    [
+        ({"current_A": math.nan}, "no", "no current"),
+        ({"current_A": 0.0}, "no", "no live sensor"),
+        ({"temp_C": 48.0}, "with care", "constant"),
+        ({"temp_C": math.nan}, "yes", "no temperature"),
+        ({"voltage_V": 15.0}, "with care", "hardly follows"),
+        ({"consumed_Ah": math.nan}, "yes", ""),
+    ],
+)
+def test_what_is_wrong_is_said(constant: dict[str, float], trust: str, reason: str) -> None:
+    info = describe(flight(flown(**constant)))
+    assert info.trust == trust
+    assert reason in "; ".join(info.reasons)
+    assert all("nan" not in line for line in lines(info))
+
+
+def test_gaps_counter_and_facts() -> None:
+    rows = flown()
+    info = describe(flight(rows[:100] + rows[130:]))
+    assert info.gaps == ((99.0, 31.0),) and info.trust == "with care"
+    assert info.counter_Ah == pytest.approx(info.drawn_Ah, rel=0.02)  # the gap is in neither
+    slow = describe(flight(flown(step_s=12.0)))
+    assert slow.gaps == ()
+    off = [Sample(s.time_s, s.voltage_V, s.current_A, s.temp_C, s.consumed_Ah * 1.3) for s in rows]
+    assert "counter says" in describe(flight(off)).reasons[0]
+    assert describe(flight(rows, PackFacts(4, 5.0, sag_compensated=True))).trust == "with care"
+    assert "per cell" in describe(flight(rows, PackFacts(3, 5.0))).reasons[0]
+    assert describe(flight(rows[:5])).trust == "no"
+    assert describe(flight(rows, notes=("reboot at 5.0 s: ...",))).trust == "with care"
+
+
+def test_verdicts_of_temperature_and_sag() -> None:
+    hot = [Sample(float(n), 16.0, temp_C=45.0 + 0.01 * n) for n in range(200)]
+    assert "board" in temperature_verdict(hot)
+    die = [Sample(float(n), 16.0, temp_C=30.0 + 8.0 * (n % 2)) for n in range(200)]
+    assert "jumps" in temperature_verdict(die)
+    assert sag_correlation(flown()) < -0.9
+    assert math.isnan(sag_correlation(flown(10)))
+
+
+def test_real_logs_are_described(shared_data: Path) -> None:
+    solo = describe(read_log(shared_data / "flights/ardupilot/solo_4s_5200_smart.bin"))
+    assert solo.trust == "with care" and any("hardly follows" in r for r in solo.reasons)
+    sound = describe(read_log(shared_data / "truth/reference/r0/flight_1.tlog"))
+    assert (sound.trust, sound.temperature) == ("yes", "plausible")
+    assert sound.drawn_Ah == pytest.approx(sound.counter_Ah, rel=0.01)

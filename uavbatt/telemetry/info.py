@@ -1,0 +1,193 @@
+"""What a log holds, and whether a replay of it can be trusted: `describe(flight)`, `lines(info)`."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from uavbatt.records import NAN, Flight, PackFacts, Sample
+from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
+from uavbatt.telemetry.trust import Findings, verdict
+
+Range = tuple[float, float]
+_OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc")
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """A log in figures. Ranges are (lowest, highest), NaN where nothing was measured.
+
+    gaps: (start [s], length [s]). drawn_Ah is the integral of the current, counter_Ah what the
+    autopilot counted over the same steps; neither includes gaps. trust is "yes", "with care" or "no".
+    """
+
+    source: str
+    kind: str
+    instance: int
+    instances: tuple[int, ...]
+    rows: int
+    duration_s: float
+    rate_Hz: float
+    gaps: tuple[tuple[float, float], ...]
+    missing: tuple[str, ...]
+    voltage_range_V: Range
+    current_range_A: Range
+    temp_range_C: Range
+    temperature: str
+    drawn_Ah: float
+    counter_Ah: float
+    facts: PackFacts
+    skipped_bytes: int
+    trust: str
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def describe(flight: Flight) -> LogInfo:
+    """Measure a log and judge whether a replay of it can be trusted."""
+    samples = flight.samples
+    step_s = median_step_s(samples)
+    limit_s = gap_limit_s(step_s)
+    gaps = tuple((a.time_s, b.time_s - a.time_s) for a, b in _pairs(samples) if b.time_s - a.time_s > limit_s)
+    drawn_Ah, counter_Ah = charges_Ah(samples, limit_s)
+    facts = flight.facts_at(math.inf)
+    temperature = temperature_verdict(samples)
+    trust, reasons = verdict(
+        Findings(
+            samples=samples,
+            step_s=step_s,
+            gaps=gaps,
+            drawn_Ah=drawn_Ah,
+            counter_Ah=counter_Ah,
+            facts=facts,
+            temperature=temperature,
+            sag_correlation=sag_correlation(samples),
+            skipped_bytes=flight.skipped_bytes,
+            notes=flight.notes,
+        )
+    )
+    return LogInfo(
+        source=flight.source,
+        kind=flight.kind,
+        instance=flight.instance,
+        instances=flight.instances,
+        rows=len(samples),
+        duration_s=flight.duration_s,
+        rate_Hz=1 / step_s if step_s > 0 else NAN,
+        gaps=gaps,
+        missing=missing(samples),
+        voltage_range_V=_range(s.voltage_V for s in samples),
+        current_range_A=_range(s.current_A for s in samples),
+        temp_range_C=_range(s.temp_C for s in samples),
+        temperature=temperature,
+        drawn_Ah=drawn_Ah,
+        counter_Ah=counter_Ah,
+        facts=facts,
+        skipped_bytes=flight.skipped_bytes,
+        trust=trust,
+        reasons=reasons,
+        notes=flight.notes,
+    )
+
+
+def median_step_s(samples: Sequence[Sample]) -> float:
+    """Median time between rows [s]; NaN with fewer than two rows."""
+    steps_s = [b.time_s - a.time_s for a, b in _pairs(samples)]
+    return median(steps_s) if steps_s else NAN
+
+
+def gap_limit_s(step_s: float) -> float:
+    """A longer step [s] is a gap: 5 median steps or 10 s, but never under 2 median steps.
+
+    The floor keeps a log with a row every 12 s from being all gaps.
+    """
+    return max(2 * step_s, min(5 * step_s, 10.0))
+
+
+def charges_Ah(samples: Sequence[Sample], limit_s: float) -> tuple[float, float]:
+    """(integral of the current, the autopilot's counter) over all steps that are no gap [Ah].
+
+    A counter that falls was reset (reboot, new pack): that step is left out.
+    """
+    drawn_As, counter_Ah = NAN, NAN
+    for a, b in _pairs(samples):
+        step_s = b.time_s - a.time_s
+        if step_s > limit_s:
+            continue
+        charge_As = 0.5 * (a.current_A + b.current_A) * step_s
+        if math.isfinite(charge_As):
+            drawn_As = charge_As + (0.0 if math.isnan(drawn_As) else drawn_As)
+        counted_Ah = b.consumed_Ah - a.consumed_Ah
+        if counted_Ah >= 0:
+            counter_Ah = counted_Ah + (0.0 if math.isnan(counter_Ah) else counter_Ah)
+    return drawn_As / 3600, counter_Ah
+
+
+def missing(samples: Sequence[Sample]) -> tuple[str, ...]:
+    """Names of the columns that no row fills."""
+    empty = [name for name in _OPTIONAL if all(math.isnan(getattr(s, name)) for s in samples)]
+    return tuple(empty + (["armed"] if all(s.armed is None for s in samples) else []))
+
+
+def lines(info: LogInfo) -> list[str]:
+    """The description as lines of text."""
+    others = ", ".join(str(i) for i in info.instances)
+    text = [
+        f"log          {info.source} ({info.kind})",
+        f"battery      instance {info.instance} of {others}",
+        f"rows         {info.rows} in {info.duration_s:.0f} s, median rate {info.rate_Hz:.3g} Hz",
+        f"voltage      {_span(info.voltage_range_V, 'V')}",
+        f"current      {_span(info.current_range_A, 'A')}",
+        f"temperature  {_temperature(info)}",
+        f"charge       {_number(info.drawn_Ah, 'Ah')} from the current,"
+        f" {_number(info.counter_Ah, 'Ah')} by the autopilot's counter",
+        f"pack         {_facts(info.facts)}",
+        f"missing      {', '.join(info.missing) or 'nothing'}",
+        f"gaps         {_gaps(info.gaps)}",
+    ]
+    text += [f"note         {note}" for note in info.notes]
+    text.append(f"trust        {info.trust}")
+    return text + [f"             - {reason}" for reason in info.reasons]
+
+
+def _pairs(samples: Sequence[Sample]) -> Iterator[tuple[Sample, Sample]]:
+    return itertools.pairwise(samples)
+
+
+def _range(values: Iterator[float]) -> Range:
+    finite = [v for v in values if math.isfinite(v)]
+    return (min(finite), max(finite)) if finite else (NAN, NAN)
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if math.isfinite(value) else "unknown"
+
+
+def _span(span: Range, unit: str) -> str:
+    return f"{span[0]:.2f} .. {span[1]:.2f} {unit}" if math.isfinite(span[0]) else "not measured"
+
+
+def _temperature(info: LogInfo) -> str:
+    span = _span(info.temp_range_C, "°C")
+    return span if info.temperature == "absent" else f"{span}, {info.temperature}"
+
+
+def _facts(facts: PackFacts) -> str:
+    said = [
+        f"{facts.cells_series} cells" if facts.cells_series else "",
+        f"{facts.capacity_Ah:g} Ah" if facts.capacity_Ah > 0 else "",
+        f"low {facts.low_voltage_V:.4g} V" if facts.low_voltage_V > 0 else "",
+        f"critical {facts.critical_voltage_V:.4g} V" if facts.critical_voltage_V > 0 else "",
+        "sag-compensated voltage" if facts.sag_compensated else "",
+    ]
+    return ", ".join(s for s in said if s) or "the log says nothing of the pack"
+
+
+def _gaps(gaps: Sequence[tuple[float, float]], shown: int = 5) -> str:
+    if not gaps:
+        return "none"
+    listed = ", ".join(f"{length_s:.1f} s at {start_s:.0f} s" for start_s, length_s in gaps[:shown])
+    return f"{len(gaps)}: {listed}" + (", ..." if len(gaps) > shown else "")

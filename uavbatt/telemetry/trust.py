@@ -1,0 +1,116 @@
+"""Can a replay of this log be trusted? Plain rules, each with its reason in words.
+
+"no": what the filter lives on is absent. "with care": something bends the result. Remarks change
+nothing, but explain a wide interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from uavbatt.records import PackFacts, Sample
+
+_YES, _CARE, _NO = 0, 1, 2
+_WORDS = {_YES: "yes", _CARE: "with care", _NO: "no"}
+_MIN_ROWS, _MIN_DURATION_S, _MAX_STEP_S = 10, 30.0, 60.0
+_LONG_GAP_S = 10.0
+_CUT_RECORD_BYTES = 300
+_MISMATCH, _MISMATCH_AH = 0.10, 0.05
+_LOOSE_SAG = -0.3  # real logs with simultaneous readings lie between -0.5 and -1
+_CELL_RANGE_V = (2.5, 4.5)
+# Notes of the readers that bear on the result, by their first words.
+_GRAVE_NOTES = ("reboot", "clock leap", "battery records carry no time", "no BATTERY_STATUS", "the file is damaged")
+_DEFAULT_CAPACITY = "3300 mAh"
+
+Finding = tuple[int, str]  # gravity, reason
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What the judgement rests on; gaps are (start [s], length [s])."""
+
+    samples: Sequence[Sample]
+    step_s: float
+    gaps: Sequence[tuple[float, float]]
+    drawn_Ah: float
+    counter_Ah: float
+    facts: PackFacts
+    temperature: str
+    sag_correlation: float
+    skipped_bytes: int
+    notes: Sequence[str]
+
+
+def verdict(found: Findings) -> tuple[str, tuple[str, ...]]:
+    """("yes" | "with care" | "no", reasons, gravest first)."""
+    findings = [*_rows(found), *_current(found), *_voltage(found), *_surroundings(found)]
+    findings.sort(key=lambda finding: -finding[0])
+    gravest = findings[0][0] if findings else _YES
+    return _WORDS[gravest], tuple(reason for _, reason in findings)
+
+
+def _rows(found: Findings) -> Iterator[Finding]:
+    rows = len(found.samples)
+    span_s = found.samples[-1].time_s - found.samples[0].time_s if rows else 0.0
+    if rows < _MIN_ROWS or span_s < _MIN_DURATION_S:
+        yield _NO, f"too short: {rows} rows in {span_s:.0f} s"
+    if found.step_s > _MAX_STEP_S:
+        yield _NO, f"too slow: a row every {found.step_s:.0f} s"
+    long_gaps = [(start_s, length_s) for start_s, length_s in found.gaps if length_s > _LONG_GAP_S]
+    if long_gaps:
+        start_s, length_s = max(long_gaps, key=lambda gap: gap[1])
+        yield _CARE, f"{len(long_gaps)} gaps over 10 s, the longest {length_s:.0f} s at {start_s:.0f} s"
+    if found.skipped_bytes:
+        # the tail of a log is often cut inside its last record, which harms nothing
+        gravity = _CARE if found.skipped_bytes > _CUT_RECORD_BYTES else _YES
+        yield gravity, f"{found.skipped_bytes} bytes of the log could not be read"
+    for note in found.notes:
+        if note.startswith(_GRAVE_NOTES) or _DEFAULT_CAPACITY in note:
+            yield _CARE, note
+
+
+def _current(found: Findings) -> Iterator[Finding]:
+    known = [s.current_A for s in found.samples if math.isfinite(s.current_A)]
+    absent = 1 - len(known) / max(len(found.samples), 1)
+    if not known:
+        yield _NO, "no current: the charge drawn cannot be counted"
+        return
+    if len(known) >= _MIN_ROWS and len(set(known)) == 1:
+        yield _NO, f"the current is {known[0]:g} A throughout: no live sensor"
+    if absent > 0.5:
+        yield _NO, f"no current in {absent:.0%} of the rows"
+    elif absent > 0.05:
+        yield _CARE, f"no current in {absent:.0%} of the rows"
+    gap_Ah = abs(found.drawn_Ah - found.counter_Ah)
+    if gap_Ah > max(_MISMATCH_AH, _MISMATCH * found.counter_Ah):
+        yield _CARE, f"the current adds up to {found.drawn_Ah:.2f} Ah, the counter says {found.counter_Ah:.2f} Ah"
+
+
+def _voltage(found: Findings) -> Iterator[Finding]:
+    if found.facts.sag_compensated:
+        yield _CARE, "the autopilot sends sag-compensated voltage (BATT_OPTIONS bit 6), not the measured one"
+    elif found.sag_correlation > _LOOSE_SAG:
+        yield (
+            _CARE,
+            (
+                f"voltage hardly follows current (correlation {found.sag_correlation:.2f}):"
+                " not simultaneous, or sag-compensated"
+            ),
+        )
+    cells = found.facts.cells_series
+    if cells and found.samples:
+        lowest_V = min(s.voltage_V for s in found.samples) / cells
+        highest_V = max(s.voltage_V for s in found.samples) / cells
+        if lowest_V < _CELL_RANGE_V[0] or highest_V > _CELL_RANGE_V[1]:
+            yield _CARE, f"{lowest_V:.2f} .. {highest_V:.2f} V per cell with {cells} cells: is the count right?"
+
+
+def _surroundings(found: Findings) -> Iterator[Finding]:
+    if found.temperature == "absent":
+        yield _YES, "no temperature: the interval will be wider"
+    elif found.temperature != "plausible":
+        yield _CARE, f"temperature: {found.temperature}"
+    if not found.facts.capacity_Ah > 0:
+        yield _YES, "the log does not state the capacity"
