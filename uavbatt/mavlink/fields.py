@@ -115,4 +115,4 @@ def is_armed(heartbeat: Any) -> bool:
 
 def is_autopilot(heartbeat: Any) -> bool:
     """True for the heartbeat of a flight controller, not of a ground station or a payload."""
-    return heartbeat.autopilot != _AUTOPILOT_INVALID and heartbeat.type != _TYPE_GCS
+    return bool(heartbeat.autopilot != _AUTOPILOT_INVALID and heartbeat.type != _TYPE_GCS)

@@ -79,7 +79,7 @@ class LogBuilder:
         """A vehicle parameter, in force from `time_s` [s] on."""
         if self.parameters:
             time_s = max(time_s, self.parameters[-1][0])
-        self.parameters.append((max(time_s, 0.0), name, value))
+        self.parameters.append((max(time_s, 0.0), name, known(value)))
 
     def all_notes(self) -> list[str]:
         """Notes in the order of reading, then what was counted."""

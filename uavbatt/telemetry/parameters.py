@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from uavbatt.records import NAN, PackFacts
 
 _UNTOUCHED_CAPACITY_MAH = 3300.0
+_MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
 
 
@@ -69,7 +70,7 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
     critical_V = _first(known, prefix + "CRT_VOLT")
     options = known.get(prefix + "OPTIONS")
     return PackFacts(
-        cells_series=int(cells) if cells >= 1 else None,
+        cells_series=int(cells) if 1 <= cells <= _MAX_CELLS else None,
         capacity_Ah=capacity_mAh / 1000 if capacity_mAh > 0 else NAN,
         low_voltage_V=_first(known, *low_names),
         critical_voltage_V=critical_V if critical_V > 0 or not cells * empty_V > 0 else cells * empty_V,

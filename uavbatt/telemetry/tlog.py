@@ -73,13 +73,14 @@ def _push(messages: Sequence[Frame], log: LogBuilder) -> None:
     """Push the rows, parameters and arming of one autopilot, in order."""
     present = {f.message_id for f in messages}
     ids = {f.message.id for f in messages if f.message_id == fields.BATTERY_STATUS}
-    is_px4 = any(f.message.autopilot == fields.AUTOPILOT_PX4 for f in messages if f.message_id == fields.HEARTBEAT)
+    is_px4 = False  # until a heartbeat says so: nothing is read ahead
     if fields.BATTERY_STATUS not in present and fields.SYS_STATUS in present:
         log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
     for frame in messages:
         time_s = log.time_s(frame.time_s)
         if frame.message_id == fields.HEARTBEAT:
             log.armed = fields.is_armed(frame.message)
+            is_px4 = frame.message.autopilot == fields.AUTOPILOT_PX4
         elif frame.message_id == fields.PARAM_VALUE:
             log.add_parameter(time_s, *fields.parameter(frame.message, is_px4))
         elif frame.message_id == fields.BATTERY_STATUS:

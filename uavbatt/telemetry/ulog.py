@@ -30,14 +30,14 @@ def read(path: Path, data: bytes) -> LogBuilder:
     log = LogBuilder()
     log.time_s(ulog.start_timestamp / _US)
     for name, value in ulog.initial_parameters.items():
-        log.add_parameter(0.0, name, float(value))
+        _add_parameter(log, 0.0, name, value)
     for time_us, _, what in sorted(_events(ulog), key=lambda event: event[:2]):
         # PX4 logs the last sample from before the start too: it counts as the start.
         time_s = log.time_s(max(time_us, ulog.start_timestamp) / _US)
         if isinstance(what, bool):
             log.armed = what
         elif isinstance(what[0], str):
-            log.add_parameter(time_s, what[0], float(what[1]))
+            _add_parameter(log, time_s, *what)
         else:
             instance, row = what
             log.add(instance, _sample(row, time_s, log.armed))
@@ -92,6 +92,11 @@ def _events(ulog: Any) -> Iterator[Event]:
         elif topic.name == "battery_status":
             for index, time_us in enumerate(stamps):
                 yield int(time_us), 2, (topic.multi_id, _row(topic.data, index))
+
+
+def _add_parameter(log: LogBuilder, time_s: float, name: str, value: Any) -> None:
+    if isinstance(value, int | float):  # a damaged type field leaves bytes here
+        log.add_parameter(time_s, name, value)
 
 
 def _row(columns: Any, index: int) -> dict[str, float]:
