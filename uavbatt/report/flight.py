@@ -1,0 +1,215 @@
+"""The flight page: what a replay found, in words first, then figures, then where every number came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import PurePath
+
+from uavbatt import __version__
+from uavbatt.battery.file import BatteryFile
+from uavbatt.records import Flight, Status
+from uavbatt.report.flight_figures import figures
+from uavbatt.report.inputs import CheckpointLike, OutcomeLike, ResolvedLike, StepLike
+from uavbatt.report.page import (
+    DASH,
+    UNKNOWN,
+    Html,
+    badge,
+    bullets,
+    details,
+    duration,
+    element,
+    facts,
+    number,
+    page,
+    paragraph,
+    section,
+    table,
+)
+from uavbatt.report.series import Stretch, rows, stretches
+
+STATUS_WORDS = {
+    "certified": "Certified: the model of this battery passed the gate on repeated tests of its own type.",
+    "fitted": "Fitted: the model comes from data of this battery but has not passed the gate; its intervals are wider.",
+    "generic": "Generic: a prior for batteries of this kind, not measured on this one; its intervals are wide.",
+}
+MOST_WARNINGS = 20
+
+
+def flight_report(
+    flight: Flight, steps: Sequence[StepLike], resolved: ResolvedLike, outcome: OutcomeLike, battery: BatteryFile
+) -> str:
+    """The whole page as HTML."""
+    found = stretches(steps)
+    name = PurePath(flight.source).name or flight.source
+    return page(
+        f"{name}: battery {flight.instance}",
+        "uavbatt replay",
+        _answer(flight, outcome, resolved, found),
+        section("Over the flight", *figures(rows(steps), found, outcome, resolved), _stretches(found)),
+        section("Forecast against the truth", _checkpoints(outcome)),
+        section("Battery and certificate", *_battery(resolved, battery)),
+        section("The log", *_log(flight, outcome, steps)),
+        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
+    )
+
+
+def _answer(flight: Flight, outcome: OutcomeLike, resolved: ResolvedLike, found: Sequence[Stretch]) -> Html:
+    """The headline: what the pilot came for."""
+    sentences = [paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
+    if outcome.checkpoints:
+        sentences.append(
+            paragraph("; ".join(_error_words(c) for c in (*outcome.checkpoints[:1], *_late(outcome))) + ".")
+        )
+    refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
+    if refused_s > 0.0:
+        air = outcome.refused_in_air
+        share = f" ({air:.0%} of the rows after the first minute under load)" if math.isfinite(air) else ""
+        sentences.append(paragraph(f"A number was refused for {duration(refused_s)} in all{share}; why is said below."))
+    sentences.append(paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}", css="quiet"))
+    return element("div", *sentences, css="answer")
+
+
+def _charge_words(outcome: OutcomeLike) -> str:
+    if not math.isfinite(outcome.end_soc):
+        return "No state of charge could be given for this log."
+    spread = number(2.0 * outcome.end_soc_sd, 2)
+    return f"At the end of the log the battery held {number(outcome.end_soc, 2)} ± {spread} of its charge (±2 sd)."
+
+
+def _end_words(outcome: OutcomeLike, resolved: ResolvedLike) -> str:
+    cutoff = number(resolved.cutoff_V, 2, "V")
+    if math.isfinite(outcome.end_of_flight_s):
+        return (
+            f"The flight ended by its battery {duration(outcome.end_of_flight_s)} after the log's start: "
+            f"the voltage under load fell below {cutoff} ({resolved.cutoff_from})."
+        )
+    return (
+        f"The log does not reach the end of flight (voltage under load below {cutoff}, {resolved.cutoff_from}), "
+        "so that the forecasts cannot be checked against it."
+    )
+
+
+def _late(outcome: OutcomeLike) -> Sequence[CheckpointLike]:
+    return [c for c in outcome.checkpoints[1:] if "120" in c.label] or outcome.checkpoints[-1:]
+
+
+def _error_words(c: CheckpointLike) -> str:
+    when = c.label[0].upper() + c.label[1:] if c.label.startswith("half") else c.label
+    if not math.isfinite(c.remaining_s):
+        return f"{when}: the forecast was refused"
+    way = "too long" if c.error_s > 0 else "too short"
+    where = "inside" if c.inside else "outside"
+    return f"{when}: the forecast was {duration(abs(c.error_s))} {way}, truth {where} its 90 % interval"
+
+
+def _stretches(found: Sequence[Stretch]) -> Html:
+    """What the hatching and the shading stand for."""
+    if not found:
+        return paragraph("No number was refused.", css="quiet")
+    body = [
+        (
+            f"{duration(s.begin_s)} to {duration(s.end_s)}",
+            "refused (hatched)" if s.status is Status.REFUSED else "converging (shaded)",
+            s.reason if s.reason == s.last_reason else f"{s.reason}; at the end: {s.last_reason}",
+            str(s.rows),
+        )
+        for s in found
+    ]
+    return table(
+        ("when", "what", "why", "rows"), body, "Where a number was refused or not yet settled", text_columns=(0, 1, 2)
+    )
+
+
+def _checkpoints(outcome: OutcomeLike) -> Html:
+    if not outcome.checkpoints:
+        return paragraph("The log does not show the end of flight, or it is too short before it: nothing to compare.")
+    body = []
+    for c in outcome.checkpoints:
+        refused = not math.isfinite(c.remaining_s)
+        interval = DASH if refused else f"{number(c.lo_s, 0)} to {number(c.hi_s, 0)}"
+        verdict = badge("not enough data", "refused: a miss") if refused else _hit(c.inside)
+        forecast = "refused" if refused else number(c.remaining_s, 0)
+        body.append((c.label, number(c.before_end_s, 0), forecast, interval, number(c.error_s, 0, sign=True), verdict))
+    head = ("instant", "truth (s)", "forecast (s)", "5 % to 95 % (s)", "error (s)", "truth in the interval")
+    said = "The forecast in force at each instant, made from earlier rows alone; a positive error is optimistic."
+    return table(head, body, said, text_columns=(0, 5))
+
+
+def _hit(inside: bool) -> Html:
+    return badge("pass", "inside") if inside else badge("fail", "outside")
+
+
+def _battery(resolved: ResolvedLike, battery: BatteryFile) -> list[Html]:
+    certificate = battery.certificate
+    validated = certificate.validated_ambient_C
+    span = f"{min(validated):g} to {max(validated):g} °C" if validated else "none"
+    parts = [
+        paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}"),
+        facts(
+            (
+                ("battery file", f"{resolved.battery} ({battery.battery.chemistry})"),
+                ("cells in series", f"{resolved.cells} (from: {resolved.cells_from})"),
+                ("capacity", f"{number(resolved.capacity_Ah, 2, 'Ah')} (from: {resolved.capacity_from})"),
+                ("cut-off voltage", f"{number(resolved.cutoff_V, 2, 'V')} (from: {resolved.cutoff_from})"),
+                ("low voltage", f"{number(resolved.low_V, 2, 'V')} (from: {resolved.low_from})"),
+                ("validated ambient", span),
+                ("what the model leaves", number(battery.discrepancy.voltage_rmse_V * 1000.0, 0, "mV RMSE a pack")),
+                ("data set", certificate.data_sha256[:16] or "none"),
+                ("file content", certificate.content_sha256[:16] or UNKNOWN),
+            )
+        ),
+    ]
+    if certificate.verdicts:
+        body = [
+            (v.claim, UNKNOWN if v.ambient_C is None else f"{v.ambient_C:+g} °C", badge(v.verdict), v.reason)
+            for v in certificate.verdicts
+        ]
+        claims = table(("claim", "ambient", "verdict", "why"), body, text_columns=(0, 1, 2, 3))
+        parts.append(claims if len(body) <= 8 else details(f"{len(body)} claims of the certificate", claims))
+    else:
+        parts.append(paragraph("The certificate makes no claim: nothing of this battery was put to a gate."))
+    remarks = bullets(battery.battery.remarks)
+    return [*parts, remarks]
+
+
+def _log(flight: Flight, outcome: OutcomeLike, steps: Sequence[StepLike]) -> list[Html]:
+    instances = ", ".join(str(i) for i in flight.instances)
+    nis = number(outcome.mean_nis, 2)
+    has_temp = any(math.isfinite(s.estimate.temp_C) for s in steps)
+    expected = "between 1 and 2 (rows with a temperature count two)" if has_temp else "1"
+    skipped = f"{flight.skipped_bytes} unreadable bytes passed over" if flight.skipped_bytes else "no byte skipped"
+    return [
+        facts(
+            (
+                ("file", flight.source),
+                ("kind", flight.kind),
+                ("battery", f"{flight.instance} (the log has: {instances})"),
+                ("rows", f"{outcome.rows} in {duration(outcome.duration_s)}"),
+                ("last voltage", number(outcome.end_voltage_V, 2, "V")),
+                ("skipped", skipped),
+                ("mean NIS", f"{nis}; {expected} if the filter's uncertainty is right"),
+            )
+        ),
+        *_notes("Notes on the log", flight.notes),
+        *_notes("Warnings", _warnings(steps)),
+    ]
+
+
+def _notes(title: str, items: Sequence[str]) -> list[Html]:
+    return [element("h3", title), bullets(items)] if items else []
+
+
+def _warnings(steps: Sequence[StepLike]) -> list[str]:
+    """Each warning once, with how many rows carried it and from when, in the order of their coming."""
+    seen: dict[str, tuple[float, int]] = {}
+    for step in steps:
+        for warning in step.estimate.warnings:
+            since_s, count = seen.get(warning, (step.estimate.time_s, 0))
+            seen[warning] = (since_s, count + 1)
+    out = [
+        f"{text} (all rows)" if count == len(steps) else f"{text} (from {duration(since_s)}, {count} rows)"
+        for text, (since_s, count) in list(seen.items())[:MOST_WARNINGS]
+    ]
+    return [*out, f"and {len(seen) - MOST_WARNINGS} more"] if len(seen) > MOST_WARNINGS else out

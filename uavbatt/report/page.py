@@ -1,0 +1,158 @@
+"""A self-contained HTML page: opens offline, prints, follows the reader's light or dark setting, has no script.
+
+Whatever is not `Html` already is text and gets escaped, so that a file name or a column of a log cannot become
+markup. The page's own security policy forbids scripts and anything fetched, as a second wall.
+"""
+
+from __future__ import annotations
+
+import math
+import unicodedata
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib import resources
+from typing import Literal
+
+UNKNOWN = "not known"
+DASH = "–"
+Mood = Literal["good", "bad", "unsure", "plain"]
+MOODS: dict[str, Mood] = {
+    "pass": "good", "fail": "bad", "not enough data": "unsure",
+    "certified": "good", "fitted": "unsure", "generic": "unsure",
+    "serious": "bad", "warning": "unsure", "note": "plain",
+    "ok": "good", "straggler": "unsure", "outlier": "bad",
+}  # fmt: skip
+SIGNS: dict[Mood, str] = {"good": "✓", "bad": "✗", "unsure": "?", "plain": "·"}
+POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+
+
+class Html(str):
+    """Text that is markup already and goes into the page as it is."""
+
+    __slots__ = ()
+
+
+def printable(text: str) -> str:
+    """`text` without what would break a page: control, surrogate and direction-changing characters become U+FFFD."""
+    return "".join("\ufffd" if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c for c in text)
+
+
+def safe(value: str) -> Html:
+    """Markup as it is; everything else escaped."""
+    return value if isinstance(value, Html) else Html(escape(printable(value), quote=True))
+
+
+def together(parts: Iterable[str], glue: str = "\n") -> Html:
+    """Parts one after the other, each made safe."""
+    return Html(glue.join(safe(p) for p in parts))
+
+
+def element(tag: str, *content: str, css: str = "") -> Html:
+    """`<tag class="css">content</tag>`."""
+    attribute = f' class="{escape(css)}"' if css else ""
+    return Html(f"<{tag}{attribute}>{together(content, '')}</{tag}>")
+
+
+def paragraph(*content: str, css: str = "") -> Html:
+    """A paragraph."""
+    return element("p", *content, css=css)
+
+
+def strong(text: str) -> Html:
+    """Text that carries the weight of its sentence."""
+    return element("strong", text)
+
+
+def bullets(items: Iterable[str], css: str = "") -> Html:
+    """A list; empty when there is nothing to list."""
+    inner = together((element("li", item) for item in items), "")
+    return element("ul", inner, css=css) if inner else Html("")
+
+
+def badge(verdict: str, words: str = "") -> Html:
+    """A verdict with its sign and colour; colour is never the only carrier."""
+    mood = MOODS.get(verdict, "plain")
+    return element("span", f"{SIGNS[mood]} {words or verdict}", css=f"badge {mood}")
+
+
+def section(title: str, *content: str, css: str = "") -> Html:
+    """A part of the page under its own heading."""
+    return element("section", element("h2", title), *content, css=css)
+
+
+def grid(*figures: str) -> Html:
+    """Figures side by side where the screen is wide enough."""
+    return element("div", *figures, css="grid")
+
+
+def facts(pairs: Iterable[tuple[str, str]]) -> Html:
+    """Names with their values."""
+    inner = together((together((element("dt", k), element("dd", v)), "") for k, v in pairs), "")
+    return element("dl", inner, css="facts")
+
+
+def details(summary: str, *content: str) -> Html:
+    """Content that the reader opens when it is wanted; printed in full by most browsers when open."""
+    return element("details", element("summary", summary), *content)
+
+
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "", *, text_columns: Sequence[int] = (0,)
+) -> Html:
+    """A table that scrolls by itself on a narrow screen; columns other than `text_columns` hold numbers."""
+
+    def row(cells: Sequence[str], tag: str) -> Html:
+        made = (element(tag, c, css="" if i in text_columns else "number") for i, c in enumerate(cells))
+        return element("tr", *made)
+
+    body = element("tbody", *(row(cells, "td") for cells in rows))
+    top = element("caption", caption) if caption else Html("")
+    return element("div", element("table", top, element("thead", row(head, "th")), body), css="scroll")
+
+
+def figure(svg: Html, title: str, caption: str = "") -> Html:
+    """A drawing under its title and above its explanation."""
+    below = paragraph(caption) if caption else Html("")
+    return element("figure", element("figcaption", strong(title), below), svg)
+
+
+def number(value: float, decimals: int, unit: str = "", *, sign: bool = False) -> str:
+    """`value` to `decimals` places with its unit; a dash when it is not known, never a zero in its place."""
+    if not math.isfinite(value):
+        return DASH if not math.isinf(value) else "unbounded"
+    text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}".replace("-", "\u2212")
+    return f"{text} {unit}" if unit else text
+
+
+def duration(seconds: float) -> str:
+    """Seconds in the words of a clock: `45 s`, `12 min 05 s`; a dash when not known."""
+    if not math.isfinite(seconds):
+        return DASH if not math.isinf(seconds) else "unbounded"
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    sign = "\u2212" if seconds < 0 and (minutes or rest) else ""
+    return f"{sign}{minutes} min {rest:02d} s" if minutes else f"{sign}{rest} s"
+
+
+def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
+    """The whole document."""
+    css = (resources.files("uavbatt.report") / "page.css").read_text("utf-8")
+    return "\n".join(
+        (
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">',
+            '<meta name="color-scheme" content="light dark">',
+            f"<title>{safe(title)}</title>",
+            f"<style>\n{css}</style>",
+            "</head>",
+            "<body>",
+            element("header", paragraph(kicker, css="kicker"), element("h1", title)),
+            element("main", *content),
+            element("footer", footer),
+            "</body>",
+            "</html>\n",
+        )
+    )

@@ -1,0 +1,122 @@
+"""Drawings by matplotlib as inline SVG: colours from the page's own palette, text as text, no ids that collide.
+
+A drawing uses the light palette's values as marks; `svg` puts the page's variables in their place, so that a figure
+follows the light or dark setting. Drawn 480 units wide with 11-unit letters: readable on a phone and not shouting on
+a screen. matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable
+from html import escape
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+from uavbatt.report.page import Html, printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, FAINT, LINE, PAPER, SHADE = "#1b1f24", "#5b6570", "#d3d9e0", "#ffffff", "#e9edf1"
+BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072b2", "#c44601", "#00795a", "#a6447c", "#9a6700", "#56b4e9"
+RAMP = (
+    "#440154", "#481b6d", "#46337f", "#3f4889", "#365d8d", "#2d708e",
+    "#26818e", "#20928c", "#20a386", "#31b57b", "#52c569", "#7ad151",
+)  # fmt: skip
+VARIABLES = {
+    INK: "ink", FAINT: "faint", LINE: "line", PAPER: "paper", SHADE: "shade", BLUE: "blue", RED: "red", GREEN: "green",
+    PINK: "pink", AMBER: "amber", SKY: "sky", **{value: f"t{i}" for i, value in enumerate(RAMP)},
+}  # fmt: skip
+
+WIDTH, HEIGHT = 480.0, 250.0
+LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 52.0, 10.0, 38.0, 10.0, 17.0
+LETTERS = 11.0
+SETTINGS: dict[str, Any] = {
+    "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",
+    "savefig.facecolor": "none", "font.size": LETTERS, "axes.labelsize": LETTERS, "legend.fontsize": LETTERS,
+    "xtick.labelsize": LETTERS, "ytick.labelsize": LETTERS, "text.color": INK, "axes.labelcolor": INK,
+    "xtick.color": FAINT, "ytick.color": FAINT, "axes.edgecolor": LINE, "axes.grid": True, "grid.color": LINE,
+    "grid.linewidth": 0.6, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
+    "lines.linewidth": 1.5, "lines.solid_joinstyle": "round", "hatch.linewidth": 0.6, "hatch.color": FAINT,
+    "path.simplify": True, "path.simplify_threshold": 0.2, "axes.xmargin": 0.01, "text.usetex": False,
+    "axes.unicode_minus": True, "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"],
+}  # fmt: skip
+
+
+def literal(text: str) -> str:
+    """Text from a file for a drawing: no mathematics, no control characters, not endless."""
+    clean = printable(text).replace("\n", " ")
+    return (clean if len(clean) <= 40 else clean[:39] + "…").replace("$", r"\$")
+
+
+def drawing(draw: Callable[[Figure], None], alt: str, height: float = HEIGHT, width: float = WIDTH) -> Html:
+    """Let `draw` fill a figure of `width` x `height` units; returns it as inline SVG with `alt` as its description."""
+    from matplotlib import style
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with style.context(["default", SETTINGS]):
+        figure = Figure(figsize=(width / 72.0, height / 72.0), dpi=72)
+        FigureCanvasSVG(figure)
+        draw(figure)
+        text = StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.clear()
+    return _inline(text.getvalue(), alt)
+
+
+def panel(
+    draw: Callable[[Axes], None], alt: str, *, x: str, y: str, height: float = HEIGHT, legend_columns: int = 3
+) -> Html:
+    """One pair of axes with its labels and its legend above; the left edges of all panels line up."""
+
+    def whole(figure: Figure) -> None:
+        axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+        draw(axes)
+        axes.set_xlabel(x)
+        axes.set_ylabel(y)
+        names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
+        rows = -(-len(names) // legend_columns)
+        top = TOP + rows * LEGEND_ROW
+        axes.set_position((LEFT / WIDTH, BOTTOM / height, 1 - (LEFT + RIGHT) / WIDTH, 1 - (BOTTOM + top) / height))
+        if names:
+            legend_above(axes, legend_columns)
+
+    return drawing(whole, alt, height)
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """The legend over the axes, out of the data's way."""
+    axes.legend(
+        loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns, frameon=False, borderaxespad=0.2, borderpad=0.1,
+        handlelength=1.6, handletextpad=0.5, columnspacing=1.2, labelspacing=0.3,
+    )  # fmt: skip
+
+
+def _inline(text: str, alt: str) -> Html:
+    """matplotlib's SVG file -> markup for the middle of a page."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<!DOCTYPE[^>]*>", "", text, flags=re.DOTALL)
+    text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
+    for value, name in VARIABLES.items():
+        text = text.replace(value, f"var(--{name})")
+    text = _own_ids(text.replace("xlink:href", "href"))
+    box = re.search(r'viewBox="[^"]+"', text)
+    inner = text[text.index(">") + 1 :]
+    described = escape(printable(alt), quote=True)
+    opening = f'<svg role="img" aria-label="{described}" {box[0] if box else ""}>'
+    return Html(opening + re.sub(r"\s*\n\s*", "\n", inner).strip())
+
+
+_AN_ID = re.compile(r'\sid="([^"]*)"')
+
+
+def _own_ids(text: str) -> str:
+    """Drop the ids that nothing points to; make the rest differ from figure to figure."""
+    mark = hashlib.sha256(text.encode()).hexdigest()[:8]
+    used = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
+    text = _AN_ID.sub(lambda m: f' id="{mark}{m[1]}"' if m[1] in used else "", text)
+    return re.sub(r'(url\(#|href="#)', rf"\g<1>{mark}", text)

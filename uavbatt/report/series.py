@@ -1,0 +1,177 @@
+"""The rows of a flight as columns, made small enough to draw without hiding anything.
+
+A long flight is thinned per stretch of time to the rows that hold each column's least and greatest value, so that no
+sag or spike gets lost; a band is thinned to its outer edges, never narrower than it was.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.records import Status
+from uavbatt.report.inputs import StepLike
+
+Array = NDArray[np.float64]
+BUCKETS = 360
+MOST_STRETCHES = 24
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Columns of a flight. What was refused is NaN here, whatever value its maker left in it.
+
+    `innovation_sd_V` is what the filter expected of the voltage innovation, recovered from its NIS: exact where only
+    voltage was measured; with a temperature beside it a lower bound, raised to the greatest one nearby.
+    """
+
+    time_s: Array
+    voltage_V: Array
+    predicted_V: Array
+    innovation_V: Array
+    innovation_sd_V: Array
+    current_A: Array
+    temp_C: Array
+    core_C: Array
+    soc: Array
+    soc_sd: Array
+    remaining_s: Array
+    lo_s: Array
+    hi_s: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Rows in sequence that were refused or still converging, with the reason of the first and the last."""
+
+    begin_s: float
+    end_s: float
+    status: Status
+    reason: str
+    last_reason: str
+    rows: int
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasted [s]."""
+        return self.end_s - self.begin_s
+
+
+def rows(steps: Sequence[StepLike]) -> Rows:
+    """The columns of `steps`."""
+    e, r = [s.estimate for s in steps], [s.remaining for s in steps]
+    blind = np.array([x.status is Status.REFUSED for x in e], dtype=bool)
+    mute = blind | np.array([x.status is Status.REFUSED for x in r], dtype=bool)
+
+    def column(values: list[float], hidden: NDArray[np.bool_] | None = None) -> Array:
+        made = np.array(values, dtype=float)
+        return made if hidden is None else np.where(hidden, math.nan, made)
+
+    innovation = column([x.innovation_V for x in e])
+    return Rows(
+        time_s=column([x.time_s for x in e]),
+        voltage_V=column([x.voltage_V for x in e]),
+        predicted_V=column([x.predicted_voltage_V for x in e]),
+        innovation_V=innovation,
+        innovation_sd_V=innovation_sd(innovation, column([x.nis for x in e]), column([x.temp_C for x in e])),
+        current_A=column([x.current_A for x in e]),
+        temp_C=column([x.temp_C for x in e]),
+        core_C=column([x.core_temp_C for x in e]),
+        soc=column([x.soc for x in e], blind),
+        soc_sd=column([x.soc_sd for x in e], blind),
+        remaining_s=column([x.remaining_s for x in r], mute),
+        lo_s=column([x.remaining_lo_s for x in r], mute),
+        hi_s=column([x.remaining_hi_s for x in r], mute),
+    )
+
+
+def innovation_sd(innovation_V: Array, nis: Array, temp_C: Array, reach: int = 15) -> Array:
+    """Expected SD of the innovation [V]: |ν|/√NIS for one measurement; with two that is at most the SD."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        least = np.where(nis > 0.0, np.abs(innovation_V) / np.sqrt(nis), math.nan)
+    if not np.isfinite(temp_C).any() or not np.isfinite(least).any():
+        return least
+    padded = np.pad(np.nan_to_num(least, nan=0.0), reach, mode="edge")
+    greatest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
+    return np.where(np.isfinite(innovation_V) & (greatest > 0.0), greatest, math.nan)
+
+
+def thinned(time_s: Array, *columns: Array, buckets: int = BUCKETS) -> tuple[Array, ...]:
+    """`time_s` and `columns` at the rows that hold the first, least, greatest and last of each column per bucket."""
+    count = time_s.size
+    if count <= 4 * buckets:
+        return (time_s, *columns)
+    kept = np.zeros(count, dtype=bool)
+    for piece in np.array_split(np.arange(count), buckets):
+        kept[piece[[0, -1]]] = True
+        for values in columns:
+            known = piece[np.isfinite(values[piece])]
+            if known.size:
+                kept[known[[np.argmin(values[known]), np.argmax(values[known])]]] = True
+            gaps = piece[np.isnan(values[piece])]
+            kept[gaps[:1]] = True
+    return (time_s[kept], *(c[kept] for c in columns))
+
+
+def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tuple[Array, Array, Array]:
+    """A band thinned to one value a bucket: the least of `low`, the greatest of `high`, gaps where all is NaN."""
+    if time_s.size <= 2 * buckets:
+        return time_s, low, high
+    pieces = np.array_split(np.arange(time_s.size), buckets)
+    middle = np.array([time_s[p].mean() for p in pieces])
+    lows = np.array([np.min(low[p], initial=math.inf, where=np.isfinite(low[p])) for p in pieces])
+    highs = np.array([np.max(high[p], initial=-math.inf, where=~np.isnan(high[p])) for p in pieces])
+    unknown = np.isinf(lows)
+    return middle, np.where(unknown, math.nan, lows), np.where(unknown, math.nan, highs)
+
+
+def stretches(steps: Sequence[StepLike]) -> list[Stretch]:
+    """Where a number was refused or still converging, in order; near neighbours run together when they are many."""
+    found: list[Stretch] = []
+    for i, step in enumerate(steps):
+        speaker = step.estimate if step.estimate.status is Status.REFUSED else step.remaining
+        if speaker.status not in (Status.REFUSED, Status.CONVERGING):
+            continue
+        begin_s = step.estimate.time_s
+        end_s = steps[i + 1].estimate.time_s if i + 1 < len(steps) else begin_s
+        last = found[-1] if found else None
+        if last and last.end_s == begin_s and _alike(last, speaker.status, speaker.reason):
+            found[-1] = replace(last, end_s=end_s, last_reason=speaker.reason, rows=last.rows + 1)
+        else:
+            found.append(Stretch(begin_s, end_s, speaker.status, speaker.reason, speaker.reason, 1))
+    whole_s = steps[-1].estimate.time_s - steps[0].estimate.time_s if steps else 0.0
+    share = 0.002
+    while len(found) > MOST_STRETCHES and share < 1.0:
+        found, share = _run_together(found, share * whole_s), share * 2.0
+    return found
+
+
+def _alike(stretch: Stretch, status: Status, reason: str) -> bool:
+    """The same status, and the same reason but for its numbers."""
+    return stretch.status is status and _wordless(stretch.last_reason) == _wordless(reason)
+
+
+def _wordless(reason: str) -> str:
+    return re.sub(r"[\d.,]+", "#", reason)
+
+
+def _run_together(found: list[Stretch], gap_s: float) -> list[Stretch]:
+    """Neighbours of one kind with less than `gap_s` [s] between them as one stretch."""
+    out: list[Stretch] = []
+    latest: dict[tuple[str, str], int] = {}
+    for stretch in found:
+        kind = (stretch.status.value, _wordless(stretch.reason))
+        at = latest.get(kind)
+        if at is not None and stretch.begin_s - out[at].end_s <= gap_s:
+            out[at] = replace(
+                out[at], end_s=stretch.end_s, last_reason=stretch.last_reason, rows=out[at].rows + stretch.rows
+            )
+        else:
+            latest[kind] = len(out)
+            out.append(stretch)
+    return out
