@@ -20,7 +20,9 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UsageError
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.prediction.load import ConstantLoad, LoggedLoad
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.telemetry.plausibility import plausible_temperature_C
 
 FULLEST_CELL_V = 4.30
 EMPTIEST_CELL_V = 3.0
@@ -36,7 +38,7 @@ class PackOptions:
     low_V: float = NAN
     reserve_soc: float = 0.0
     ambient_C: float = NAN
-    stated_power_W: float = NAN
+    load: ConstantLoad | LoggedLoad | None = None
     forecast_period_s: float = 5.0
 
 
@@ -66,6 +68,7 @@ class Estimator:
         self._facts = PackFacts()
         self._filter: SocFilter | None = None
         self._forecaster: Forecaster | None = None
+        self._last_temp_C, self._last_temp_s = NAN, NAN
 
     @classmethod
     def from_battery(
@@ -106,6 +109,7 @@ class Estimator:
 
     def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
         """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""
+        sample = self._with_plausible_temperature(sample)
         if self._filter is None or self._forecaster is None:
             if not math.isfinite(sample.voltage_V):
                 return _unknown(sample)
@@ -114,11 +118,18 @@ class Estimator:
             self._filter = SocFilter(pack, ambient_C=self.options.ambient_C)
             self._forecaster = Forecaster(
                 pack,
-                Settings(self.options.stated_power_W, self.options.reserve_soc, self.options.forecast_period_s),
+                Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s),
             )
         estimate = self._filter.step(sample)
         estimate = replace(estimate, warnings=self._warnings(sample, estimate))
         return estimate, self._forecaster.step(sample, estimate, self._filter.belief)
+
+    def _with_plausible_temperature(self, sample: Sample) -> Sample:
+        """A temperature that a cell cannot have is no temperature; a jump is doubted until it has lasted."""
+        temp_C = plausible_temperature_C(sample.temp_C, self._last_temp_C, sample.time_s - self._last_temp_s)
+        if math.isfinite(temp_C):
+            self._last_temp_C, self._last_temp_s = temp_C, sample.time_s
+        return replace(sample, temp_C=temp_C)
 
     def _pack(self, resolved: Resolved) -> Pack:
         return pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)

@@ -57,13 +57,16 @@ CELL_EFFECTS = (
         "slow_diffusion",
         "voltage that sinks and recovers over minutes",
         "cell",
-        (_ratio("diffusion_ratio", 0.8), _tau("diffusion_tau_s", 60.0, 1000.0, 140.0)),
+        (_ratio("diffusion_ratio", 0.8), _tau("diffusion_tau_s", 60.0, 20000.0, 400.0)),
     ),
     Effect(
         "temperature_resistance",
         "resistance falls as the cell warms",
         "cell",
-        (Quantity("activation_K", "K", 0.0, 0.0, 8000.0, 1800.0, 1000.0),),
+        (
+            Quantity("activation_K", "K", 0.0, 0.0, 8000.0, 1500.0, 800.0),
+            Quantity("diffusion_activation_K", "K", 0.0, -4000.0, 8000.0, 500.0, 1500.0),
+        ),
     ),
     Effect(
         "self_heating",

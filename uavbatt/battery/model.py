@@ -39,6 +39,7 @@ class Parameters(NamedTuple):
     diffusion_ratio: Number = 0.0
     diffusion_tau_s: Number = 120.0
     activation_K: Number = 0.0
+    diffusion_activation_K: Number = 0.0  # on top of activation_K
     heat_gain: Number = 0.0  # 1 with self_heating; 0 leaves only the exchange with the ambient
     heat_capacity_JpKAh: Number = 40.0
     cooling_WpKAh: Number = 0.1
@@ -89,6 +90,7 @@ def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Numbe
     """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
     r_ohmAh = resistance(p, s.soc, s.core_C)
     drop_V = c_rate * r_ohmAh
+    sluggish = eq.arrhenius(s.core_C, p.diffusion_activation_K)
     heat_W = p.heat_gain * c_rate * (drop_V + s.polarisation_V + s.diffusion_V)
     cooling = p.cooling_WpKAh * (1.0 + p.airflow_gain_h * np.abs(c_rate))
     drained = c_rate * p.charge_gain * (1.0 + p.rate_gain_h * np.abs(c_rate))
@@ -96,7 +98,7 @@ def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Numbe
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),
         polarisation_V=eq.relax(s.polarisation_V, drop_V * p.polarisation_ratio, dt_s, p.polarisation_tau_s),
-        diffusion_V=eq.relax(s.diffusion_V, drop_V * p.diffusion_ratio, dt_s, p.diffusion_tau_s),
+        diffusion_V=eq.relax(s.diffusion_V, drop_V * p.diffusion_ratio * sluggish, dt_s, p.diffusion_tau_s),
         core_C=core_C,
         sensor_C=eq.relax(s.sensor_C, core_C, dt_s, p.sensor_lag_s),
     )

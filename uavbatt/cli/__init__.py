@@ -1,1 +1,26 @@
-"""TBD."""
+"""The command line: one command a file. Data on stdout or in the named file, everything else on stderr."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def main() -> None:
+    """Entry point of `uavbatt`: one line for what went wrong, and the exit code of its kind."""
+    # Small matrices: a second thread of the linear algebra only gets in the way of the first.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    from uavbatt.cli.app import app
+    from uavbatt.errors import UavbattError
+
+    try:
+        app()
+    except UavbattError as error:
+        print(f"uavbatt: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:  # `uavbatt ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("uavbatt: interrupted", file=sys.stderr)
+        sys.exit(130)

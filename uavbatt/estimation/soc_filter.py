@@ -64,13 +64,14 @@ class SocFilter:
         current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
         if self._kalman is None:
             self._start(sample, current_A)
-            return self._update(sample, current_A, dt_s=0.0)
+            return self._update(sample, current_A, step_A=0.0)
         dt_s = sample.time_s - self._time_s
         if dt_s < 0.0:
             return self._estimate(sample, NAN, NAN, NAN, refusal="time went backwards")
         self._predict(current_A, dt_s)
+        step_A = current_A - self._current_A
         self._time_s, self._current_A = sample.time_s, current_A
-        return self._update(sample, current_A, dt_s)
+        return self._update(sample, current_A, step_A)
 
     def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:
         kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
@@ -115,7 +116,7 @@ class SocFilter:
         kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
         kalman.x = moved
 
-    def _update(self, sample: Sample, current_A: float, dt_s: float) -> Estimate:
+    def _update(self, sample: Sample, current_A: float, step_A: float) -> Estimate:
         assert self._kalman is not None
         kalman, pack = self._kalman, self.pack
         cells = pack.installation.cells
@@ -129,10 +130,9 @@ class SocFilter:
         observation, expected = _jacobian(reading, kalman.x)
         measured = np.array([sample.voltage_V, sample.temp_C] if has_temp else [sample.voltage_V])
         innovation = measured - expected
-        drop_V = abs(float(c_rate(pack.installation, current_A))) * float(
-            model.resistance(pack.cell, kalman.x[C.SOC], kalman.x[C.CORE])
-        )
-        variances = [cells**2 * noise.voltage_variance(drop_V, max(dt_s, 1e-3))]
+        ohm = float(model.resistance(pack.cell, kalman.x[C.SOC], kalman.x[C.CORE])) / pack.installation.capacity_Ah
+        ohm *= math.exp(kalman.x[C.LOG_RESISTANCE]) * (1.0 + pack.cell.polarisation_ratio)
+        variances = [cells**2 * noise.voltage_variance(ohm * current_A, ohm * step_A)]
         if has_temp:
             variances.append(pack.temperature_sd_K**2)
         noise_R = np.diag(variances)

@@ -89,11 +89,11 @@ def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source:
 
 
 def _correlation_time(error: Array, time_s: Array) -> float:
-    """Lag [s] at which the autocorrelation falls below 1/e, of a record on a nearly even grid."""
+    """Lag [s] at which the autocorrelation falls below 1/e of its value at lag one (without the white part)."""
     centred = error - np.mean(error)
     spectrum = np.fft.rfft(centred, 2 * len(centred))
     correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: len(centred)]
-    below = np.flatnonzero(correlation < correlation[0] / np.e)
+    below = np.flatnonzero(correlation < correlation[1] / np.e)
     lag = int(below[0]) if below.size else len(centred) - 1
     return float(lag * np.median(np.diff(time_s)))
 

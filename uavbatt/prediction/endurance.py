@@ -27,12 +27,22 @@ class EndTimes(NamedTuple):
 
 
 def time_to_end(
-    pack: Pack, x: Array, power_W: Array, ambient_C: float, dt_s: float, reserve_soc: float = 0.0
+    pack: Pack,
+    x: Array,
+    power_W: Array,
+    ambient_C: float,
+    dt_s: float,
+    reserve_soc: float = 0.0,
+    bias_walk: Array | None = None,
 ) -> EndTimes:
     """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], `dt_s` a step.
 
-    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`.
+    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. `bias_walk` [steps, batch]
+    are the standard normals of the discrepancy's way (Ornstein-Uhlenbeck); without them it decays.
     """
+    memory = np.exp(-dt_s / pack.bias_tau_s)
+    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    bias_V = x[C.BIAS]
     cell, installation, state = unpack(pack, x)
     size = installation.cells * installation.present_capacity_Ah
     harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
@@ -41,9 +51,9 @@ def time_to_end(
     above_end, above_low = np.full(batch, np.inf), np.full(batch, np.inf)
     for k, power in enumerate(power_W):
         series_ohmAh = model.resistance(cell, state.soc, state.core_C) + harness_ohmAh
-        rate = eq.current_at_power(model.electromotive_force(cell, state) + x[C.BIAS], series_ohmAh, power / size)
+        rate = eq.current_at_power(model.electromotive_force(cell, state) + bias_V, series_ohmAh, power / size)
         true_V = terminal_voltage(installation, cell, state, rate * installation.present_capacity_Ah)
-        volts = metered_voltage(installation, true_V + installation.cells * x[C.BIAS])
+        volts = metered_voltage(installation, true_V + installation.cells * bias_V)
         margin_end = volts - pack.cutoff_V
         if reserve_soc > 0.0:  # both margins in volts, so that one crossing rule serves: 1 % soc ~ 0.1 V
             margin_end = np.minimum(margin_end, (state.soc - reserve_soc) * 10.0)
@@ -54,6 +64,7 @@ def time_to_end(
         if np.isfinite(end_s).all():
             break
         state = model.step(cell, state, rate, ambient_C, dt_s)
+        bias_V = memory * bias_V + (0.0 if bias_walk is None else kick_V * bias_walk[k])
     return EndTimes(end_s, np.minimum(low_s, end_s))
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from uavbatt.battery.belief import Belief, C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.pack import c_rate, true_current
-from uavbatt.prediction import load, spread
+from uavbatt.prediction import spread
 from uavbatt.prediction.endurance import time_to_end
-from uavbatt.prediction.load import RecentLoad, Scenarios
+from uavbatt.prediction.load import ConstantLoad, LoggedLoad, RecentLoad
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
@@ -26,14 +26,14 @@ FLYING_AFTER_S = 5.0
 STEPS = 100
 SHORTEST_STEP_S, LONGEST_STEP_S = 1.0, 10.0
 LONGEST_HORIZON_S = 6 * 3600.0
-SMALLEST_SD_S = 1.0
+LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the operator asks of a forecast; NaN power means "as recently"."""
+    """What the operator asks of a forecast; without a load it is taken to go on as recently."""
 
-    stated_power_W: float = NAN
+    load: ConstantLoad | LoggedLoad | None = None
     reserve_soc: float = 0.0
     period_s: float = 5.0
 
@@ -77,33 +77,28 @@ class Forecaster:
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast from the belief and the load to come; None when no end is in sight."""
-        scenarios = self._scenarios()
-        energy_Wh = self._energy_Wh(belief)
-        horizon_s = 1.3 * energy_Wh * 3600.0 / (scenarios.mean_W * float(np.min(scenarios.factor)))
+        load = self.settings.load or ConstantLoad(max(self._load.mean_W, 1.0), self._load.spread)
+        typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W, 1.0)
+        horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
             return None
-        typical_s = max(energy_Wh * 3600.0 / scenarios.mean_W, 1.0)
         dt_s = float(np.clip(typical_s / STEPS, SHORTEST_STEP_S, LONGEST_STEP_S))
         steps = int(np.ceil(horizon_s / dt_s)) + 2
-        points = spread.sigma_points(self.pack, belief, typical_s)
-        many = scenarios.factor.shape[1]
-        x = np.concatenate([points, np.repeat(points[:, :1], many, axis=1)], axis=1)
-        factor = np.concatenate([np.ones((scenarios.factor.shape[0], points.shape[1])), scenarios.factor], axis=1)
-        power_W = np.broadcast_to(scenarios.mean_W * factor, (steps, x.shape[1]))
-        ends = time_to_end(self.pack, x, power_W, belief.ambient_C, dt_s, self.settings.reserve_soc)
-        end_s = np.minimum(ends.end_s, horizon_s)
-        center_s = end_s[points.shape[1] :]
-        relative = spread.relative_sd(end_s[: points.shape[1]])
-        sd_s = np.maximum(center_s * relative, SMALLEST_SD_S)
-        lo_s, median_s, hi_s = spread.mixture_points(center_s, sd_s, scenarios.weight)
-        low_s = float(min(ends.low_s[0], horizon_s)) if math.isfinite(self.pack.low_V) else NAN
+        scenarios = load.scenarios(time_s, dt_s, steps)
+        power_W = scenarios.power_W[:, spread.assigned(scenarios.weight)]
+        ends = time_to_end(
+            self.pack,
+            spread.draws(belief),
+            power_W,
+            belief.ambient_C,
+            dt_s,
+            self.settings.reserve_soc,
+            spread.walk(steps),
+        )
+        lo_s, median_s, hi_s = (float(v) for v in np.quantile(np.minimum(ends.end_s, horizon_s), spread.LEVELS))
+        known_low = math.isfinite(self.pack.low_V)
+        low_s = float(np.median(np.minimum(ends.low_s, horizon_s))) if known_low else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s)
-
-    def _scenarios(self) -> Scenarios:
-        stated_W = self.settings.stated_power_W
-        if math.isfinite(stated_W):
-            return load.constant(stated_W, load.STATED_SPREAD)
-        return load.constant(max(self._load.mean_W, 1.0), self._load.spread)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """A generous guess of what is left: charge above zero at 4 V a cell."""
@@ -131,7 +126,7 @@ class Forecaster:
     def _refusal(self, sample: Sample, estimate: Estimate) -> str:
         if estimate.status is Status.REFUSED:
             return estimate.reason
-        if math.isfinite(self.settings.stated_power_W):
+        if isinstance(self.settings.load, ConstantLoad):
             return ""
         if not math.isfinite(self._flying_since_s):
             return "on the ground or no load: nothing tells the load to come"

@@ -1,7 +1,7 @@
 """The load to come: what power the flight will ask until its end.
 
-A load is a set of scenarios: power over time, each with a weight. `RecentLoad` is the memory that feeds it: the mean
-of the power over the last minutes and how far the mean of half a minute strays from it.
+A load gives scenarios: power over time, each with a weight. `RecentLoad` is the memory that feeds it: the mean of
+the power over the last minutes and how far the mean of half a minute strays from it.
 """
 
 from __future__ import annotations
@@ -24,11 +24,48 @@ SCENARIOS = 9
 
 
 class Scenarios(NamedTuple):
-    """Power [W] over time: factor [steps or 1, scenarios] times `mean_W`, and the weight of each scenario."""
+    """What may be asked: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario."""
 
-    mean_W: float
-    factor: Array
+    power_W: Array
     weight: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantLoad:
+    """One power until the end, log-normal around `typical_W` with relative sd `spread`."""
+
+    typical_W: float
+    spread: float
+
+    def scenarios(self, time_s: float, dt_s: float, steps: int) -> Scenarios:
+        """Equally likely powers at the middles of equal shares of probability; the same at every step."""
+        levels = (np.arange(SCENARIOS) + 0.5) / SCENARIOS
+        power_W = self.typical_W * np.exp(self.spread * ndtri(levels))
+        return Scenarios(np.broadcast_to(power_W, (steps, SCENARIOS)), np.full(SCENARIOS, 1.0 / SCENARIOS))
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedLoad:
+    """The flight's own later power, read from its log: replay only, it tests the battery alone."""
+
+    time_s: Array
+    power_W: Array
+
+    @property
+    def typical_W(self) -> float:
+        """Mean power of the rows."""
+        return float(np.mean(self.power_W))
+
+    def scenarios(self, time_s: float, dt_s: float, steps: int) -> Scenarios:
+        """The one scenario that came true: means over each step; beyond the log, the mean of its last minute."""
+        energy_J = np.concatenate(
+            [[0.0], np.cumsum(0.5 * (self.power_W[1:] + self.power_W[:-1]) * np.diff(self.time_s))]
+        )
+        last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
+        edges_s = time_s + dt_s * np.arange(steps + 1)
+        beyond_s = np.maximum(edges_s - self.time_s[-1], 0.0)
+        drawn_J = np.interp(edges_s, self.time_s, energy_J) + beyond_s * last_W
+        return Scenarios(np.maximum(np.diff(drawn_J) / dt_s, 1.0)[:, None], np.ones(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +95,3 @@ class RecentLoad:
     def spread(self) -> float:
         """Relative spread of the mean of a coming stretch of flight, at least 3 %."""
         return math.sqrt(max(self.variance, 0.03**2))
-
-
-def constant(mean_W: float, spread: float) -> Scenarios:
-    """Constant power, log-normal around `mean_W`: equally likely scenarios at the middles of equal shares."""
-    levels = (np.arange(SCENARIOS) + 0.5) / SCENARIOS
-    factor = np.exp(spread * ndtri(levels))[None, :]
-    return Scenarios(mean_W, factor, np.full(SCENARIOS, 1.0 / SCENARIOS))

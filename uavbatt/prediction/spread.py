@@ -1,58 +1,55 @@
-"""From the spread of what is uncertain to the points of the time that remains.
+"""Draws of what is uncertain: the same fixed normals at every forecast, so that a forecast moves only when the belief does.
 
-What is uncertain of the battery is small and nearly linear in time: sigma points one standard deviation along each
-axis of the belief's covariance give its variance. What is uncertain of the load is large and of any shape: scenarios.
-The distribution is the mixture over scenarios k of normals with mean t_k and the battery's spread at that length.
+The end of a flight can be bimodal (a surge grazes the cut-off or does not), which a mean and a variance cannot say:
+so each draw flies to its own end and the quantiles are those of the ends. The normals come in antithetic pairs and
+are whitened, so that the draws carry the belief's mean and covariance exactly, as sigma points do.
 """
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
-from scipy.special import ndtr
 
 from uavbatt.battery.belief import SIZE, Belief, C
-from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 
+DRAWS = 128
 LEVELS = (0.05, 0.5, 0.95)
+_SEED = 5725
 
 
-def sigma_points(pack: Pack, belief: Belief, horizon_s: float) -> Array:
-    """Columns [8, 17]: the mean, then mean ± each column of the root of the covariance.
+@cache
+def normals() -> Array:
+    """[8, DRAWS] standard normals with mean 0 and covariance 1, exactly."""
+    half = np.random.default_rng(_SEED).standard_normal((SIZE, DRAWS // 2))
+    raw = np.concatenate([half, -half], axis=1)
+    root = np.linalg.cholesky(raw @ raw.T / DRAWS)
+    return np.asarray(np.linalg.solve(root, raw))
 
-    The discrepancy at the end is not that of now: over `horizon_s` it forgets its value and regains its full
-    spread (Ornstein-Uhlenbeck), which is put into the points since the forecast holds it constant.
-    """
-    memory = np.exp(-horizon_s / pack.bias_tau_s)
-    keep = np.eye(SIZE)
-    keep[C.BIAS, C.BIAS] = memory
-    mean = keep @ belief.mean
-    covariance = keep @ belief.covariance @ keep.T
-    covariance[C.BIAS, C.BIAS] += pack.bias_sd_V**2 * (1.0 - memory**2)
-    values, vectors = np.linalg.eigh(covariance)
+
+@cache
+def walk(steps: int) -> Array:
+    """[steps, DRAWS] standard normals that push the model's wandering error along each draw's way."""
+    half = np.random.default_rng(_SEED + 1).standard_normal((steps, DRAWS // 2))
+    return np.concatenate([half, -half], axis=1)
+
+
+@cache
+def shuffled(count: int) -> Array:
+    """[DRAWS] positions 0..1 that spread draws evenly over load scenarios, unrelated to the battery's draws."""
+    return np.random.default_rng(_SEED + 2 + count).permutation((np.arange(DRAWS) + 0.5) / DRAWS)
+
+
+def draws(belief: Belief) -> Array:
+    """Columns [8, DRAWS] of the belief; soc kept within 0..1.02."""
+    values, vectors = np.linalg.eigh(belief.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    points = np.concatenate([mean[:, None], mean[:, None] + root, mean[:, None] - root], axis=1)
-    points[C.SOC] = np.clip(points[C.SOC], 0.0, 1.02)
-    return points
+    columns = belief.mean[:, None] + root @ normals()
+    columns[C.SOC] = np.clip(columns[C.SOC], 0.0, 1.02)
+    return np.asarray(columns)
 
 
-def relative_sd(end_s: Array) -> float:
-    """Relative standard deviation of the time from the ends [s] of `sigma_points`: Σ ((t₊ - t₋)/2)²."""
-    plus, minus = end_s[1 : SIZE + 1], end_s[SIZE + 1 :]
-    return float(np.sqrt(np.sum(((plus - minus) / 2.0) ** 2)) / max(end_s[0], 1.0))
-
-
-def mixture_points(center_s: Array, sd_s: Array, weight: Array, levels: tuple[float, ...] = LEVELS) -> list[float]:
-    """Quantiles of a mixture of normals, by bisection; never below zero."""
-    low, high = np.min(center_s - 8.0 * sd_s), np.max(center_s + 8.0 * sd_s)
-    points = []
-    for level in levels:
-        left, right = float(low), float(high)
-        for _ in range(50):
-            middle = 0.5 * (left + right)
-            if float(weight @ ndtr((middle - center_s) / sd_s)) < level:
-                left = middle
-            else:
-                right = middle
-        points.append(max(right, 0.0))
-    return points
+def assigned(weight: Array) -> Array:
+    """Index of the load scenario of each draw, in proportion to the weights."""
+    return np.asarray(np.searchsorted(np.cumsum(weight / weight.sum()), shuffled(weight.size) - 1e-12))

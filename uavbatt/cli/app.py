@@ -1,0 +1,38 @@
+"""The commands together; each loads what it needs when it runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from uavbatt import __version__
+from uavbatt.cli import info, replay, simulate, validate
+
+app = typer.Typer(
+    name="uavbatt",
+    help="How long a drone can keep flying, how sure that number is, and why it can be trusted.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"uavbatt {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _top(
+    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
+) -> None:
+    """Options before the command."""
+
+
+app.command("validate")(validate.validate)
+app.command("replay")(replay.replay)
+app.command("info")(info.info)
+app.command("simulate")(simulate.simulate)

@@ -1,0 +1,20 @@
+"""`uavbatt info`: what a log holds, and whether a replay of it can be trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def info(
+    log: Annotated[Path, typer.Argument(metavar="LOG")],
+    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
+) -> None:
+    """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted."""
+    from uavbatt.telemetry import read_log
+    from uavbatt.telemetry.info import describe, lines
+
+    for line in lines(describe(read_log(log, instance))):
+        typer.echo(line)

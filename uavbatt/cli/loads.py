@@ -1,0 +1,31 @@
+"""`--load`: how the load to come is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uavbatt.errors import UsageError
+from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, LoggedLoad
+from uavbatt.records import Flight
+
+
+def stated_load(text: str, flight: Flight) -> ConstantLoad | LoggedLoad | None:
+    """The load that `--load TEXT` means for a flight; None = as recently."""
+    if text in ("learned", "recent"):
+        return None
+    if text == "log":
+        rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
+        if len(rows) < 2:
+            raise UsageError(f"{flight.source}: --load log: expected rows with voltage and current")
+        return LoggedLoad(
+            np.array([s.time_s for s in rows]), np.array([max(s.voltage_V * s.current_A, 0.0) for s in rows])
+        )
+    try:
+        watts = float(text)
+    except ValueError:
+        watts = math.nan
+    if not (math.isfinite(watts) and watts > 0.0):
+        raise UsageError(f"--load {text}: expected learned, recent, log or a positive number of watts")
+    return ConstantLoad(watts, STATED_SPREAD)

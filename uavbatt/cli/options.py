@@ -1,0 +1,44 @@
+"""Options that several commands share: the battery and the pack, spelled the same everywhere."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uavbatt.errors import UsageError
+from uavbatt.records import NAN
+
+BatteryOption = Annotated[str, typer.Option("--battery", help="Packaged battery by name, or a battery file.")]
+CellsOption = Annotated[int | None, typer.Option("--cells", min=1, max=100, help="Cells in series.")]
+CapacityOption = Annotated[float | None, typer.Option("--capacity-ah", help="Capacity of the pack [Ah].")]
+CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pack voltage that ends the flight [V].")]
+ReserveOption = Annotated[
+    float, typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
+]
+UncertifiedOption = Annotated[
+    bool, typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
+]
+DEFAULT_BATTERY = "lipo-generic"
+
+
+def known(value: float | None, option: str) -> float:
+    """NaN for an option that was not given; UsageError unless it is positive and finite."""
+    if value is None:
+        return NAN
+    if not (math.isfinite(value) and value > 0.0):
+        raise UsageError(f"{option} {value}: expected a positive number")
+    return value
+
+
+def check_writable(*targets: Path | None) -> None:
+    """UsageError before any work when an output can not be written: its folder must exist."""
+    for target in targets:
+        if target is None or str(target) == "-":
+            continue
+        if target.is_dir():
+            raise UsageError(f"{target}: expected a file name to write, it is a directory")
+        if not target.parent.is_dir():
+            raise UsageError(f"{target}: expected an existing folder to write into")

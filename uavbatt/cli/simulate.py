@@ -1,0 +1,62 @@
+"""`uavbatt simulate`: a flight that never flew, as a log of any kind."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uavbatt.cli.options import (
+    DEFAULT_BATTERY,
+    BatteryOption,
+    CapacityOption,
+    CellsOption,
+    CutoffOption,
+    UncertifiedOption,
+    check_writable,
+    known,
+)
+from uavbatt.errors import UsageError
+
+
+def simulate(
+    output: Annotated[Path, typer.Option("-o", "--output", help="FILE.tlog, FILE.BIN or FILE.csv")],
+    battery: BatteryOption = DEFAULT_BATTERY,
+    power_w: Annotated[float, typer.Option("--power-w", min=1.0, help="Mean power of the flight [W].")] = 200.0,
+    ambient_c: Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0)] = 20.0,
+    start_soc: Annotated[float, typer.Option("--start-soc", min=0.05, max=1.0)] = 1.0,
+    effect: Annotated[list[str] | None, typer.Option("--effect", help="NAME=VALUE, may be repeated.")] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 1,
+    rate_hz: Annotated[float, typer.Option("--rate-hz", min=0.05, max=50.0)] = 2.0,
+    cells: CellsOption = 4,
+    capacity_ah: CapacityOption = 5.0,
+    cutoff_voltage: CutoffOption = None,
+    allow_uncertified: UncertifiedOption = False,
+) -> None:
+    """Simulate a flight of a battery file's own model until the pack is empty, and write it as a log."""
+    from uavbatt.battery import file
+    from uavbatt.battery.build import pack_of
+    from uavbatt.simulate import Mission, fly, with_effects, write
+
+    check_writable(output)
+    content = file.read(battery, allow_uncertified=allow_uncertified)
+    series = cells or content.battery.cells_series
+    share = series / content.battery.cells_series
+    given_V = known(cutoff_voltage, "--cutoff-voltage")
+    cutoff_V = given_V if given_V == given_V else content.battery.cutoff_V * share
+    low_V = (content.battery.low_V or float("nan")) * share
+    pack = pack_of(content, series, known(capacity_ah, "--capacity-ah"), cutoff_V, low_V)
+    pack = with_effects(pack, dict(_effect(text) for text in effect or []))
+    samples = fly(pack, Mission(power_w, ambient_c, start_soc, rate_hz, seed))
+    write(output, samples, pack)
+    print(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s", file=sys.stderr)
+
+
+def _effect(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise UsageError(f"--effect {text}: expected NAME=VALUE" + ("" if equals else ", `=` is missing")) from None

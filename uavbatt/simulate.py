@@ -1,0 +1,140 @@
+"""Flights that never flew: telemetry of a battery file's own model under a gusty load, with sensors and their noise.
+
+For demonstrations, for tests of readers and for trying an effect. A simulated flight tells nothing about the accuracy
+of the model that made it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uavbatt.battery import equations as eq
+from uavbatt.battery import model
+from uavbatt.battery.build import Pack
+from uavbatt.battery.effects import EFFECTS, effect_named
+from uavbatt.battery.model import Array, Parameters
+from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
+from uavbatt.errors import UsageError
+from uavbatt.feed.sinks import text_aside
+from uavbatt.mavlink.dataflash_writer import write_dataflash
+from uavbatt.mavlink.tlog_writer import write_tlog
+from uavbatt.records import Sample
+
+IDLE_S, AFTER_END_S = 20.0, 20.0
+IDLE_SHARE = 0.03
+GUST_SD, GUST_TAU_S = 0.12, 15.0
+SENSOR_SD = (0.005, 0.15, 0.1)  # volts a cell, amperes, kelvin
+LONGEST_S = 6 * 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """What is flown: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
+
+    power_W: float
+    ambient_C: float = 20.0
+    start_soc: float = 1.0
+    rate_Hz: float = 2.0
+    seed: int = 1
+
+
+def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
+    """The pack with the first quantity of each named effect set to a value; UsageError for a name or value unknown."""
+    cell, installation = pack.cell, pack.installation
+    for name, value in effects.items():
+        if name not in EFFECTS:
+            raise UsageError(f"--effect {name}: expected one of {', '.join(EFFECTS)}")
+        effect = effect_named(name)
+        quantity = effect.quantities[0]
+        if not quantity.low <= value <= quantity.high:
+            raise UsageError(
+                f"--effect {name}={value:g}: expected {quantity.name} in {quantity.low:g}..{quantity.high:g} "
+                f"{quantity.unit}"
+            )
+        if effect.acts_on == "cell":
+            cell = Parameters(**{**cell._asdict(), quantity.name: value})
+        else:
+            installation = Installation(**{**installation._asdict(), quantity.name: value})
+    return pack._replace(cell=cell, installation=installation)
+
+
+def fly(pack: Pack, mission: Mission) -> list[Sample]:
+    """Idle on the ground, then flight at the mission's power until the pack is below its cut-off, and a little on."""
+    random = np.random.default_rng(mission.seed)
+    dt_s = 1.0 / mission.rate_Hz
+    installation = pack.installation
+    cell = grown(pack.cell, installation)
+    size = installation.cells * installation.present_capacity_Ah
+    state = model.rested(np.array([mission.start_soc]), np.array([mission.ambient_C]))
+    samples: list[Sample] = []
+    gust, drawn_Ah, low_since_s = 0.0, 0.0, np.inf
+    for k in range(int(LONGEST_S * mission.rate_Hz)):
+        time_s = k * dt_s
+        flying = time_s >= IDLE_S
+        kick = GUST_SD * np.sqrt(-np.expm1(-2.0 * dt_s / GUST_TAU_S)) * random.standard_normal()
+        gust = float(eq.relax(gust, 0.0, dt_s, GUST_TAU_S)) + float(kick)
+        power_W = mission.power_W * (np.exp(gust) if flying else IDLE_SHARE)
+        resistance = model.resistance(cell, state.soc, state.core_C)
+        rate = eq.current_at_power(model.electromotive_force(cell, state), resistance, power_W / size)
+        current_A = float(rate[0] * installation.present_capacity_Ah)
+        state = model.step(cell, state, rate, mission.ambient_C, dt_s)
+        true_V = float(terminal_voltage(installation, cell, state, current_A)[0])
+        drawn_Ah += current_A * dt_s / 3600.0
+        samples.append(_row(pack, time_s, true_V, current_A, float(state.sensor_C[0]), drawn_Ah, flying, random))
+        low_since_s = min(low_since_s, time_s) if true_V < pack.cutoff_V else np.inf
+        if time_s - low_since_s > AFTER_END_S:
+            break
+    return samples
+
+
+def _row(
+    pack: Pack,
+    time_s: float,
+    true_V: float,
+    current_A: float,
+    sensor_C: float,
+    drawn_Ah: float,
+    flying: bool,
+    random: np.random.Generator,
+) -> Sample:
+    installation = pack.installation
+    noise: Array = random.standard_normal(3) * np.array(SENSOR_SD) * np.array([installation.cells, 1.0, 1.0])
+    metered_A = (current_A - installation.unmetered_W / true_V) * installation.gain_I + installation.offset_A
+    return Sample(
+        time_s=time_s,
+        voltage_V=float(metered_voltage(installation, true_V)) + float(noise[0]),
+        current_A=max(metered_A + float(noise[1]), 0.0),
+        temp_C=sensor_C + installation.offset_K + float(noise[2]),
+        consumed_Ah=drawn_Ah,
+        reported_soc=max(1.0 - drawn_Ah / installation.capacity_Ah, 0.0),
+        armed=flying,
+    )
+
+
+def write(path: Path, samples: list[Sample], pack: Pack) -> None:
+    """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix; UsageError for another one."""
+    parameters = {
+        "BATT_MONITOR": 4.0,
+        "BATT_CAPACITY": round(float(pack.installation.capacity_Ah) * 1000.0),
+        "BATT_LOW_VOLT": round(pack.low_V, 3) if np.isfinite(pack.low_V) else 0.0,
+        "BATT_CRT_VOLT": round(pack.cutoff_V, 3),
+        "BATT_OPTIONS": 0.0,
+    }
+    kind = path.suffix.lower()
+    if kind == ".tlog":
+        write_tlog(path, samples, parameters)
+    elif kind == ".bin":
+        write_dataflash(path, samples, parameters)
+    elif kind == ".csv":
+        with text_aside(path) as stream:
+            stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
+            for s in samples:
+                stream.write(
+                    f"{s.time_s:.3f},{s.voltage_V:.3f},{s.current_A:.2f},{s.temp_C:.2f},{s.consumed_Ah:.4f},"
+                    f"{s.reported_soc:.3f},{int(bool(s.armed))}\n"
+                )
+    else:
+        raise UsageError(f"{path}: expected a name that ends in .tlog, .BIN or .csv")
