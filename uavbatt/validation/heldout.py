@@ -1,6 +1,8 @@
 """Predictions of runs that the model was not fitted to: one occasion (run k of all samples) is left out at a time.
 
 Runs of one occasion share their day and set-up, so that they leave together: what stays would tell about what left.
+The single runs at other ambient temperatures are shared out over the same folds, so that each of them too is
+predicted by a fit that has not seen it.
 """
 
 from __future__ import annotations
@@ -9,20 +11,48 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet, Levels, Run, whole_minutes
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting import observed, solve, unmetered
+from uavbatt.fitting import observed, prior, solve, unmetered
 from uavbatt.fitting.unmetered import MeanTest
+from uavbatt.validation import reading
 
-# A run is compared at a whole minute by its mean over this window when it was sampled faster.
-WINDOW_S = 20.0
+Effects = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One held-out run in full, read at each of its rows (`reading`); [s], [V]."""
+
+    occasion: int
+    sample: int
+    time_s: Array
+    measured_V: Array
+    model_V: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Single:
+    """A run at another ambient temperature, predicted by a fit without it; [s], [V]."""
+
+    ambient_C: float
+    sample: str
+    time_s: Array
+    measured_V: Array
+    model_V: Array
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Measured and predicted [occasion, sample, level] at `time_s`; surface None where it was not measured."""
+    """Measured and predicted [occasion, sample, level] at `time_s`; surface None where it was not measured.
+
+    `at_rest` marks the instants before the load, `row_s` and `step_V` are the spacing of the original
+    rows and the smallest step between their voltages, `curves` are the fast
+    records in full (none for tables read by hand), `singles` the runs at other temperatures.
+    """
 
     model: str
     ambient_C: float
@@ -32,11 +62,28 @@ class HeldOut:
     model_V: Array
     measured_C: Array | None = None
     model_C: Array | None = None
+    row_s: float = 60.0
+    step_V: float = 0.0
+    rest: tuple[bool, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    singles: tuple[Single, ...] = ()
 
     def residual_V(self) -> Array:
         """Model minus measured [occasion, level], the mean over the samples of an occasion."""
         out: Array = np.nanmean(self.model_V - self.measured_V, axis=1)
         return out
+
+    @property
+    def at_rest(self) -> NDArray[np.bool_]:
+        """Which instants come before the load; unless told, the one at 0 s."""
+        return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
+
+    def runs(self) -> list[Curve]:
+        """The held-out runs: the full records where there are any, else the readings."""
+        if self.curves:
+            return list(self.curves)
+        grid = np.ndindex(self.measured_V.shape[:2])
+        return [Curve(i, j, self.time_s, self.measured_V[i, j], self.model_V[i, j]) for i, j in grid]
 
 
 def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
@@ -66,70 +113,122 @@ def repeated_ambient(dataset: DataSet) -> float:
     return max(counts, key=lambda t: counts[t])
 
 
-def circuit(dataset: DataSet, progress: Callable[[int], None] | None = None) -> HeldOut:
+def repeats(dataset: DataSet) -> Levels:
+    """The repeated runs, read at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
+    levels = whole_minutes(reading.at_minutes(dataset), repeated_ambient(dataset))
+    if levels is None or len(levels.occasions) < 2:
+        raise NotEnoughData(f"{dataset.path}: expected repeated runs at one ambient temperature, to leave one out")
+    return levels
+
+
+def other_runs(dataset: DataSet, levels: Levels) -> list[Run]:
+    """The runs at other ambient temperatures than the repeated one."""
+    return [r for r in dataset.runs if r not in dataset.at(levels.ambient_C)]
+
+
+def circuit(
+    dataset: DataSet,
+    progress: Callable[[int], None] | None = None,
+    effects: Effects = prior.BASE_EFFECTS,
+    model: str = "circuit",
+) -> HeldOut:
     """The circuit model with its effects, each occasion predicted from the others.
 
     Raises NotEnoughData when nothing is left to fit once an occasion is out.
     """
-    ambient_C = repeated_ambient(dataset)
-    levels = whole_minutes(dataset, ambient_C)
-    if levels is None or len(levels.occasions) < 2:
-        raise NotEnoughData(f"{dataset.path}: expected repeated runs at one ambient temperature, to leave one out")
+    levels = repeats(dataset)
     predict = _metered if is_metered(dataset) else _unmetered
+    others = other_runs(dataset, levels)
     folds = []
-    for occasion in levels.occasions:
-        folds.append(predict(dataset, levels, occasion))
+    for k, occasion in enumerate(levels.occasions):
+        folds.append(predict(dataset, levels, occasion, others[k :: len(levels.occasions)], effects))
         if progress is not None:
             progress(1)
-    surface = whole_minutes(dataset, ambient_C, "surface_C")
+    surface = whole_minutes(reading.at_minutes(dataset), levels.ambient_C, "surface_C")
     measured_C = _aligned(levels, surface)
     return HeldOut(
-        model="circuit",
-        ambient_C=ambient_C,
+        model=model,
+        ambient_C=levels.ambient_C,
         cells=dataset.cells_series,
         time_s=levels.time_s,
         measured_V=levels.values,
-        model_V=np.stack([volts for volts, _ in folds]),
+        model_V=np.stack([f.volts for f in folds]),
         measured_C=measured_C,
-        model_C=np.stack([warmth for _, warmth in folds]) if measured_C is not None else None,
+        model_C=np.stack([f.surface for f in folds]) if measured_C is not None else None,
+        row_s=float(np.median(np.diff(dataset.at(levels.ambient_C)[0].time_s))),
+        step_V=smallest_step(dataset.at(levels.ambient_C)),
+        rest=rest_at(dataset, levels),
+        curves=tuple(c for f in folds for c in f.curves),
+        singles=tuple(s for f in folds for s in f.singles),
     )
 
 
-def _unmetered(dataset: DataSet, levels: Levels, occasion: int) -> tuple[Array, Array]:
+@dataclass(frozen=True, slots=True)
+class _Fold:
+    volts: Array
+    surface: Array
+    curves: list[Curve]
+    singles: list[Single]
+
+
+def smallest_step(runs: tuple[Run, ...]) -> float:
+    """Smallest difference between two readings of the voltage [V]: what the meter resolves, if nothing is stated."""
+    distinct = np.unique(np.round(np.concatenate([r.voltage_V for r in runs]), 6))
+    return float(np.diff(distinct).min()) if distinct.size > 1 else 0.0
+
+
+def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
+    """Which instants of the levels come before the load: by the measured current, else the one at 0 s."""
+    run = dataset.at(levels.ambient_C)[0]
+    if not np.isfinite(run.current_A).all():
+        return tuple(bool(t <= 0.0) for t in levels.time_s)
+    phase = reading.phases(run.current_A)
+    rested = run.current_A[0] < reading.REST_SHARE * np.quantile(run.current_A, 0.9)
+    at = np.searchsorted(run.time_s, levels.time_s, side="right") - 1
+    return tuple(bool(rested and phase[max(i, 0)] == 0) for i in at)
+
+
+def _unmetered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     runs = [r for r in dataset.at(levels.ambient_C) if r.run != occasion and r.sample in levels.samples]
     test = mean_test(dataset, runs, levels.ambient_C)
-    found = unmetered.fit(test)
-    volts, surface = unmetered.predict(found.slots, found.effects, found.x[None], test, levels.time_s)[:, :, 0]
+    found = unmetered.fit(test, effects)
+
+    def predicted(ambient_C: float, time_s: Array) -> Array:
+        there = replace(test, ambient_C=ambient_C)
+        return unmetered.predict(found.slots, found.effects, found.x[None], there, time_s)[:, :, 0]
+
+    volts, surface = predicted(levels.ambient_C, levels.time_s)
     shape = (len(levels.samples), levels.time_s.size)
-    return np.broadcast_to(volts, shape), np.broadcast_to(surface, shape)
+    singles = [
+        Single(r.ambient_C, r.sample, r.time_s, r.voltage_V, predicted(r.ambient_C, r.time_s)[0]) for r in others
+    ]
+    return _Fold(np.broadcast_to(volts, shape), np.broadcast_to(surface, shape), [], singles)
 
 
-def _metered(dataset: DataSet, levels: Levels, occasion: int) -> tuple[Array, Array]:
+def _metered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
-    kept = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out))
-    found = solve.fit(observed.stack(observed.from_dataset(kept)))
-    stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(out))))
-    run = solve.replay(stack, found, np.column_stack([solve.start_guess(stack), np.zeros((len(out), 2))]))
+    kept = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
+    found = solve.fit(observed.stack(observed.from_dataset(kept)), effects)
+    tested = [*out, *others]
+    stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
+    run = solve.replay(stack, found, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
     volts = np.full((len(levels.samples), levels.time_s.size), np.nan)
-    surface = volts.copy()
-    for j, tested in enumerate(out):
+    surface, curves, singles = volts.copy(), [], []
+    k = levels.occasions.index(occasion)
+    for j, test in enumerate(tested):
         rows = stack.compare[:, j]
-        at = levels.samples.index(tested.sample)
-        # The measured current is noisy and so is the voltage predicted from it: compare means around the minute.
-        error = run.voltage_V[rows, j] * stack.cells[j] - stack.voltage_V[rows, j]
-        measured = levels.values[levels.occasions.index(occasion), at]
-        volts[at] = measured + window_mean(levels.time_s, stack.time_s[rows, j], error)
-        surface[at] = window_mean(levels.time_s, stack.time_s[rows, j], run.sensor_C[rows, j])
-    return volts, surface
-
-
-def window_mean(at_s: Array, time_s: Array, values: Array) -> Array:
-    """Mean of `values` over ± half a window around each instant, the nearest value where the window is empty."""
-    near = np.abs(time_s[None, :] - at_s[:, None]) <= WINDOW_S / 2.0
-    nearest = np.argmin(np.abs(time_s[None, :] - at_s[:, None]), axis=1)
-    near[np.arange(at_s.size), nearest] = True
-    out: Array = (near @ values) / near.sum(axis=1)
-    return out
+        time_s, measured = stack.time_s[rows, j], stack.voltage_V[rows, j]
+        model, phase = run.voltage_V[rows, j] * stack.cells[j], reading.phases(stack.current_A[rows, j])
+        own = reading.weights(time_s, phase, time_s)
+        if test in others:
+            singles.append(Single(test.ambient_C, test.sample, time_s, own @ measured, own @ model))
+            continue
+        at, w = levels.samples.index(test.sample), reading.weights(time_s, phase, levels.time_s)
+        volts[at] = levels.values[k, at] + w @ (model - measured)
+        surface[at] = w @ run.sensor_C[rows, j]
+        if reading.is_fast(test):
+            curves.append(Curve(k, at, time_s, own @ measured, own @ model))
+    return _Fold(volts, surface, curves, singles)
 
 
 def _aligned(levels: Levels, surface: Levels | None) -> Array | None:

@@ -11,6 +11,7 @@ from uavbatt.battery.file import (
     BatteryFile,
     Certificate,
     Discrepancy,
+    EffectEntry,
     ParameterTable,
     Verdict,
 )
@@ -45,7 +46,7 @@ def battery_file(
             cutoff_V=dataset.cutoff_V,
             low_V=rounded(LOW_CELL_V * cells),
             source=dataset.source,
-            remarks=[] if capacity_Ah else ["capacity unknown: parameters are per ampere-hour; give --capacity-ah"],
+            remarks=_remarks(capacity_Ah, claims),
         ),
         parameters=table,
         effects=effects,
@@ -54,17 +55,34 @@ def battery_file(
         certificate=Certificate(
             status="certified",
             validated_ambient_C=[held.ambient_C],
-            verdicts=[_verdict(c) for c in claims],
+            verdicts=[_verdict(c) for c in claims if not _beside(c)],
             statistics={k: rounded(v) for k, v in {**statistics, **extra}.items() if math.isfinite(v)},
             data_sha256=dataset.sha256,
         ),
     )
 
 
+def _beside(claim: Claim) -> bool:
+    """A claim that failed and does not gate: outside what the certificate vouches for."""
+    return claim.verdict == "fail" and not claim.gates
+
+
+def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
+    """What the user must know. A failed claim among the verdicts would bar the file where it is valid, too."""
+    unknown = [] if capacity_Ah else ["capacity unknown: parameters are per ampere-hour; give --capacity-ah"]
+    beside = [c for c in claims if _beside(c)]
+    failed = []
+    for name in dict.fromkeys(c.claim for c in beside):
+        worst = max((c for c in beside if c.claim == name), key=lambda c: float(np.max(np.abs(c.bias), initial=0.0)))
+        where = ", ".join(f"{c.ambient_C:+g}" for c in beside if c.claim == name)
+        failed.append(f"not vouched for: {name} failed at {where} °C; worst at {worst.ambient_C:+g} °C: {worst.reason}")
+    return [*unknown, *failed]
+
+
 def _unmetered(
     dataset: DataSet, ambient_C: float
-) -> tuple[ParameterTable, list[assemble.EffectEntry], float | None, dict[str, float]]:
-    repeated = [s for s in dict.fromkeys(r.sample for r in dataset.at(ambient_C))]
+) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
+    repeated = list(dict.fromkeys(r.sample for r in dataset.at(ambient_C)))
     runs = [
         r
         for r in dataset.at(ambient_C)
@@ -93,7 +111,7 @@ def _unmetered(
 
 def _metered(
     dataset: DataSet,
-) -> tuple[ParameterTable, list[assemble.EffectEntry], float | None, dict[str, float]]:
+) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
     found = solve.fit(observed.stack(observed.from_dataset(dataset)))
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     table = assemble.parameter_table(found.slots, found.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
@@ -130,13 +148,13 @@ def _entry(corridor: Corridor) -> CorridorEntry:
 def _verdict(claim: Claim) -> Verdict:
     numbers = {
         "limit": claim.limit,
-        "largest_bias": float(np.max(np.abs(claim.bias), initial=0.0)),
-        "largest_half_width": float(np.max(claim.half_width, initial=0.0)),
+        "largest_bias": float(np.max(np.abs(claim.bias))) if claim.bias.size else math.nan,
+        "largest_half_width": float(np.max(claim.half_width)) if claim.half_width.size else math.nan,
     }
     return Verdict(
         claim=claim.claim,
         verdict=claim.verdict,
         ambient_C=claim.ambient_C,
-        statistics={k: rounded(v) for k, v in numbers.items() if math.isfinite(v)},
+        statistics={k: rounded(v) for k, v in {**numbers, **claim.statistics}.items() if math.isfinite(v)},
         reason=claim.reason,
     )

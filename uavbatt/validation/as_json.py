@@ -1,0 +1,68 @@
+"""A validation as plain values for JSON: every number that the stage found, unknown (NaN, infinity) as null."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from uavbatt.validation.paper import PaperReplay
+from uavbatt.validation.validate import Validation
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses, arrays and mappings as dicts, lists and numbers; NaN and infinity as None.
+
+    Keys that are numbers (ambient temperatures) become their shortest text.
+    """
+    if isinstance(value, msgspec.Struct):
+        return plain(msgspec.to_builtins(value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key if isinstance(key, str) else f"{key:g}": plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def to_builtins(validation: Validation, paper: PaperReplay | None = None) -> dict[str, Any]:
+    """Everything in `validation` (and the study's method replayed, if given) as JSON values.
+
+    `claims` are the shipped model's, `rivals` the other models with theirs. The readings themselves are named by
+    their hash, not repeated; the held-out ones stand beside their predictions in `held`.
+    """
+    dataset = validation.dataset
+    out: dict[str, Any] = {
+        "verdict": validation.verdict,
+        "method": validation.method,
+        "dataset": {
+            "name": dataset.name,
+            "source": dataset.source,
+            "cells_series": dataset.cells_series,
+            "cutoff_V": dataset.cutoff_V,
+            "capacity_Ah": dataset.capacity_Ah,
+            "runs": len(dataset.runs),
+            "ambients_C": plain(dataset.ambients_C),
+            "sha256": dataset.sha256,
+            "uncertainty": plain(dataset.uncertainty),
+            "flags": plain(dataset.flags),
+        },
+    }
+    for name in ("ambient_C", "limits", "claims", "findings", "precision", "drifts", "corridors", "surface_corridors"):
+        out[name] = plain(getattr(validation, name))
+    out["held"] = plain(validation.held)
+    pairs = zip(validation.rivals, validation.rival_claims, strict=True)
+    out["rivals"] = [{"held": plain(held), "claims": plain(claims)} for held, claims in pairs]
+    out["temperatures"] = plain(validation.temperatures)
+    out["battery"] = plain(validation.battery)
+    out["paper"] = plain(paper)
+    return out
