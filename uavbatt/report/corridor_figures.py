@@ -1,0 +1,255 @@
+"""Curves, corridors and the model: the study's Figures 1, 4, 5, 6 and 7, and corridors as departures from the mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uavbatt.dataset import Run
+from uavbatt.report import plot
+from uavbatt.report.page import Html, figure, number, paragraph
+from uavbatt.report.validation_inputs import Array, CorridorLike, ValidationPage
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MINUTES = "time from the start of the discharge (min)"
+SAMPLES = ((plot.BLUE, "-"), (plot.GREEN, "--"), (plot.AMBER, "-."), (plot.PINK, ":"))
+AXIS = {"voltage_V": "pack voltage (V)", "surface_C": "surface temperature (°C)"}
+DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departure from the mean (K)"}
+
+
+def repeated(page: ValidationPage) -> tuple[list[Run], list[Run]]:
+    """(runs of samples tested repeatedly, one-time runs) at the page's ambient temperature."""
+    runs = page.dataset.at(page.ambient_C)
+    counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
+    return [r for r in runs if counts[r.sample] > 1], [r for r in runs if counts[r.sample] == 1]
+
+
+def _values(run: Run, quantity: str) -> Array:
+    made: Array = getattr(run, quantity)
+    return made
+
+
+def _curve(axes: Axes, run: Run, quantity: str, style: tuple[str, str], name: str, weight: float = 0.9) -> None:
+    y = _values(run, quantity)
+    known = ~np.isnan(y)
+    t, y = run.time_s[known], y[known]
+    step = max(1, t.size // 300)
+    axes.plot(t[::step] / 60.0, y[::step], style[1], color=style[0], linewidth=weight, label=name, alpha=0.85)
+
+
+def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
+    """Every run at the page's temperature, one style a sample; one-time curves dotted in red."""
+    many, single = repeated(page)
+    seen: dict[str, tuple[str, str]] = {}
+    for run in many:
+        new = run.sample not in seen
+        style = seen.setdefault(run.sample, SAMPLES[len(seen) % len(SAMPLES)])
+        _curve(axes, run, quantity, style, f"{'' if new else '_'}sample {plot.literal(run.sample)}")
+    for i, run in enumerate(single):
+        if np.isfinite(_values(run, quantity)).any():
+            name = f"{'_' if i else ''}{plot.literal(run.sample)}, tested once"
+            _curve(axes, run, quantity, (plot.RED, ":"), name, 1.8)
+
+
+def family(page: ValidationPage) -> Html:
+    """Figure 1: the discharge curves of every repeated run."""
+    many, single = repeated(page)
+    alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {page.ambient_C:+g} °C."
+
+    def draw(axes: Axes) -> None:
+        _run_curves(axes, page, "voltage_V")
+
+    return figure(
+        plot.panel(draw, alt, x=MINUTES, y=AXIS["voltage_V"]),
+        f"Discharge curves at {page.ambient_C:+g} °C (the study's Figure 1)",
+        "Every test as it was read, straight lines between the readings.",
+    )
+
+
+def _shade(axes: Axes, at: Array, low: Array, high: Array) -> None:
+    axes.fill_between(at, low, high, color=plot.SKY, alpha=0.45, linewidth=0, label="corridor, mean ± C")
+
+
+def _edges(axes: Axes, at: Array, mean: Array, corridor: CorridorLike, scale: float = 1.0) -> None:
+    """The tolerance and the simultaneous band by their outlines."""
+    bands = (
+        ("95/95 tolerance", corridor.tolerance, (0, (1, 1.2))),
+        ("all instants at once", corridor.simultaneous, "--"),
+    )
+    for name, half, style in bands:
+        if np.isfinite(half).any():
+            for sign in (-1.0, 1.0):
+                label = name if sign > 0 else f"_{name}"
+                axes.plot(at, mean + sign * scale * half, color=plot.FAINT, linewidth=1.1, linestyle=style, label=label)
+
+
+def corridor(page: ValidationPage, found: CorridorLike, model: Array | None, study: int) -> Html:
+    """Figures 4 and 5: mean, corridor, runs and model, in the unit of the readings."""
+    minutes = found.at / 60.0
+
+    def draw(axes: Axes) -> None:
+        _shade(axes, minutes, found.mean - found.C, found.mean + found.C)
+        many, _ = repeated(page)
+        for run in many:
+            _curve(axes, run, found.quantity, (plot.FAINT, "-"), "_run", 0.5)
+        axes.plot(minutes, found.mean, color=plot.BLUE, label="mean of the tests")
+        if model is not None:
+            axes.plot(page.model.time_s / 60.0, model, "x", color=plot.RED, markersize=6, label="model, held out")
+
+    name = "voltage" if found.quantity == "voltage_V" else "surface temperature"
+    alt = f"Mean {name} with its corridor, every run and the model's prediction of runs it was not fitted to."
+    return figure(
+        plot.panel(draw, alt, x=MINUTES, y=AXIS[found.quantity]),
+        f"Corridor of the {name} at {page.ambient_C:+g} °C (the study's Figure {study})",
+        "The corridor is thin beside the fall of the curve: the next drawing shows the departures alone.",
+    )
+
+
+def departures(page: ValidationPage, found: CorridorLike, model: Array | None) -> Html:
+    """Corridor, wider bands, runs and model as departures from the mean of the tests."""
+    minutes, scale = found.at / 60.0, 1000.0 if found.quantity == "voltage_V" else 1.0
+
+    def draw(axes: Axes) -> None:
+        zero = np.zeros(found.at.size)
+        _shade(axes, minutes, -scale * found.C, scale * found.C)
+        _edges(axes, minutes, zero, found, scale)
+        many, single = repeated(page)
+        for i, run in enumerate(many):
+            _departure(axes, run, found, scale, (plot.BLUE, "-"), "_" * (i > 0) + "runs", 0.6)
+        for i, run in enumerate(single):
+            _departure(axes, run, found, scale, (plot.RED, ":"), "_" * (i > 0) + "tested once", 1.8)
+        if model is not None:
+            gap = scale * (model - np.interp(page.model.time_s, found.at, found.mean))
+            axes.plot(page.model.time_s / 60.0, gap, "x", color=plot.RED, markersize=6, label="model, held out")
+        _frame(axes, found, scale)
+
+    held = f" Of genuine curves {found.covers_all:.0%} stay inside mean ± C at every instant."
+    cut = " Curves that leave the drawing lie further out."
+    alt = "Departures of runs and model from the mean of the tests, with three bands."
+    said = "Blue: the repeated tests." + (held if math.isfinite(found.covers_all) else "") + cut
+    drawn = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[found.quantity], legend_columns=3)
+    return figure(drawn, f"The same as departures from the mean, {page.ambient_C:+g} °C", said)
+
+
+def _departure(
+    axes: Axes, run: Run, found: CorridorLike, scale: float, style: tuple[str, str], name: str, weight: float
+) -> None:
+    y = _values(run, found.quantity)
+    known = ~np.isnan(y)
+    if int(known.sum()) < 2:
+        return
+    within = (found.at >= run.time_s[known][0]) & (found.at <= run.time_s[known][-1])
+    gap = scale * (np.interp(found.at[within], run.time_s[known], y[known]) - found.mean[within])
+    axes.plot(found.at[within] / 60.0, gap, style[1], color=style[0], linewidth=weight, label=name, alpha=0.8)
+
+
+def _frame(axes: Axes, found: CorridorLike, scale: float) -> None:
+    """Symmetric limits that hold the widest band."""
+    widest = [float(np.nanmax(b)) for b in (found.C, found.tolerance, found.simultaneous) if np.isfinite(b).any()]
+    if widest and max(widest) > 0:
+        reach = 1.08 * scale * max(widest)
+        axes.set_ylim(-reach, reach)
+    axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+
+
+def in_time(page: ValidationPage) -> Html:
+    """The corridor of crossing times at fixed voltage: what a pilot has."""
+    found = page.time_corridor
+    title = "When a voltage is reached: the corridor in time"
+    if found is None or not np.isfinite(found.C).any():
+        return figure(
+            paragraph("Not enough data: no voltage that every repeated run falls through.", css="quiet"), title
+        )
+
+    def draw(axes: Axes) -> None:
+        _shade(axes, found.at, -found.C, found.C)
+        _edges(axes, found.at, np.zeros(found.at.size), found)
+        for i, run in enumerate(repeated(page)[1]):
+            times = _first_falls(run.time_s, run.voltage_V, found.at)
+            name = "_" * (i > 0) + "tested once"
+            axes.plot(found.at, times - found.mean, ":", color=plot.RED, linewidth=1.8, label=name)
+        model = _first_falls(page.model.time_s, page.model.voltage_V, found.at)
+        axes.plot(found.at, model - found.mean, "x", color=plot.RED, markersize=6, label="model, held out")
+        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        axes.invert_xaxis()
+
+    alt = "Seconds earlier or later than the mean test at which each voltage is reached, with bands."
+    drawn = plot.panel(
+        draw, alt, x="pack voltage that is reached (V)", y="earlier (−) or later (+) (s)", legend_columns=3
+    )
+    return figure(drawn, title, "The same tests read along the clock: seconds against the mean time of each voltage.")
+
+
+def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
+    """Time [s] of the first fall through each level, straight lines between readings; NaN where there is none."""
+    known = ~np.isnan(voltage_V)
+    t, v = time_s[known], voltage_V[known]
+    found = np.full(levels_V.size, math.nan)
+    for j, level in enumerate(levels_V):
+        falls = np.flatnonzero((v[:-1] >= level) & (v[1:] < level))
+        if falls.size:
+            i = falls[0]
+            found[j] = t[i] + (t[i + 1] - t[i]) * (v[i] - level) / (v[i] - v[i + 1])
+    return found
+
+
+def over_ambient(page: ValidationPage, corridors: Sequence[CorridorLike], quantity: str, study: int) -> Html:
+    """Figures 6 and 7: the mean curve at every ambient temperature."""
+    name = "Voltage" if quantity == "voltage_V" else "Surface temperature"
+    title = f"{name} over ambient temperature (the study's Figure {study})"
+    known = [c for c in corridors if np.isfinite(c.mean).any()]
+    if len(known) < 2:
+        where = f"at {known[0].ambient_C:+g} °C only" if known else "nowhere"
+        said = f"Not enough data: measured values were given {where}, so that this figure cannot be redrawn from them."
+        return figure(paragraph(said, css="quiet"), title)
+    low, high = min(c.ambient_C for c in known), max(c.ambient_C for c in known)
+
+    def draw(axes: Axes) -> None:
+        named = set(_spread([c.ambient_C for c in known], 6))
+        for c in sorted(known, key=lambda c: c.ambient_C):
+            colour = plot.RAMP[round((c.ambient_C - low) / (high - low) * (len(plot.RAMP) - 1))]
+            label = f"{c.ambient_C:+g} °C" if c.ambient_C in named else "_"
+            style = "-" if c.basis == "repeats" else "--" if c.basis == "quasi-replicates" else ":"
+            weight = 1.8 if c.basis == "repeats" else 1.0
+            axes.plot(c.at / 60.0, c.mean, style, color=colour, linewidth=weight, label=label)
+
+    bases = {b: sum(c.basis == b for c in known) for b in ("repeats", "quasi-replicates", "one run")}
+    said = (
+        f"Solid: mean of repeats ({bases['repeats']}); dashed: near repeats a degree apart "
+        f"({bases['quasi-replicates']}); dotted: one run ({bases['one run']}), no dispersion known."
+    )
+    alt = f"{name} over time at {len(known)} ambient temperatures from {low:g} to {high:g} °C."
+    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=280), title, said)
+
+
+def _spread(values: Sequence[float], count: int) -> list[float]:
+    """At most `count` of the values, evenly over their range."""
+    ordered = sorted(values)
+    wanted = np.linspace(ordered[0], ordered[-1], count)
+    return sorted({ordered[int(np.argmin(np.abs(np.array(ordered) - w)))] for w in wanted})
+
+
+def crossings(page: ValidationPage) -> Html:
+    """Time to a fixed voltage over ambient temperature: where one-time series break."""
+    title = f"Time to {page.crossing_V:g} V over ambient temperature"
+    known = [c for c in page.crossings if math.isfinite(c[2])]
+    if len({c[1] for c in known}) < 2:
+        return figure(paragraph("Tests at two ambient temperatures or more would be needed.", css="quiet"), title)
+
+    def draw(axes: Axes) -> None:
+        for i, sample in enumerate(dict.fromkeys(c[0] for c in known)):
+            mine = [c for c in known if c[0] == sample]
+            colour, marker = (plot.BLUE, plot.GREEN, plot.RED, plot.AMBER)[i % 4], "osD^"[i % 4]
+            axes.plot([c[1] for c in mine], [c[2] / 60.0 for c in mine], marker, color=colour, markersize=4,
+                      markerfacecolor="none", label=f"sample {plot.literal(sample)}")  # fmt: skip
+
+    alt = f"Time until the pack first falls to {page.crossing_V:g} V against ambient temperature, one mark a test."
+    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {page.crossing_V:g} V (min)")
+    return figure(
+        drawn, title, f"One mark a test, {number(len(known), 0)} tests. Jumps between neighbours are not the battery's."
+    )

@@ -1,0 +1,144 @@
+"""The drawings of the gate and of the samples' consistency."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uavbatt.report import plot
+from uavbatt.report.page import Html, figure, number
+from uavbatt.report.validation_inputs import Array, ClaimLike, Consistency
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SCALES = {"V": (1000.0, "mV"), "s": (1.0, "s"), "K": (1.0, "K")}
+COLOURS = {"pass": plot.GREEN, "fail": plot.RED, "not enough data": plot.AMBER}
+
+
+def judged(claims: Sequence[ClaimLike], ambient_C: float) -> list[ClaimLike]:
+    """The claims at `ambient_C` that compare a bias and its interval with a limit."""
+    return [c for c in claims if c.ambient_C == ambient_C and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
+
+
+def equivalence(claims: Sequence[ClaimLike]) -> list[Html]:
+    """One drawing a quantity judged at many instants, one for all that are judged once (times)."""
+    many = [c for c in claims if c.at.size > 1]
+    once = [c for c in claims if c.at.size == 1]
+    return [*(_over_instants(c) for c in many), *([_single(once)] if once else [])]
+
+
+def _points(axes: Axes, at: Array, bias: Array, half: Array, colour: str) -> None:
+    known = np.nan_to_num(half)
+    axes.errorbar(at, bias, yerr=known, fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
+
+
+def _over_instants(claim: ClaimLike) -> Html:
+    scale, unit = SCALES.get(claim.unit, (1.0, claim.unit))
+    limit = claim.limit * scale
+
+    def draw(axes: Axes) -> None:
+        axes.axhspan(-limit, limit, facecolor=plot.SHADE, linewidth=0, label=f"allowed, ±{limit:g} {unit}")
+        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        colour = COLOURS.get(claim.verdict, plot.INK)
+        _points(axes, claim.at / 60.0, claim.bias * scale, claim.half_width * scale, colour)
+        axes.plot([], [], "o-", color=colour, markersize=4.5, label="bias with its interval")
+        reach = 1.15 * max(limit, float(np.nanmax(np.abs(claim.bias) + np.nan_to_num(claim.half_width))) * scale)
+        axes.set_ylim(-reach, reach)
+
+    alt = f"{claim.claim} per instant with its interval against the limit of ±{limit:g} {unit}: {claim.verdict}."
+    drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model less tests ({unit})")
+    return figure(
+        drawn, f"{_sentence(claim.claim)}, {claim.ambient_C:+g} °C: {claim.verdict}", _sentence(claim.reason) + "."
+    )
+
+
+def _single(claims: Sequence[ClaimLike]) -> Html:
+    """Claims with one bias each, as bars of the allowed range: 1 is the limit."""
+    height = 78.0 + 34.0 * len(claims)
+
+    def draw(figure_: Figure) -> None:
+        axes = figure_.add_axes((0.3, 42.0 / height, 0.67, 1.0 - 54.0 / height))
+        axes.axvspan(-1.0, 1.0, facecolor=plot.SHADE, linewidth=0)
+        axes.axvline(0.0, color=plot.INK, linewidth=0.7)
+        for i, c in enumerate(claims):
+            colour = COLOURS.get(c.verdict, plot.INK)
+            half = float(np.nan_to_num(c.half_width[0])) / c.limit
+            bias = float(c.bias[0]) / c.limit
+            axes.errorbar([bias], [i], xerr=[half], fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
+        axes.set_yticks(range(len(claims)), [plot.literal(f"{c.claim} (±{c.limit:g} {c.unit})") for c in claims])
+        axes.set_ylim(len(claims) - 0.4, -0.6)
+        widest = max(abs(float(c.bias[0])) + float(np.nan_to_num(c.half_width[0])) for c in claims)
+        reach = 1.2 * max(1.0, widest / min(c.limit for c in claims))
+        axes.set_xlim(-reach, reach)
+        axes.set_xlabel("bias with its interval, in parts of the limit")
+        axes.grid(False, axis="y")
+
+    words = "; ".join(
+        f"{c.claim}: {number(float(c.bias[0]), 1, sign=True)} ± {number(float(c.half_width[0]), 1, c.unit)}"
+        for c in claims
+    )
+    return figure(plot.drawing(draw, words, height), "Times, model less tests", words + ".")
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def mandel(levels: Sequence[Consistency], quantity: str) -> list[Html]:
+    """h and k of each sample, one stem an instant, grouped by sample as in ISO 5725-2."""
+    mine = [c for c in levels if c.quantity == quantity]
+    if not mine:
+        return []
+    h = np.array([c.h for c in mine]).T
+    k = np.array([c.k for c in mine]).T
+    few = len(mine[0].samples) < 3
+    h_said = "With two samples |h| is 0.707 whatever the data: it says nothing." if few else ""
+    k_said = "Above the 5 % line a sample is a straggler, above the 1 % line an outlier in scatter."
+    return [
+        _stems(h, mine, quantity, "h", _limits([c.h_critical for c in mine], both=True), h_said),
+        _stems(k, mine, quantity, "k", _limits([c.k_critical for c in mine], both=False), k_said),
+    ]
+
+
+def _limits(pairs: Sequence[tuple[float, float]], both: bool) -> list[tuple[float, str]]:
+    """Critical values to draw: the 5 % and the 1 % one, on both sides for h."""
+    five, one = (float(np.nanmedian([p[i] for p in pairs])) if np.isfinite([p[i] for p in pairs]).any() else math.nan
+                 for i in (0, 1))  # fmt: skip
+    signs = (1.0, -1.0) if both else (1.0,)
+    return [(s * v, n) for v, n in ((five, "5 %"), (one, "1 %")) if math.isfinite(v) for s in signs]
+
+
+def _stems(
+    values: Array, levels: Sequence[Consistency], quantity: str, letter: str, limits: list[tuple[float, str]], said: str
+) -> Html:
+    """Stems of `values[sample, instant]`, the instants of one sample side by side."""
+    samples, count = levels[0].samples, len(levels)
+    colour = {"5 %": plot.AMBER, "1 %": plot.RED}
+
+    def draw(axes: Axes) -> None:
+        for j in range(len(samples)):
+            x = j * (count + 2) + np.arange(count)
+            axes.vlines(x, 0.0, np.nan_to_num(values[j]), color=plot.BLUE, linewidth=3.0)
+            axes.plot(x, values[j], "o", color=plot.BLUE, markersize=3.0)
+        seen: set[str] = set()
+        for value, name in limits:
+            label = f"critical, {name}" if name not in seen else "_"
+            seen.add(name)
+            axes.axhline(value, color=colour[name], linewidth=1.2, linestyle="--", label=label)
+        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        middle = [j * (count + 2) + (count - 1) / 2.0 for j in range(len(samples))]
+        axes.set_xticks(middle, [plot.literal(f"sample {s}") for s in samples])
+        axes.grid(False, axis="x")
+
+    name = "voltage" if quantity == "voltage_V" else "surface temperature"
+    means = "the sample means" if letter == "h" else "the scatter within samples"
+    first, last = levels[0].time_s / 60.0, levels[-1].time_s / 60.0
+    alt = f"Mandel's {letter} of the {name} for {len(samples)} samples at {count} instants."
+    x = f"one stem an instant, {first:g} to {last:g} min"
+    drawn = plot.panel(draw, alt, x=x, y=f"Mandel's {letter}", height=200)
+    return figure(drawn, f"Mandel's {letter}: consistency of {means}, {name}", said)

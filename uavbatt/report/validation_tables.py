@@ -1,0 +1,185 @@
+"""The tables of the validation page: claims, data, precision, budget, agreement, before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from uavbatt.dataset import DataSet
+from uavbatt.report.page import DASH, Html, badge, bullets, details, element, facts, number, paragraph, table, together
+from uavbatt.report.validation_inputs import (
+    AgreementLike,
+    BudgetLike,
+    Change,
+    ClaimLike,
+    FindingLike,
+    LevelPrecisionLike,
+)
+
+# Shown per unit: factor, unit, decimals.
+SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
+QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
+SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
+
+
+def claims_table(claims: Sequence[ClaimLike]) -> Html:
+    """One row a claim; claims of one kind, verdict and reason over many temperatures share a row."""
+    groups: dict[tuple[str, str, str, bool], list[ClaimLike]] = {}
+    for c in claims:
+        lone = math.isfinite(c.limit) and np.isfinite(c.half_width).any()
+        key = f"{id(c)}" if lone else c.reason.split("(")[0]
+        groups.setdefault((c.claim, c.verdict, key, c.gates), []).append(c)
+    head = ("claim", "ambient", "verdict", "decides", "largest bias", "its interval", "limit", "why")
+    return table(head, [_claim_row(g) for g in groups.values()], text_columns=(0, 1, 2, 3, 7))
+
+
+def _claim_row(group: Sequence[ClaimLike]) -> tuple[str, ...]:
+    c = group[0]
+    where = f"{c.ambient_C:+g} °C" if len(group) == 1 else _span([g.ambient_C for g in group])
+    worst = max(group, key=lambda g: float(np.nanmax(np.abs(g.bias))) if np.isfinite(g.bias).any() else -1.0)
+    reason = c.reason if len(group) == 1 else c.reason.split("(")[0].strip()
+    verdict, decides = badge(c.verdict), "yes" if c.gates else "informs"
+    if not np.isfinite(worst.bias).any():
+        return c.claim, where, verdict, decides, DASH, DASH, DASH, reason
+    scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
+    i = int(np.nanargmax(np.abs(worst.bias) + np.nan_to_num(worst.half_width) * math.isfinite(worst.limit)))
+    bias, half = float(worst.bias[i]) * scale, float(worst.half_width[i]) * scale
+    interval = DASH
+    if math.isfinite(half) and math.isfinite(worst.limit):
+        interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
+    limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C of each instant"
+    return c.claim, where, verdict, decides, number(bias, decimals, unit, sign=True), interval, limit, reason
+
+
+def _span(ambients_C: Sequence[float]) -> str:
+    return f"{len(ambients_C)} temperatures, {min(ambients_C):+g} to {max(ambients_C):+g} °C"
+
+
+def findings_list(findings: Sequence[FindingLike]) -> Html:
+    """The findings in their order, each with what it rests on."""
+    if not findings:
+        return paragraph("Nothing in the tests speaks against them.")
+    items = [
+        together(
+            (
+                paragraph(badge(SEVERITY.get(f.severity, "note"), f.severity), " ", element("strong", f.title)),
+                paragraph(f.detail, css="quiet"),
+            ),
+            "",
+        )
+        for f in findings
+    ]
+    return bullets(items, css="findings")
+
+
+def data_overview(dataset: DataSet) -> list[Html]:
+    """What was tested and read, and what of it is suspect."""
+    body = []
+    for sample in dict.fromkeys(r.sample for r in dataset.runs):
+        runs = [r for r in dataset.runs if r.sample == sample]
+        ambients = sorted({r.ambient_C for r in runs})
+        repeats = max(sum(r.ambient_C == t for r in runs) for t in ambients)
+        read = [q for q, name in (("voltage", "voltage_V"), ("current", "current_A"), ("surface temp.", "surface_C"))
+                if any(np.isfinite(getattr(r, name)).any() for r in runs)]  # fmt: skip
+        span = f"{ambients[0]:+g} °C" if len(ambients) == 1 else _span(ambients)
+        body.append(
+            (sample, span, str(len(runs)), str(repeats), str(sum(r.time_s.size for r in runs)), ", ".join(read))
+        )
+    head = ("sample", "ambient", "runs", "most repeats", "readings", "read")
+    capacity = f"{dataset.capacity_Ah:g} Ah" if dataset.capacity_Ah else "capacity not stated"
+    about = (
+        ("data set", dataset.name),
+        ("battery", f"{dataset.chemistry}, {dataset.cells_series} cells in series, {capacity}"),
+        ("cut-off", f"{dataset.cutoff_V:g} V"),
+        ("load", dataset.load),
+        ("source", dataset.source),
+        ("SHA-256", dataset.sha256),
+    )
+    flags = bullets(f"{f.where}: {f.printed or 'as printed'} ({f.kind}). {f.reason}" for f in dataset.flags)
+    suspect = details(f"{len(dataset.flags)} entries flagged as suspect, none changed", flags) if flags else Html("")
+    return [facts(about), table(head, body, text_columns=(0, 1, 5)), suspect]
+
+
+def precision_table(levels: Sequence[LevelPrecisionLike], quantity: str) -> Html:
+    """s_r, s_L, s_R, r, R per level with 95 % intervals, and their relative uncertainties A_r, A_R."""
+    mine = [row for row in levels if row.quantity == quantity]
+    if not mine:
+        return paragraph("Not measured in repeated tests.", css="quiet")
+    name, scale, unit, mean_unit, decimals = QUANTITY[quantity]
+    few = any(row.precision.reproducibility != "ok" for row in mine)
+    mark = " †" if few else ""
+    d = 1 if unit == "mV" else 3
+
+    def interval(pair: tuple[float, float]) -> str:
+        return f"{number(pair[0] * scale, d)} to {number(pair[1] * scale, d)}"
+
+    body = []
+    for row in mine:
+        p = row.precision
+        body.append(
+            (
+                f"{row.time_s / 60:g}", number(p.mean, decimals), number(p.s_r * scale, d), interval(p.s_r_interval),
+                number(p.r * scale, d), number(p.s_L * scale, d), number(p.s_R * scale, d), interval(p.s_R_interval),
+                number(p.R * scale, d), _percent(p.A_r), _percent(p.A_R), str(p.n_total),
+            )
+        )  # fmt: skip
+    head = ("min", f"mean ({mean_unit})", f"s_r ({unit})", "95 % interval", f"r ({unit})", f"s_L{mark} ({unit})",
+            f"s_R{mark} ({unit})", "95 % interval", f"R{mark} ({unit})", "A_r", "A_R", "results")  # fmt: skip
+    made = table(head, body, f"{name}: precision per level (ISO 5725-2)", text_columns=())
+    notes = dict.fromkeys(n for row in mine for n in row.precision.notes if "negative" not in n)
+    negative = sum(any("negative" in n for n in row.precision.notes) for row in mine)
+    said = [*notes]
+    if negative:
+        said.append(
+            f"the between-sample variance came out negative at {negative} of {len(mine)} levels and is set to 0"
+        )
+    if few:
+        said.append("† too few samples: not reproducibility, and no statement on other packs of the make")
+    return together((made, bullets(said, css="quiet")))
+
+
+def _percent(share: float) -> str:
+    return f"{share:.0%}" if math.isfinite(share) else DASH
+
+
+def budget_table(claim: ClaimLike, budget: BudgetLike) -> Html:
+    """Standard uncertainties per source and instant, and the half width that comes of them."""
+    scale, unit, decimals = SHOWN.get(budget.unit, (1.0, budget.unit, 3))
+    d = decimals + 1
+    in_time = claim.unit in ("V", "K")
+    at = [f"{t / 60:g} min" if in_time else f"{t:.4g} V" for t in budget.at]
+    body = [(f"{r.source} ({r.kind})", *(number(u * scale, d) for u in r.u), r.how) for r in budget.rows]
+    last = len(at) + 1
+    used = (np.abs(claim.bias) + claim.half_width) / claim.limit
+    body += [
+        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows together"),
+        ("half width", *(number(h * scale, d) for h in budget.expanded), f"with t = {budget.coverage:.2f} on type A"),
+        ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model less tests"),
+        ("part of the limit used", *(_percent(u) for u in used), f"limit ±{claim.limit * scale:g} {unit}"),
+    ]
+    caption = f"{claim.claim}, {claim.ambient_C:+g} °C; standard uncertainties in {unit}"
+    return table(("source", *at, "how"), body, caption, text_columns=(0, last))
+
+
+def agreement(tables: Sequence[AgreementLike]) -> list[Html]:
+    """The study's printed tables against the recomputation."""
+    body = [(a.table, f"{a.agree} of {a.total}", a.counted) for a in tables]
+    slips = bullets(s for a in tables for s in a.slips)
+    return [table(("printed", "figures met", "counted"), body, text_columns=(0, 1, 2)), slips]
+
+
+def changes_table(changes: Sequence[Change]) -> Html:
+    """Errors before and after the model was extended."""
+    body = [
+        (c.quantity, number(c.before, c.decimals, c.unit), number(c.after, c.decimals, c.unit), _change(c), c.on)
+        for c in changes
+    ]
+    return table(("error", "before", "after", "change", "on"), body, text_columns=(0, 4))
+
+
+def _change(c: Change) -> str:
+    if not (math.isfinite(c.before) and math.isfinite(c.after)) or c.before == 0.0:
+        return DASH
+    return f"{(c.after - c.before) / abs(c.before):+.0%}".replace("-", "\u2212")
