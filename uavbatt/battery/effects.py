@@ -51,7 +51,7 @@ CELL_EFFECTS = (
         "polarisation",
         "voltage that lags a load step by seconds",
         "cell",
-        (_ratio("polarisation_ratio", 0.5), _tau("polarisation_tau_s", 1.0, 60.0, 12.0)),
+        (_ratio("polarisation_ratio", 0.5), _tau("polarisation_tau_s", 1.0, 120.0, 12.0)),
     ),
     Effect(
         "slow_diffusion",

@@ -21,9 +21,9 @@ RESTED_C_RATE = 0.15
 # The row's current stands for an interval in which the load moved: 6 % of the charge for rows 1 s apart or
 # less (averaging logger), 15 % when a row comes every 10 s or slower (a snapshot of a gusty load).
 SNAPSHOT_SHARE = (0.06, 0.15)
-# Slow scales wander: resistance 3 % and capacity 1 % over ten minutes (state of health does not change in a
+# Slow scales wander: resistance and capacity 1 % over ten minutes (state of health does not change in a
 # flight; what changes is how far the model's R(soc, T) and OCV are from the pack's).
-RESISTANCE_WALK_PER_S = 0.03**2 / 600.0
+RESISTANCE_WALK_PER_S = 0.01**2 / 600.0
 CAPACITY_WALK_PER_S = 0.01**2 / 600.0
 OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
@@ -32,7 +32,9 @@ VOLTAGE_SD_V = 0.004
 # Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
 # row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
 STEP_SHARE = 0.12
-DROP_SHARE = 0.02
+# The drop itself is known to this share: scale of the current sensor, and its noise, which a filter that trusted
+# every row would read as a smaller resistance (errors in variables).
+DROP_SHARE = 0.06
 
 
 def snapshot(dt_s: float, shares: tuple[float, float]) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -27,11 +28,57 @@ from uavbatt.records import NAN, Estimate, Sample, Status
 # Steps of the difference quotients: far above rounding, far below any curvature of the model.
 NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
 GATE = 16.0
+BLOCK_S = 2.0
 LONGEST_GAP_S = 60.0
 CONVERGED_SOC_SD = 0.06
 REFUSED_SOC_SD = 0.20
 ROOM_TEMP_C = 22.0
 FULL_SOC_SD = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Rows that are taken in together: fast telemetry is averaged to BLOCK_S before the filter sees it.
+
+    The row-to-row noise of a current sensor, multiplied by the resistance, would look like a voltage that does not
+    answer the current: a resistance too small. Means over two seconds leave little of it, and cost less.
+    """
+
+    rows: int = 0
+    duration_s: float = 0.0
+    charge_As: float = 0.0
+    sum_V: float = 0.0
+    sum_A: float = 0.0
+    sum_C: float = 0.0
+    temps: int = 0
+
+    def after(self, sample: Sample, current_A: float, dt_s: float, previous_A: float) -> Block:
+        """The block with one more row, `dt_s` after a row of `previous_A` (trapezium rule)."""
+        has_temp = math.isfinite(sample.temp_C)
+        return Block(
+            self.rows + 1,
+            self.duration_s + dt_s,
+            self.charge_As + 0.5 * (previous_A + current_A) * dt_s,
+            self.sum_V + sample.voltage_V,
+            self.sum_A + current_A,
+            self.sum_C + (sample.temp_C if has_temp else 0.0),
+            self.temps + has_temp,
+        )
+
+    @property
+    def voltage_V(self) -> float:
+        """Mean voltage [V]."""
+        return self.sum_V / self.rows
+
+    @property
+    def current_A(self) -> float:
+        """Mean of the rows' currents [A]."""
+        return self.sum_A / self.rows
+
+    @property
+    def temp_C(self) -> float:
+        """Mean temperature [°C], NaN when no row had one."""
+        return self.sum_C / self.temps if self.temps else NAN
 
 
 class SocFilter:
@@ -42,7 +89,8 @@ class SocFilter:
         self.given_ambient_C = ambient_C
         self._kalman: ExtendedKalmanFilter | None = None
         self._time_s = NAN
-        self._current_A = NAN
+        self._current_A = self._block_A = NAN
+        self._block = Block()
         self._ambient_C = ambient_C
 
     @property
@@ -57,21 +105,26 @@ class SocFilter:
         self._begin(belief.mean.copy(), belief.covariance.copy(), belief.time_s, belief.ambient_C)
 
     def step(self, sample: Sample) -> Estimate:
-        """Take one sample in; a sample without voltage or current moves time only and says so."""
+        """Take one sample in; a sample without voltage or current moves nothing and says so."""
         if not math.isfinite(sample.voltage_V) or not math.isfinite(sample.current_A):
             missing = "voltage" if not math.isfinite(sample.voltage_V) else "current"
             return self._estimate(sample, NAN, NAN, NAN, refusal=f"no {missing} in this row")
         current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
         if self._kalman is None:
             self._start(sample, current_A)
-            return self._update(sample, current_A, step_A=0.0)
+            return self._update(sample, Block().after(sample, current_A, 0.0, current_A), step_A=0.0)
         dt_s = sample.time_s - self._time_s
         if dt_s < 0.0:
             return self._estimate(sample, NAN, NAN, NAN, refusal="time went backwards")
-        self._predict(current_A, dt_s)
-        step_A = current_A - self._current_A
+        self._block = self._block.after(sample, current_A, dt_s, self._current_A)
         self._time_s, self._current_A = sample.time_s, current_A
-        return self._update(sample, current_A, step_A)
+        block = self._block
+        if block.duration_s < BLOCK_S:
+            return self._between(sample, current_A, block)
+        self._predict(block.charge_As / block.duration_s, block.duration_s)
+        step_A = block.current_A - self._block_A
+        self._block, self._block_A = Block(), block.current_A
+        return self._update(sample, block, step_A)
 
     def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:
         kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
@@ -100,14 +153,13 @@ class SocFilter:
         mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = soc, temp_C, temp_C
         covariance = noise.start_covariance(pack, soc_sd, temp_sd_K, overpotential_sd_V)
         self._begin(mean, covariance, sample.time_s, ambient_C)
-        self._current_A = current_A
+        self._current_A = self._block_A = current_A
+        self._block = Block()
 
-    def _predict(self, current_A: float, dt_s: float) -> None:
-        """Carry the belief over dt with the mean of the currents at both ends (trapezium rule)."""
+    def _predict(self, mean_A: float, dt_s: float) -> None:
+        """Carry the belief over dt under the mean current; over a long gap nothing says that the load went on."""
         assert self._kalman is not None
         kalman = self._kalman
-        # Over a long gap nothing says that the load went on: half its mean, and the noise of not knowing.
-        mean_A = 0.5 * (self._current_A + current_A)
         kalman.F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), kalman.x)
         rate = float(c_rate(self.pack.installation, mean_A))
         kalman.Q = noise.process_covariance(self.pack, kalman.x, rate, dt_s)
@@ -116,11 +168,12 @@ class SocFilter:
         kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
         kalman.x = moved
 
-    def _update(self, sample: Sample, current_A: float, step_A: float) -> Estimate:
+    def _update(self, sample: Sample, block: Block, step_A: float) -> Estimate:
+        """Condition the belief on the means of a block of rows."""
         assert self._kalman is not None
         kalman, pack = self._kalman, self.pack
-        cells = pack.installation.cells
-        has_temp = math.isfinite(sample.temp_C)
+        cells, current_A, temp_C = pack.installation.cells, block.current_A, block.temp_C
+        has_temp = math.isfinite(temp_C)
 
         def reading(x: Array) -> Array:
             volts = b.voltage(pack, x, current_A)
@@ -128,7 +181,7 @@ class SocFilter:
             return np.stack([volts, warmth]) if has_temp else np.stack([volts])
 
         observation, expected = _jacobian(reading, kalman.x)
-        measured = np.array([sample.voltage_V, sample.temp_C] if has_temp else [sample.voltage_V])
+        measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
         innovation = measured - expected
         ohm = float(model.resistance(pack.cell, kalman.x[C.SOC], kalman.x[C.CORE])) / pack.installation.capacity_Ah
         ohm *= math.exp(kalman.x[C.LOG_RESISTANCE]) * (1.0 + pack.cell.polarisation_ratio)
@@ -145,6 +198,15 @@ class SocFilter:
         kalman.P = 0.5 * (kalman.P + kalman.P.T)
         return self._estimate(sample, float(innovation[0]), nis, float(expected[0]))
 
+    def _between(self, sample: Sample, current_A: float, block: Block) -> Estimate:
+        """Within a block: the last belief, less the charge drawn since."""
+        assert self._kalman is not None
+        x = self._kalman.x.copy()
+        capacity_As = 3600.0 * self.pack.installation.present_capacity_Ah * math.exp(x[C.LOG_CAPACITY])
+        x[C.SOC] -= block.charge_As / capacity_As
+        expected_V = float(b.voltage(self.pack, x, current_A))
+        return self._estimate(sample, sample.voltage_V - expected_V, NAN, expected_V, soc=float(x[C.SOC]))
+
     def _keep_soc_possible(self) -> None:
         """A cell is never more than full: told to the filter as a reading, so that what is correlated follows."""
         assert self._kalman is not None
@@ -156,7 +218,13 @@ class SocFilter:
             kalman.update(np.array([-excess]), lambda x: row, lambda x: np.zeros(1), R=np.eye(1) * FULL_SOC_SD**2)
 
     def _estimate(
-        self, sample: Sample, innovation_V: float, nis: float, predicted_V: float, refusal: str = ""
+        self,
+        sample: Sample,
+        innovation_V: float,
+        nis: float,
+        predicted_V: float,
+        refusal: str = "",
+        soc: float = NAN,
     ) -> Estimate:
         mean = self._kalman.x if self._kalman is not None else np.full(SIZE, NAN)
         soc_sd = math.sqrt(self._kalman.P[C.SOC, C.SOC]) if self._kalman is not None else NAN
@@ -169,7 +237,7 @@ class SocFilter:
             status, reason = Status.CONVERGING, f"state of charge known only to ±{soc_sd:.0%}"
         return Estimate(
             time_s=sample.time_s,
-            soc=float(min(max(mean[C.SOC], 0.0), 1.0)) if self._kalman is not None else NAN,
+            soc=float(np.clip(soc if math.isfinite(soc) else mean[C.SOC], 0.0, 1.0)),
             soc_sd=soc_sd,
             voltage_V=sample.voltage_V,
             current_A=sample.current_A,

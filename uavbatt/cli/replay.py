@@ -1,0 +1,228 @@
+"""`uavbatt replay`: flight logs through the estimator, line by line, with a summary and a report."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from uavbatt.cli.options import (
+    DEFAULT_BATTERY,
+    BatteryOption,
+    CapacityOption,
+    CellsOption,
+    CutoffOption,
+    ReserveOption,
+    UncertifiedOption,
+    check_writable,
+    known,
+)
+from uavbatt.errors import UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.battery.file import BatteryFile
+    from uavbatt.pipeline import PackOptions, Resolved
+    from uavbatt.records import Flight
+    from uavbatt.replay import Outcome, Step
+
+
+def replay(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...")],
+    battery: BatteryOption = DEFAULT_BATTERY,
+    cells: CellsOption = None,
+    capacity_ah: CapacityOption = None,
+    cutoff_voltage: CutoffOption = None,
+    reserve_soc: ReserveOption = 0.0,
+    allow_uncertified: UncertifiedOption = False,
+    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
+    load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
+    jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
+    summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+) -> None:
+    """Replay flight logs: state of charge and remaining time at every row, and how good it was.
+
+    With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list.
+    """
+    from uavbatt.battery import file
+    from uavbatt.pipeline import PackOptions
+
+    several = len(logs) > 1
+    if several:
+        _check_folders(logs, jsonl, csv, report)
+    check_writable(summary, *([] if several else [jsonl, csv, report]))
+    content = file.read(battery, allow_uncertified=allow_uncertified)
+    options = PackOptions(
+        cells=cells,
+        capacity_Ah=known(capacity_ah, "--capacity-ah"),
+        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
+        reserve_soc=reserve_soc,
+    )
+    results = []
+    for log in logs:
+        targets = [_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)]
+        results.append(_one(log, content, options, load, instance, *targets))
+    if summary is not None:
+        from uavbatt.aside import written_aside
+
+        text = json.dumps(results if several else results[0], indent=2, ensure_ascii=False)
+        with written_aside(summary, "w") as stream:
+            stream.write(text + "\n")
+
+
+def _one(
+    log: Path,
+    content: BatteryFile,
+    options: PackOptions,
+    load: str,
+    instance: int | None,
+    jsonl: Path | None,
+    csv: Path | None,
+    report: Path | None,
+) -> dict[str, Any]:
+    from dataclasses import replace as changed
+
+    from uavbatt.cli.loads import stated_load
+    from uavbatt.feed import sinks
+    from uavbatt.pipeline import Estimator
+    from uavbatt.replay import outcome, steps
+    from uavbatt.telemetry import read_log
+
+    flight = read_log(log, instance)
+    estimator = Estimator(content, changed(options, load=stated_load(load, flight)))
+    run = []
+    with ExitStack() as stack:
+        out = [stack.enter_context(sinks.json_lines(jsonl))] if jsonl is not None else []
+        out += [stack.enter_context(sinks.csv_table(csv))] if csv is not None else []
+        for step in _with_progress(steps(flight, estimator), len(flight.samples), log.name):
+            run.append(step)
+            for sink in out:
+                sink.write(sinks.line(step.estimate, step.remaining))
+        resolved = estimator.resolved
+        if resolved is None:
+            raise UsageError(f"{log}: expected at least one row with a voltage")
+        found = outcome(run, resolved.cutoff_V)
+        if report is not None:
+            from uavbatt.cli import flight_page
+
+            flight_page.write(report, flight, run, resolved, found, content)
+    for line in _lines(flight, resolved, found, run):
+        typer.echo(line)
+    return _summary(flight, resolved, found, run, content)
+
+
+def _with_progress(rows: Any, total: int, name: str) -> Any:
+    """A progress bar on stderr when it is a terminal and the log is long enough to wait for."""
+    if not sys.stderr.isatty() or total < 2000:
+        return rows
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(rows, total=total, description=name, console=Console(stderr=True), transient=True)
+
+
+def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) -> list[str]:
+    """The summary for a person."""
+    status = {"certified": "certified", "fitted": "fitted, not certified", "generic": "generic, not certified"}
+    lines = [
+        f"{flight.source}: {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
+        f"  battery    {resolved.battery} ({status[resolved.status]}); {resolved.cells}S from {resolved.cells_from}, "
+        f"{resolved.capacity_Ah:g} Ah from {resolved.capacity_from}, cut-off {resolved.cutoff_V:g} V from "
+        f"{resolved.cutoff_from}",
+        f"  at the end {found.end_voltage_V:.2f} V, state of charge {_number(found.end_soc, '.3f')} "
+        f"± {_number(found.end_soc_sd, '.3f')}; refused in the air {_number(found.refused_in_air, '.1%')}, "
+        f"mean NIS {_number(found.mean_nis, '.2f')}",
+    ]
+    warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
+    lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
+    if flight.skipped_bytes:
+        lines.append(f"  warning    {flight.skipped_bytes} bytes of the log were unreadable and skipped")
+    if math.isfinite(found.end_of_flight_s):
+        lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
+        for c in found.checkpoints:
+            if math.isfinite(c.remaining_s):
+                verdict = "inside" if c.inside else "outside"
+                lines.append(
+                    f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
+                    f"{c.before_end_s:4.0f} s, error {c.error_s:+5.0f} s, {verdict} the 90 % interval"
+                )
+            else:
+                lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
+    else:
+        last = run[-1].remaining
+        said = f"{last.remaining_s:.0f} s left at the last row" if math.isfinite(last.remaining_s) else last.reason
+        lines.append(f"  the log does not reach the end of flight; {said}")
+    return lines
+
+
+def _summary(
+    flight: Flight, resolved: Resolved, found: Outcome, run: list[Step], content: BatteryFile
+) -> dict[str, Any]:
+    """The summary for a program (DESIGN §5): NaN as null."""
+    from dataclasses import asdict
+
+    scores = [
+        {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
+        for c in found.checkpoints
+    ]
+    summary: dict[str, Any] = _plain(
+        {
+            "log": flight.source,
+            "kind": flight.kind,
+            "instance": flight.instance,
+            "battery": resolved.battery,
+            "certificate_status": resolved.status,
+            "content_sha256": content.certificate.content_sha256,
+            "cells": resolved.cells,
+            "cells_from": resolved.cells_from,
+            "capacity_Ah": resolved.capacity_Ah,
+            "capacity_from": resolved.capacity_from,
+            "cutoff_V": resolved.cutoff_V,
+            "cutoff_from": resolved.cutoff_from,
+            "low_V": resolved.low_V,
+            "low_from": resolved.low_from,
+            "skipped_bytes": flight.skipped_bytes,
+            "notes": list(flight.notes),
+            "warnings": list(dict.fromkeys(w for s in run for w in s.estimate.warnings)),
+            **{k: v for k, v in asdict(found).items() if k != "checkpoints"},
+            "scores": scores,
+        }
+    )
+    return summary
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "unknown"
+
+
+def _outputs(jsonl: Path | None, csv: Path | None, report: Path | None) -> list[tuple[Path | None, str]]:
+    return [(jsonl, ".jsonl"), (csv, ".csv"), (report, ".html")]
+
+
+def _target(path: Path | None, log: Path, ending: str, several: bool) -> Path | None:
+    return path / (log.stem + ending) if path is not None and several else path
+
+
+def _check_folders(logs: list[Path], *folders: Path | None) -> None:
+    if len({log.stem for log in logs}) < len(logs) and any(folders):
+        raise UsageError("several logs of one name: expected different names, one output file is written for each")
+    for folder in folders:
+        if folder is None:
+            continue
+        if folder.exists() and not folder.is_dir():
+            raise UsageError(f"{folder}: expected a folder, several logs write one file each")
+        folder.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,147 @@
+"""`uavbatt validate`: judge discharge tests, build the corridor, gate the model, ship it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from uavbatt.cli.options import check_writable
+from uavbatt.errors import UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.dataset import DataSet
+    from uavbatt.validation.paper import PaperReplay
+    from uavbatt.validation.validate import Validation
+
+
+class Method(StrEnum):
+    """How to judge."""
+
+    ISO = "iso"
+    PAPER = "paper"
+
+
+def validate(
+    dataset: Annotated[Path | None, typer.Argument(metavar="[DATASET]", help="Folder; default: the study.")] = None,
+    ship: Annotated[Path | None, typer.Option("--ship", metavar="DIR", help="Write the battery file on pass.")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Every number as JSON.")] = None,
+    method: Annotated[Method, typer.Option("--method", help="iso gates; paper = the study as printed.")] = Method.ISO,
+    limit_v: Annotated[float, typer.Option("--limit-v", min=0.001, help="Limit in volts for a 3S pack.")] = 0.15,
+    limit_s: Annotated[float, typer.Option("--limit-s", min=0.1, help="Limit in seconds at 10.0 V.")] = 10.0,
+) -> None:
+    """Judge the tests by ISO 5725, build the corridor of permissible dispersion, and gate the battery model.
+
+    Exit code 0: pass, 1: fail, 4: not enough data.
+    """
+    from uavbatt import dataset as data
+    from uavbatt.aside import written_aside
+
+    check_writable(report, json_file)
+    if ship is not None and ship.exists() and not ship.is_dir():
+        raise UsageError(f"--ship {ship}: expected a folder")
+    tests = data.load(dataset)
+    if method is Method.PAPER:
+        if ship is not None or report is not None:
+            raise UsageError("--method paper judges the tests as printed: --ship and --report need --method iso")
+        _paper(tests, json_file)
+        return
+    from uavbatt.validation.as_json import to_builtins
+    from uavbatt.validation.gate import Limits
+    from uavbatt.validation.validate import validate as judge
+
+    print(f"fitting {tests.name}, one occasion left out at a time ...", file=sys.stderr)
+    result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s))
+    printed = _printed(tests)
+    for line in _lines(result):
+        typer.echo(line)
+    if json_file is not None:
+        with written_aside(json_file, "w") as stream:
+            stream.write(json.dumps(to_builtins(result, printed), indent=1, ensure_ascii=False) + "\n")
+    if report is not None:
+        from uavbatt.validation import page
+
+        page.write(report, result, printed)
+        typer.echo(f"report: {report}")
+    if ship is not None and result.battery is not None:
+        from uavbatt.battery import file
+
+        written = file.write(result.battery, ship / f"{result.battery.battery.name}{file.SUFFIX}")
+        typer.echo(f"shipped: {written}")
+    elif ship is not None:
+        print("nothing shipped: the verdict is not pass", file=sys.stderr)
+    raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
+
+
+def _lines(result: Validation) -> list[str]:
+    """The verdict first, then what it rests on, then what the tests say about themselves."""
+    tests = result.dataset
+    lines = [
+        f"{tests.name}: {result.verdict.upper()} at {result.ambient_C:g} °C "
+        f"({len(tests.runs)} runs, {len(tests.ambients_C)} ambient temperatures)",
+        "",
+        "claims",
+    ]
+    gating = [c for c in result.claims if c.gates]
+    others = [c for c in result.claims if not c.gates]
+    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {c.reason}" for c in gating]
+    lines += ["claims that inform and do not gate"]
+    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {c.reason}" for c in others[:12]]
+    if len(others) > 12:
+        lines.append(f"  {'':>15}  ... and {len(others) - 12} more in the report")
+    lines += ["", "findings about the tests"]
+    lines += [f"  [{f.severity}] {f.title}" for f in result.findings]
+    lines += ["", "precision (ISO 5725-2)", "    min      mean      s_r      s_L      s_R        r        R"]
+    for row in result.precision:
+        if row.quantity == "voltage_V" and (row.time_s % 60.0) < 1e-6:
+            p = row.precision
+            lines.append(
+                f"  {row.time_s / 60.0:5.0f}  {p.mean:8.4f} {p.s_r:8.4f} {p.s_L:8.4f} {p.s_R:8.4f} {p.r:8.4f} {p.R:8.4f}"
+                + ("  s_L² < 0, set to 0" if p.negative_between else "")
+            )
+    return lines
+
+
+def _printed(tests: DataSet) -> PaperReplay | None:
+    """The study's own method, where it can be applied to these tests."""
+    from uavbatt.errors import UavbattError
+    from uavbatt.validation import paper
+
+    try:
+        return paper.replay(tests)
+    except UavbattError:
+        return None
+
+
+def _paper(tests: DataSet, json_file: Path | None) -> None:
+    from uavbatt.aside import written_aside
+    from uavbatt.validation import paper
+    from uavbatt.validation.as_json import plain
+
+    replayed = paper.replay(tests)
+    typer.echo(f"{tests.name}: the study's equations (1)-(17) as printed")
+    typer.echo("agreement with the printed tables")
+    for found in replayed.agreements:
+        typer.echo(f"  {found.table}: {found.agree} of {found.total} ({found.counted})")
+        for slip in found.slips:
+            typer.echo(f"    not met: {slip}")
+    fisher = replayed.fisher
+    if fisher is not None:
+        verdict = "reproduced" if fisher.reproducible else "cannot be reproduced"
+        typer.echo(f"  F_emp = {fisher.printed:g} {verdict}: the nearest ratio of any column is {fisher.nearest:.3f}")
+    typer.echo("column by column")
+    for c in replayed.columns:
+        typer.echo(
+            f"  sample {c.sample} {c.quantity} {c.time_s / 60.0:g} min: mean {c.mean:.4f}, sd {c.sd:.4f}, "
+            f"r {c.r:.4f}" + (", drifts by the study's rule" if c.drifts else "")
+        )
+    for note in replayed.notes:
+        typer.echo(f"  note: {note}")
+    if json_file is not None:
+        with written_aside(json_file, "w") as stream:
+            stream.write(json.dumps(plain(replayed), indent=1, ensure_ascii=False) + "\n")
