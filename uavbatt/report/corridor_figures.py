@@ -10,15 +10,17 @@ import numpy as np
 
 from uavbatt.dataset import Run
 from uavbatt.report import plot
-from uavbatt.report.page import Html, figure, number, paragraph
+from uavbatt.report.page import Html, celsius, figure, paragraph
 from uavbatt.report.validation_inputs import Array, CorridorLike, ValidationPage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+JUMPS = "A jump between near neighbours is a break between series of tests, not the battery."
 MINUTES = "time from the start of the discharge (min)"
 SAMPLES = ((plot.BLUE, "-"), (plot.GREEN, "--"), (plot.AMBER, "-."), (plot.PINK, ":"))
 AXIS = {"voltage_V": "pack voltage (V)", "surface_C": "surface temperature (°C)"}
+NAME = {"voltage_V": "Voltage", "surface_C": "Surface temperature"}
 DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departure from the mean (K)"}
 
 
@@ -27,6 +29,11 @@ def repeated(page: ValidationPage) -> tuple[list[Run], list[Run]]:
     runs = page.dataset.at(page.ambient_C)
     counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
     return [r for r in runs if counts[r.sample] > 1], [r for r in runs if counts[r.sample] == 1]
+
+
+def _study(page: ValidationPage, number: int) -> str:
+    """The figure of the study that a drawing redoes, when it is the study's own data."""
+    return f" (the study's Figure {number})" if page.agreements else ""
 
 
 def _values(run: Run, quantity: str) -> Array:
@@ -59,14 +66,14 @@ def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
 def family(page: ValidationPage) -> Html:
     """Figure 1: the discharge curves of every repeated run."""
     many, single = repeated(page)
-    alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {page.ambient_C:+g} °C."
+    alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {celsius(page.ambient_C)}."
 
     def draw(axes: Axes) -> None:
         _run_curves(axes, page, "voltage_V")
 
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS["voltage_V"]),
-        f"Discharge curves at {page.ambient_C:+g} °C (the study's Figure 1)",
+        f"Discharge curves at {celsius(page.ambient_C)}{_study(page, 1)}",
         "Every test as it was read, straight lines between the readings.",
     )
 
@@ -105,7 +112,7 @@ def corridor(page: ValidationPage, found: CorridorLike, model: Array | None, stu
     alt = f"Mean {name} with its corridor, every run and the model's prediction of runs it was not fitted to."
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS[found.quantity]),
-        f"Corridor of the {name} at {page.ambient_C:+g} °C (the study's Figure {study})",
+        f"Corridor of the {name} at {celsius(page.ambient_C)}{_study(page, study)}",
         "The corridor is thin beside the fall of the curve: the next drawing shows the departures alone.",
     )
 
@@ -133,7 +140,7 @@ def departures(page: ValidationPage, found: CorridorLike, model: Array | None) -
     alt = "Departures of runs and model from the mean of the tests, with three bands."
     said = "Blue: the repeated tests." + (held if math.isfinite(found.covers_all) else "") + cut
     drawn = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[found.quantity], legend_columns=3)
-    return figure(drawn, f"The same as departures from the mean, {page.ambient_C:+g} °C", said)
+    return figure(drawn, f"{NAME[found.quantity]}: departures from the mean at {celsius(page.ambient_C)}", said)
 
 
 def _departure(
@@ -201,10 +208,10 @@ def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
 def over_ambient(page: ValidationPage, corridors: Sequence[CorridorLike], quantity: str, study: int) -> Html:
     """Figures 6 and 7: the mean curve at every ambient temperature."""
     name = "Voltage" if quantity == "voltage_V" else "Surface temperature"
-    title = f"{name} over ambient temperature (the study's Figure {study})"
+    title = f"{name} over ambient temperature{_study(page, study)}"
     known = [c for c in corridors if np.isfinite(c.mean).any()]
     if len(known) < 2:
-        where = f"at {known[0].ambient_C:+g} °C only" if known else "nowhere"
+        where = f"at {celsius(known[0].ambient_C)} only" if known else "nowhere"
         said = f"Not enough data: measured values were given {where}, so that this figure cannot be redrawn from them."
         return figure(paragraph(said, css="quiet"), title)
     low, high = min(c.ambient_C for c in known), max(c.ambient_C for c in known)
@@ -213,10 +220,10 @@ def over_ambient(page: ValidationPage, corridors: Sequence[CorridorLike], quanti
         named = set(_spread([c.ambient_C for c in known], 6))
         for c in sorted(known, key=lambda c: c.ambient_C):
             colour = plot.RAMP[round((c.ambient_C - low) / (high - low) * (len(plot.RAMP) - 1))]
-            label = f"{c.ambient_C:+g} °C" if c.ambient_C in named else "_"
             style = "-" if c.basis == "repeats" else "--" if c.basis == "quasi-replicates" else ":"
-            weight = 1.8 if c.basis == "repeats" else 1.0
-            axes.plot(c.at / 60.0, c.mean, style, color=colour, linewidth=weight, label=label)
+            axes.plot(c.at / 60.0, c.mean, style, color=colour, linewidth=1.8 if c.basis == "repeats" else 1.0)
+            if c.ambient_C in named:
+                axes.plot([], [], "-", color=colour, linewidth=3.0, label=celsius(c.ambient_C))
 
     bases = {b: sum(c.basis == b for c in known) for b in ("repeats", "quasi-replicates", "one run")}
     said = (
@@ -224,7 +231,7 @@ def over_ambient(page: ValidationPage, corridors: Sequence[CorridorLike], quanti
         f"({bases['quasi-replicates']}); dotted: one run ({bases['one run']}), no dispersion known."
     )
     alt = f"{name} over time at {len(known)} ambient temperatures from {low:g} to {high:g} °C."
-    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=280), title, said)
+    return figure(plot.panel(draw, alt, x=MINUTES, y=AXIS[quantity], height=270), title, said)
 
 
 def _spread(values: Sequence[float], count: int) -> list[float]:
@@ -250,6 +257,4 @@ def crossings(page: ValidationPage) -> Html:
 
     alt = f"Time until the pack first falls to {page.crossing_V:g} V against ambient temperature, one mark a test."
     drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {page.crossing_V:g} V (min)")
-    return figure(
-        drawn, title, f"One mark a test, {number(len(known), 0)} tests. Jumps between neighbours are not the battery's."
-    )
+    return figure(drawn, title, f"One mark a test, {len(known)} tests. {JUMPS}")

@@ -27,7 +27,7 @@ from uavbatt.report.page import (
     section,
     table,
 )
-from uavbatt.report.series import Stretch, rows, stretches
+from uavbatt.report.series import Stretch, rows, stretches, with_gaps
 
 STATUS_WORDS = {
     "certified": "Certified: the model of this battery passed the gate on repeated tests of its own type.",
@@ -35,6 +35,9 @@ STATUS_WORDS = {
     "generic": "Generic: a prior for batteries of this kind, not measured on this one; its intervals are wide.",
 }
 MOST_WARNINGS = 20
+SHOWN_AS = {
+    Status.REFUSED: "refused (hatched)", Status.CONVERGING: "converging (shaded)", Status.STALE: "gap (left blank)",
+}  # fmt: skip
 
 
 def flight_report(
@@ -47,7 +50,7 @@ def flight_report(
         f"{name}: battery {flight.instance}",
         "uavbatt replay",
         _answer(flight, outcome, resolved, found),
-        section("Over the flight", *figures(rows(steps), found, outcome, resolved), _stretches(found)),
+        section("Over the flight", *figures(with_gaps(rows(steps)), found, outcome, resolved), _stretches(found)),
         section("Forecast against the truth", _checkpoints(outcome)),
         section("Battery and certificate", *_battery(resolved, battery)),
         section("The log", *_log(flight, outcome, steps)),
@@ -65,8 +68,9 @@ def _answer(flight: Flight, outcome: OutcomeLike, resolved: ResolvedLike, found:
     refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
     if refused_s > 0.0:
         air = outcome.refused_in_air
-        share = f" ({air:.0%} of the rows after the first minute under load)" if math.isfinite(air) else ""
-        sentences.append(paragraph(f"A number was refused for {duration(refused_s)} in all{share}; why is said below."))
+        share = f"{air:.0%}" if air > 0.0 else "none"
+        flying = f", {share} of the rows under load after the first minute" if math.isfinite(air) else ""
+        sentences.append(paragraph(f"A number was refused for {duration(refused_s)} in all{flying}; see below why."))
     sentences.append(paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}", css="quiet"))
     return element("div", *sentences, css="answer")
 
@@ -96,7 +100,7 @@ def _late(outcome: OutcomeLike) -> Sequence[CheckpointLike]:
 
 
 def _error_words(c: CheckpointLike) -> str:
-    when = c.label[0].upper() + c.label[1:] if c.label.startswith("half") else c.label
+    when = "At half time" if c.label.startswith("half") else f"{c.label} the end"
     if not math.isfinite(c.remaining_s):
         return f"{when}: the forecast was refused"
     way = "too long" if c.error_s > 0 else "too short"
@@ -111,7 +115,7 @@ def _stretches(found: Sequence[Stretch]) -> Html:
     body = [
         (
             f"{duration(s.begin_s)} to {duration(s.end_s)}",
-            "refused (hatched)" if s.status is Status.REFUSED else "converging (shaded)",
+            SHOWN_AS.get(s.status, s.status.value),
             s.reason if s.reason == s.last_reason else f"{s.reason}; at the end: {s.last_reason}",
             str(s.rows),
         )

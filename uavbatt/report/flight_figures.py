@@ -42,6 +42,8 @@ class TimeAxis:
         least = 0.003 * (self.last_s - self.first_s)
         for s in self.stretches:
             begin, end = float(self.at(s.begin_s)), float(self.at(max(s.end_s, s.begin_s + least)))
+            if s.status is Status.STALE:
+                continue
             if s.status is Status.REFUSED:
                 axes.axvspan(begin, end, facecolor=plot.SHADE, edgecolor=plot.FAINT, hatch="///", linewidth=0, zorder=0)
             else:
@@ -204,16 +206,15 @@ def _remaining(rows: Rows, axis: TimeAxis, outcome: OutcomeLike) -> Html:
     cut = rows.hi_s[~np.isnan(rows.hi_s)].max(initial=0.0) / 60.0 > top_min
     truth = "The truth is the end of flight that the log itself shows" if math.isfinite(end_s) else ""
     unknown = "" if math.isfinite(end_s) else "The log does not reach the end of flight: there is no truth to compare"
-    above = "; the interval goes beyond the top of the drawing in places" if cut else ""
+    above = "; forecast or interval go beyond the top of the drawing in places" if cut else ""
     alt = f"Forecast of the remaining time with its 90 % interval. {truth}{unknown}."
     said = f"{truth}{unknown}{above}. Seconds until the voltage or the reserve ends the flight under the load to come."
     return figure(plot.panel(draw, alt, x=axis.label, y="remaining time (min)", height=290), title, said)
 
 
 def _top_min(rows: Rows, end_s: float, first_s: float) -> float:
-    """The top of the axis [min]: holds truth and forecast, and an interval up to twice as high as those."""
-    known = rows.remaining_s[np.isfinite(rows.remaining_s)]
-    core = max(float(np.percentile(known, 98)), end_s - first_s if math.isfinite(end_s) else 0.0, 30.0)
-    finite = rows.hi_s[np.isfinite(rows.hi_s)]
-    widest = float(np.percentile(finite, 95)) if finite.size else core
-    return 1.08 * min(max(core, widest), 2.0 * core) / 60.0
+    """The top of the axis [min]: holds the truth, and forecast and interval up to 2.5 times as high."""
+    known, finite = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
+    core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, 98))
+    widest = float(np.percentile(np.append(finite, known), 98))
+    return 1.08 * max(min(max(core, widest), 2.5 * core), 30.0) / 60.0

@@ -107,7 +107,8 @@ def table(
 
     body = element("tbody", *(row(cells, "td") for cells in rows))
     top = element("caption", caption) if caption else Html("")
-    return element("div", element("table", top, element("thead", row(head, "th")), body), css="scroll")
+    css = "scroll wordy" if len(head) - 1 in text_columns else "scroll"
+    return element("div", element("table", top, element("thead", row(head, "th")), body), css=css)
 
 
 def figure(svg: Html, title: str, caption: str = "") -> Html:
@@ -131,6 +132,11 @@ def duration(seconds: float) -> str:
     minutes, rest = divmod(round(abs(seconds)), 60)
     sign = "\u2212" if seconds < 0 and (minutes or rest) else ""
     return f"{sign}{minutes} min {rest:02d} s" if minutes else f"{sign}{rest} s"
+
+
+def celsius(temp_C: float) -> str:
+    """An ambient temperature with its sign: `+25 °C`, `0 °C`, `−20 °C`."""
+    return f"{number(temp_C, 0 if temp_C == round(temp_C) else 1, '°C', sign=temp_C > 0)}"
 
 
 def page(title: str, kicker: str, *content: str, footer: str = "") -> str:

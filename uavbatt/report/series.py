@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from uavbatt.report.inputs import StepLike
 Array = NDArray[np.float64]
 BUCKETS = 360
 MOST_STRETCHES = 24
+# A step this many times the usual one, and this long, is a gap: nothing is drawn across it.
+GAP_STEPS, GAP_S = 8.0, 5.0
+GAP = "no row in the log"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,10 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Rows in sequence that were refused or still converging, with the reason of the first and the last."""
+    """Rows in sequence that were refused or still converging, with the reason of the first and the last.
+
+    A gap between rows is a stretch too: `stale`, with no rows.
+    """
 
     begin_s: float
     end_s: float
@@ -60,6 +66,23 @@ class Stretch:
     def duration_s(self) -> float:
         """How long it lasted [s]."""
         return self.end_s - self.begin_s
+
+
+def is_gap(time_s: Array) -> NDArray[np.bool_]:
+    """Which rows are followed by a gap."""
+    steps = np.diff(time_s)
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
+    found: NDArray[np.bool_] = np.append(steps > max(GAP_STEPS * usual, GAP_S), False)
+    return found
+
+
+def with_gaps(rows: Rows) -> Rows:
+    """The columns with an empty row after each row before a gap, so that no line crosses it."""
+    after = np.flatnonzero(is_gap(rows.time_s)) + 1
+    if not after.size:
+        return rows
+    empty = {f.name: np.insert(getattr(rows, f.name), after, math.nan) for f in fields(Rows) if f.name != "time_s"}
+    return Rows(time_s=np.insert(rows.time_s, after, rows.time_s[after - 1]), **empty)
 
 
 def rows(steps: Sequence[StepLike]) -> Rows:
@@ -133,22 +156,30 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
 def stretches(steps: Sequence[StepLike]) -> list[Stretch]:
     """Where a number was refused or still converging, in order; near neighbours run together when they are many."""
     found: list[Stretch] = []
+    gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))
     for i, step in enumerate(steps):
         speaker = step.estimate if step.estimate.status is Status.REFUSED else step.remaining
-        if speaker.status not in (Status.REFUSED, Status.CONVERGING):
-            continue
         begin_s = step.estimate.time_s
-        end_s = steps[i + 1].estimate.time_s if i + 1 < len(steps) else begin_s
-        last = found[-1] if found else None
-        if last and last.end_s == begin_s and _alike(last, speaker.status, speaker.reason):
-            found[-1] = replace(last, end_s=end_s, last_reason=speaker.reason, rows=last.rows + 1)
-        else:
-            found.append(Stretch(begin_s, end_s, speaker.status, speaker.reason, speaker.reason, 1))
+        after_s = steps[i + 1].estimate.time_s if i + 1 < len(steps) else begin_s
+        end_s = begin_s if gap[i] else after_s
+        if speaker.status in (Status.REFUSED, Status.CONVERGING):
+            _extend(found, Stretch(begin_s, end_s, speaker.status, speaker.reason, speaker.reason, 1))
+        if gap[i]:
+            found.append(Stretch(begin_s, after_s, Status.STALE, GAP, GAP, 0))
     whole_s = steps[-1].estimate.time_s - steps[0].estimate.time_s if steps else 0.0
     share = 0.002
     while len(found) > MOST_STRETCHES and share < 1.0:
         found, share = _run_together(found, share * whole_s), share * 2.0
     return found
+
+
+def _extend(found: list[Stretch], row: Stretch) -> None:
+    """Put one row's stretch after the others, or into the last when that goes on."""
+    last = found[-1] if found else None
+    if last and last.end_s == row.begin_s and _alike(last, row.status, row.reason):
+        found[-1] = replace(last, end_s=row.end_s, last_reason=row.reason, rows=last.rows + 1)
+    else:
+        found.append(row)
 
 
 def _alike(stretch: Stretch, status: Status, reason: str) -> bool:

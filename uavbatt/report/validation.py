@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from uavbatt import __version__
 from uavbatt.report import corridor_figures as curves
-from uavbatt.report.page import Html, badge, bullets, details, element, facts, grid, page, paragraph, section
-from uavbatt.report.validation_figures import equivalence, judged, mandel
-from uavbatt.report.validation_inputs import ValidationPage
+from uavbatt.report.page import Html, badge, bullets, celsius, details, element, facts, grid, page, paragraph, section
+from uavbatt.report.validation_figures import equivalence, judged, mandel, over_ambient
+from uavbatt.report.validation_inputs import ClaimLike, ValidationPage
 from uavbatt.report.validation_tables import (
     agreement,
     budget_table,
     changes_table,
     claims_table,
     data_overview,
+    elsewhere,
     findings_list,
     precision_table,
 )
@@ -20,18 +21,18 @@ from uavbatt.report.validation_tables import (
 MOODS = {"pass": "good", "fail": "bad", "not enough data": "unsure"}
 
 
-def validation_page(v: ValidationPage) -> str:
+def validation_report(v: ValidationPage) -> str:
     """The whole page as HTML."""
     return page(
         f"{v.dataset.name}: may its model fly?",
         f"uavbatt validate, method {v.method}",
         _answer(v),
-        section("Claims", claims_table(v.claims)),
+        section("Claims", claims_table(_at_home(v))),
         section("Bias against the limits", *_equivalence(v)),
         section("What the tests say about themselves", findings_list(v.findings)),
         section("Curves and corridors", *_corridors(v)),
         section("Over ambient temperature", *_ambient(v)),
-        *([section("Before and after", changes_table(v.changes))] if v.changes is not None else []),
+        *([section("Before and after", *_changes(v))] if v.changes or v.conclusions else []),
         section("Precision", *_precision(v)),
         section("Uncertainty budget", *_budgets(v)),
         *([section("Agreement with the study's printed tables", *agreement(v.agreements), bullets(v.paper_notes))]
@@ -41,35 +42,44 @@ def validation_page(v: ValidationPage) -> str:
     )  # fmt: skip
 
 
+def _at_home(v: ValidationPage) -> list[ClaimLike]:
+    return [c for c in v.claims if c.ambient_C == v.ambient_C]
+
+
 def _answer(v: ValidationPage) -> Html:
-    """The verdict in one sentence that a pilot understands, and the limits it was judged by."""
+    """The verdict in one sentence that a pilot understands, what to read first, and the limits it was judged by."""
+    serious = sum(f.severity == "serious" for f in v.findings)
+    first = f"Read first: {serious} serious finding{'s' * (serious > 1)} about the tests themselves, below. "
+    limits = "; ".join(f"{name} {value}" for name, value in v.limits)
     return element(
         "div",
         paragraph(badge(v.verdict), f" {verdict_sentence(v)}"),
-        paragraph("The limits were declared before the data were seen: ",
-                  "; ".join(f"{name} {value}" for name, value in v.limits), "."),
+        *([paragraph(first)] if serious else []),
+        paragraph(f"Limits, declared before the data were seen: {limits}."),
         *([paragraph(v.shipped)] if v.shipped else []),
         css=f"answer {MOODS.get(v.verdict, '')}",
-    )  # fmt: skip
+    )
 
 
 def verdict_sentence(v: ValidationPage) -> str:
     """What the verdict means for a flight."""
-    where, within = f"at {v.ambient_C:+g} °C", " and ".join(value for _, value in v.limits[:2])
+    where, within = f"at {celsius(v.ambient_C)}", " and ".join(value for _, value in v.limits[:2])
+    deciding = [c for c in v.claims if c.gates and c.verdict == v.verdict]
+    why = f" ({deciding[0].claim}: {deciding[0].reason})" if deciding else ""
     if v.verdict == "pass":
+        packs = any("reproducib" in c.claim and c.verdict != "pass" for c in v.claims)
+        unproven = "At other temperatures" + (" and for other packs of the make" if packs else "")
         return (
-            f"You may rely on this model {where}: it foresees the tests of this battery to within {within}, "
-            "with every known doubt counted. At other temperatures it is not proven."
+            f"Tests held back from the fit agree with this model {where} to within {within}, the scatter of the tests "
+            f"and the doubt about the instruments counted in. {unproven} it is not proven."
         )
-    worst = next((c for c in v.claims if c.gates and c.verdict == v.verdict), None)
-    why = f" ({worst.claim}: {worst.reason})" if worst is not None else ""
     if v.verdict == "fail":
-        return f"Do not fly on this model: {where} it misses the tests of this battery by more than {within}{why}."
+        return f"Do not fly on this model: {where} it is not right to within {within}{why}."
     return f"Not proven: these tests cannot show {where} that the model is right to within {within}{why}."
 
 
 def _equivalence(v: ValidationPage) -> list[Html]:
-    drawn = equivalence(judged([c for c in v.claims if c.claim.find("corridor") < 0], v.ambient_C))
+    drawn = equivalence(judged(v.claims, v.ambient_C))
     said = (
         "A claim passes when the whole interval of the bias lies inside the limits. The interval is one-sided 95 % "
         "at each end, over all instants together, with a guard band for the instruments."
@@ -86,14 +96,23 @@ def _corridors(v: ValidationPage) -> list[Html]:
     if heat is not None:
         warm = v.model.surface_C
         drawn += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
-    notes = bullets(dict.fromkeys(n for c in (volts, heat) if c is not None for n in c.notes), css="quiet")
+    named = (("voltage", volts), ("surface temperature", heat))
+    notes = bullets((f"{name}: {n}" for name, c in named if c is not None for n in c.notes), css="quiet")
     return [grid(*drawn), notes]
 
 
 def _ambient(v: ValidationPage) -> list[Html]:
     volts, heat = list(v.corridors.values()), list(v.surface_corridors.values())
+    others = [c for c in v.claims if c.ambient_C != v.ambient_C]
     drawn = [curves.over_ambient(v, volts, "voltage_V", 6), curves.crossings(v)]
-    return [grid(*drawn, curves.over_ambient(v, heat, "surface_C", 7))]
+    drawn += [over_ambient(others), curves.over_ambient(v, heat, "surface_C", 7)]
+    return [*(elsewhere(others) if others else []), grid(*(d for d in drawn if d))]
+
+
+def _changes(v: ValidationPage) -> list[Html]:
+    """What extending the model was worth; nothing where it was not tried."""
+    said = bullets(v.conclusions)
+    return [changes_table(v.changes), details("In words", said)] if v.changes else [said]
 
 
 def _precision(v: ValidationPage) -> list[Html]:

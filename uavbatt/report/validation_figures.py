@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt.report import plot
-from uavbatt.report.page import Html, figure, number
+from uavbatt.report.page import Html, celsius, figure, number
 from uavbatt.report.validation_inputs import Array, ClaimLike, Consistency
+from uavbatt.report.validation_tables import nearest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,8 +54,31 @@ def _over_instants(claim: ClaimLike) -> Html:
     alt = f"{claim.claim} per instant with its interval against the limit of ±{limit:g} {unit}: {claim.verdict}."
     drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model less tests ({unit})")
     return figure(
-        drawn, f"{_sentence(claim.claim)}, {claim.ambient_C:+g} °C: {claim.verdict}", _sentence(claim.reason) + "."
+        drawn, f"{_sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}", _sentence(claim.reason) + "."
     )
+
+
+def over_ambient(claims: Sequence[ClaimLike]) -> Html:
+    """The bias that comes nearest to the limit at each ambient temperature, with its interval where there is one."""
+    shown = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
+    if not shown:
+        return Html("")
+    limit, middle = shown[0].limit * 1000.0, [nearest(c) for c in shown]
+
+    def draw(axes: Axes) -> None:
+        axes.axhspan(-limit, limit, facecolor=plot.SHADE, linewidth=0, label=f"allowed, ±{limit:g} mV")
+        axes.axhline(0.0, color=plot.INK, linewidth=0.7)
+        for verdict, marker in (("pass", "o"), ("fail", "X"), ("not enough data", "D")):
+            mine = [(c, i) for c, i in zip(shown, middle, strict=True) if c.verdict == verdict]
+            if mine:
+                at, bias, half = np.array([[c.ambient_C, c.bias[i] * 1e3, c.half_width[i] * 1e3] for c, i in mine]).T
+                axes.errorbar(at, bias, yerr=np.nan_to_num(half), fmt=marker, color=COLOURS[verdict], markersize=5,
+                              capsize=2.5, linewidth=1.2, label=verdict)  # fmt: skip
+
+    alt = f"Largest bias of the voltage at {len(shown)} ambient temperatures against the limit of ±{limit:g} mV."
+    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y="model less tests (mV)", legend_columns=4)
+    said = "At the instant that uses the most of the limit. No bar: a single run, nothing tells its dispersion."
+    return figure(drawn, "Voltage bias over ambient temperature", said)
 
 
 def _single(claims: Sequence[ClaimLike]) -> Html:
@@ -118,7 +142,7 @@ def _stems(
 ) -> Html:
     """Stems of `values[sample, instant]`, the instants of one sample side by side."""
     samples, count = levels[0].samples, len(levels)
-    colour = {"5 %": plot.AMBER, "1 %": plot.RED}
+    looks = {"5 %": (plot.FAINT, "--"), "1 %": (plot.RED, "-")}
 
     def draw(axes: Axes) -> None:
         for j in range(len(samples)):
@@ -129,7 +153,7 @@ def _stems(
         for value, name in limits:
             label = f"critical, {name}" if name not in seen else "_"
             seen.add(name)
-            axes.axhline(value, color=colour[name], linewidth=1.2, linestyle="--", label=label)
+            axes.axhline(value, color=looks[name][0], linewidth=1.2, linestyle=looks[name][1], label=label)
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
         middle = [j * (count + 2) + (count - 1) / 2.0 for j in range(len(samples))]
         axes.set_xticks(middle, [plot.literal(f"sample {s}") for s in samples])

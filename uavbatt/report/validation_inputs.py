@@ -46,6 +46,9 @@ class BudgetLike(Protocol):
     def rows(self) -> Sequence[BudgetRowLike]: ...
 
     @property
+    def combined(self) -> Array: ...
+
+    @property
     def coverage(self) -> float: ...
 
     @property
@@ -250,6 +253,7 @@ class Change:
     after: float
     on: str
     decimals: int = 1
+    verdict: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,4 +278,5 @@ class ValidationPage:
     paper_notes: Sequence[str] = ()
     method: str = "iso"
     shipped: str = ""
+    conclusions: Sequence[str] = ()
     changes: Sequence[Change] | None = None

@@ -8,7 +8,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from uavbatt.dataset import DataSet
-from uavbatt.report.page import DASH, Html, badge, bullets, details, element, facts, number, paragraph, table, together
+from uavbatt.report.page import (
+    DASH,
+    Html,
+    badge,
+    bullets,
+    celsius,
+    details,
+    element,
+    facts,
+    number,
+    paragraph,
+    table,
+    together,
+)
 from uavbatt.report.validation_inputs import (
     AgreementLike,
     BudgetLike,
@@ -25,36 +38,49 @@ SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
 def claims_table(claims: Sequence[ClaimLike]) -> Html:
-    """One row a claim; claims of one kind, verdict and reason over many temperatures share a row."""
-    groups: dict[tuple[str, str, str, bool], list[ClaimLike]] = {}
-    for c in claims:
-        lone = math.isfinite(c.limit) and np.isfinite(c.half_width).any()
-        key = f"{id(c)}" if lone else c.reason.split("(")[0]
-        groups.setdefault((c.claim, c.verdict, key, c.gates), []).append(c)
+    """One row a claim: the verdict, the bias that comes nearest to the limit, and why."""
     head = ("claim", "ambient", "verdict", "decides", "largest bias", "its interval", "limit", "why")
-    return table(head, [_claim_row(g) for g in groups.values()], text_columns=(0, 1, 2, 3, 7))
+    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 3, 7))
 
 
-def _claim_row(group: Sequence[ClaimLike]) -> tuple[str, ...]:
-    c = group[0]
-    where = f"{c.ambient_C:+g} °C" if len(group) == 1 else _span([g.ambient_C for g in group])
-    worst = max(group, key=lambda g: float(np.nanmax(np.abs(g.bias))) if np.isfinite(g.bias).any() else -1.0)
-    reason = c.reason if len(group) == 1 else c.reason.split("(")[0].strip()
-    verdict, decides = badge(c.verdict), "yes" if c.gates else "informs"
-    if not np.isfinite(worst.bias).any():
-        return c.claim, where, verdict, decides, DASH, DASH, DASH, reason
+def nearest(claim: ClaimLike) -> int:
+    """Index of the instant that uses the most of the limit (of the bias alone, where there is no one limit)."""
+    used = np.abs(claim.bias) + (np.nan_to_num(claim.half_width) if math.isfinite(claim.limit) else 0.0)
+    return int(np.nanargmax(used))
+
+
+def _claim_row(c: ClaimLike) -> tuple[str, ...]:
+    told = c.claim, celsius(c.ambient_C), badge(c.verdict), "yes" if c.gates else "informs"
+    if not np.isfinite(c.bias).any():
+        return *told, DASH, DASH, DASH, c.reason
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
-    i = int(np.nanargmax(np.abs(worst.bias) + np.nan_to_num(worst.half_width) * math.isfinite(worst.limit)))
-    bias, half = float(worst.bias[i]) * scale, float(worst.half_width[i]) * scale
+    i = nearest(c)
+    bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
     interval = DASH
-    if math.isfinite(half) and math.isfinite(worst.limit):
+    if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C of each instant"
-    return c.claim, where, verdict, decides, number(bias, decimals, unit, sign=True), interval, limit, reason
+    return *told, number(bias, decimals, unit, sign=True), interval, limit, c.reason
+
+
+def elsewhere(claims: Sequence[ClaimLike]) -> list[Html]:
+    """The claims at other ambient temperatures: which verdict where, and the whole table for who wants it."""
+    by_kind: dict[tuple[str, str], list[float]] = {}
+    for c in claims:
+        by_kind.setdefault((c.claim, c.verdict), []).append(c.ambient_C)
+    items = [
+        together((badge(verdict), f" {claim}: {_listed(where)}"), "") for (claim, verdict), where in by_kind.items()
+    ]
+    return [bullets(items), details(f"All {len(claims)} claims at other temperatures", claims_table(claims))]
+
+
+def _listed(ambients_C: Sequence[float]) -> str:
+    values = ", ".join(celsius(t).removesuffix(" °C") for t in sorted(ambients_C))
+    return f"at {values} °C"
 
 
 def _span(ambients_C: Sequence[float]) -> str:
-    return f"{len(ambients_C)} temperatures, {min(ambients_C):+g} to {max(ambients_C):+g} °C"
+    return f"{len(ambients_C)} temperatures, {celsius(min(ambients_C))} to {celsius(max(ambients_C))}"
 
 
 def findings_list(findings: Sequence[FindingLike]) -> Html:
@@ -83,7 +109,7 @@ def data_overview(dataset: DataSet) -> list[Html]:
         repeats = max(sum(r.ambient_C == t for r in runs) for t in ambients)
         read = [q for q, name in (("voltage", "voltage_V"), ("current", "current_A"), ("surface temp.", "surface_C"))
                 if any(np.isfinite(getattr(r, name)).any() for r in runs)]  # fmt: skip
-        span = f"{ambients[0]:+g} °C" if len(ambients) == 1 else _span(ambients)
+        span = celsius(ambients[0]) if len(ambients) == 1 else _span(ambients)
         body.append(
             (sample, span, str(len(runs)), str(repeats), str(sum(r.time_s.size for r in runs)), ", ".join(read))
         )
@@ -113,7 +139,8 @@ def precision_table(levels: Sequence[LevelPrecisionLike], quantity: str) -> Html
     d = 1 if unit == "mV" else 3
 
     def interval(pair: tuple[float, float]) -> str:
-        return f"{number(pair[0] * scale, d)} to {number(pair[1] * scale, d)}"
+        known = math.isfinite(pair[0])
+        return f"{number(pair[0] * scale, d)} to {number(pair[1] * scale, d)}" if known else DASH
 
     body = []
     for row in mine:
@@ -154,12 +181,17 @@ def budget_table(claim: ClaimLike, budget: BudgetLike) -> Html:
     last = len(at) + 1
     used = (np.abs(claim.bias) + claim.half_width) / claim.limit
     body += [
-        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows together"),
-        ("half width", *(number(h * scale, d) for h in budget.expanded), f"with t = {budget.coverage:.2f} on type A"),
+        ("guard band, 1.645 u_B", *(number(g * scale, d) for g in budget.guard), "type B rows as if they stood alone"),
+        ("combined", *(number(u * scale, d) for u in budget.combined), "all rows, in squares"),
+        (
+            "half width",
+            *(number(h * scale, d) for h in budget.expanded),
+            f"one-sided 95 % over all instants, t up to {budget.coverage:.2f}",
+        ),
         ("bias", *(number(b * scale, d, sign=True) for b in claim.bias), "model less tests"),
         ("part of the limit used", *(_percent(u) for u in used), f"limit ±{claim.limit * scale:g} {unit}"),
     ]
-    caption = f"{claim.claim}, {claim.ambient_C:+g} °C; standard uncertainties in {unit}"
+    caption = f"{claim.claim}, {celsius(claim.ambient_C)}; standard uncertainties in {unit}"
     return table(("source", *at, "how"), body, caption, text_columns=(0, last))
 
 
@@ -173,10 +205,18 @@ def agreement(tables: Sequence[AgreementLike]) -> list[Html]:
 def changes_table(changes: Sequence[Change]) -> Html:
     """Errors before and after the model was extended."""
     body = [
-        (c.quantity, number(c.before, c.decimals, c.unit), number(c.after, c.decimals, c.unit), _change(c), c.on)
+        (
+            c.quantity,
+            number(c.before, c.decimals, c.unit),
+            number(c.after, c.decimals, c.unit),
+            _change(c),
+            c.on,
+            c.verdict,
+        )
         for c in changes
     ]
-    return table(("error", "before", "after", "change", "on"), body, text_columns=(0, 4))
+    head = ("error of", "before", "after", "change", "on", "does the gain hold?")
+    return table(head, body, text_columns=(0, 4, 5))
 
 
 def _change(c: Change) -> str:

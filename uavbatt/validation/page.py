@@ -10,7 +10,7 @@ import numpy as np
 
 from uavbatt.aside import written_aside
 from uavbatt.dataset import DataSet, whole_minutes
-from uavbatt.report.validation import validation_page
+from uavbatt.report.validation import validation_report
 from uavbatt.report.validation_inputs import Change, Consistency, ModelCurve, ValidationPage
 from uavbatt.validation import reading
 from uavbatt.validation.corridor import corridors, time_corridor
@@ -23,11 +23,14 @@ from uavbatt.validation.validate import Validation
 QUANTITIES = ("voltage_V", "surface_C")
 
 
-def validation_report(v: Validation, paper: PaperReplay | None = None, changes: Sequence[Change] | None = None) -> str:
-    """The page as HTML. `paper` adds the agreement with the study's tables, `changes` the table before/after."""
+def validation_page(v: Validation, paper: PaperReplay | None = None, changes: Sequence[Change] | None = None) -> str:
+    """The page as HTML. `paper` adds the agreement with the study's tables, `changes` the table before and after.
+
+    Without `changes` the table shows what closing the loop over ambient temperature gave, if that was done.
+    """
     tests = reading.at_minutes(v.dataset)
     crossing_V = v.limits.crossing_V
-    return validation_page(
+    return validation_report(
         ValidationPage(
             dataset=v.dataset,
             ambient_C=v.ambient_C,
@@ -49,7 +52,8 @@ def validation_report(v: Validation, paper: PaperReplay | None = None, changes: 
             paper_notes=() if paper is None else _paper_notes(paper),
             method=v.method,
             shipped=_shipped(v),
-            changes=changes,
+            conclusions=() if v.temperatures is None else v.temperatures.conclusions,
+            changes=_gains(v) if changes is None else changes,
         )
     )
 
@@ -58,7 +62,7 @@ def write(
     path: str | Path, v: Validation, paper: PaperReplay | None = None, changes: Sequence[Change] | None = None
 ) -> None:
     """Write the page to `path` (`-`: standard output), whole or not at all."""
-    html = validation_report(v, paper, changes)
+    html = validation_page(v, paper, changes)
     with written_aside(path) as file:
         file.write(html)
 
@@ -80,6 +84,24 @@ def consistency(tests: DataSet, ambient_C: float) -> tuple[Consistency, ...]:
     return tuple(found)
 
 
+def _gains(v: Validation) -> tuple[Change, ...]:
+    """What the extensions over ambient temperature were worth on tests that the fit had not seen."""
+    if v.temperatures is None:
+        return ()
+    return tuple(
+        Change(
+            quantity=f"voltage RMSE: {g.question}",
+            unit="mV",
+            before=1000.0 * g.before_V,
+            after=1000.0 * g.after_V,
+            on=f"held-out tests, {'all temperatures' if g.group == 'all' else g.group}",
+            decimals=0,
+            verdict=f"{'yes' if g.holds else 'no'} (p = {g.p_value:.2g})",
+        )
+        for g in v.temperatures.gains
+    )
+
+
 def _limits(v: Validation) -> tuple[tuple[str, str], ...]:
     return (
         ("voltage", f"±{v.limits.voltage_V:g} V"),
@@ -92,7 +114,9 @@ def _limits(v: Validation) -> tuple[tuple[str, str], ...]:
 def _model(held: HeldOut) -> ModelCurve:
     """The mean prediction over the held-out occasions; an instant that none predicts is NaN."""
 
-    def mean(table: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    def mean(
+        table: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
         flat = table.reshape(-1, table.shape[-1])
         known = np.isfinite(flat)
         total = np.where(known, flat, 0.0).sum(axis=0)
