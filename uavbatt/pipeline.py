@@ -24,7 +24,7 @@ from uavbatt.prediction.load import ConstantLoad, LoggedLoad
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.plausibility import plausible_temperature_C
 
-FULLEST_CELL_V = 4.30
+FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
 
 

@@ -75,7 +75,7 @@ CELL_EFFECTS = (
         (
             Quantity("heat_gain", "1", 0.0, 0.0, 2.0, 1.0, 0.0),
             Quantity("heat_capacity_JpKAh", "J/(K·Ah)", 40.0, 8.0, 200.0, 40.0, 0.3, log=True),
-            Quantity("cooling_WpKAh", "W/(K·Ah)", 0.1, 0.002, 5.0, 0.1, 0.8, log=True),
+            Quantity("cooling_WpKAh", "W/(K·Ah)", 0.1, 0.0005, 5.0, 0.1, 0.8, log=True),
         ),
     ),
     Effect(

@@ -29,9 +29,6 @@ OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
 VOLTAGE_SD_V = 0.004
-# Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
-# row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
-STEP_SHARE = 0.12
 # The drop itself is known to this share: scale of the current sensor, and its noise, which a filter that trusted
 # every row would read as a smaller resistance (errors in variables).
 DROP_SHARE = 0.06
@@ -89,6 +86,6 @@ def _lag_times(pack: Pack) -> tuple[float, float]:
     return float(pack.cell.polarisation_tau_s), float(pack.cell.diffusion_tau_s)
 
 
-def voltage_variance(drop_V: float, step_V: float) -> float:
+def voltage_variance(pack: Pack, drop_V: float, step_V: float) -> float:
     """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
-    return VOLTAGE_SD_V**2 + (DROP_SHARE * drop_V) ** 2 + (STEP_SHARE * step_V) ** 2
+    return VOLTAGE_SD_V**2 + (DROP_SHARE * drop_V) ** 2 + (pack.row_share * step_V) ** 2

@@ -185,7 +185,7 @@ class SocFilter:
         innovation = measured - expected
         ohm = float(model.resistance(pack.cell, kalman.x[C.SOC], kalman.x[C.CORE])) / pack.installation.capacity_Ah
         ohm *= math.exp(kalman.x[C.LOG_RESISTANCE]) * (1.0 + pack.cell.polarisation_ratio)
-        variances = [cells**2 * noise.voltage_variance(ohm * current_A, ohm * step_A)]
+        variances = [cells**2 * noise.voltage_variance(pack, ohm * current_A, ohm * step_A)]
         if has_temp:
             variances.append(pack.temperature_sd_K**2)
         noise_R = np.diag(variances)

@@ -15,10 +15,10 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array, Parameters
 
 # Rested voltage of a LiPo cell (LiCoO2/graphite) against state of charge: rounded averages of published
-# discharge tables; ±30 mV over makes, more below 5 %.
+# discharge tables; ±30 mV over makes, more below 5 % and, as cells are sold that charge to 4.35 V, near full.
 OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
-OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 9, 0.03, 0.015])
+OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
 RESISTANCE_SOC = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 # 5.6 mohm a cell of 5 Ah at once; what lags comes on top. Packs differ by a factor of 1.6 either way: 0.04 ohm·Ah in

@@ -1,8 +1,10 @@
 """How long packs last under power to come: the simulation behind every forecast.
 
-Constant power, not constant current: a sinking voltage draws more current, which is what empties a pack sooner than
-charge counting says. Each step solves V I = P and advances the model exactly; the crossing of the cut-off is
-interpolated between steps.
+Constant power within a step, not constant current: a sinking voltage draws more current, which is what empties a
+pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
+
+The end is found as it will be judged (DESIGN, "end of flight"): by the 5 s mean, whose fall lags the voltage by
+half its window, or, where telemetry rows are slower than that, by the centred median of three rows with their noise.
 """
 
 from __future__ import annotations
@@ -18,12 +20,22 @@ from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, terminal_voltage
 
+MEAN_LAG_S = 2.5
+SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
+
 
 class EndTimes(NamedTuple):
     """Seconds until the end of flight and until the low-voltage warning, per column; inf = beyond the horizon."""
 
     end_s: Array
     low_s: Array
+
+
+class Wander(NamedTuple):
+    """Standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
+
+    bias: Array
+    row: Array
 
 
 def time_to_end(
@@ -33,44 +45,62 @@ def time_to_end(
     ambient_C: float,
     dt_s: float,
     reserve_soc: float = 0.0,
-    bias_walk: Array | None = None,
+    wander: Wander | None = None,
+    by_rows: bool = False,
 ) -> EndTimes:
     """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], `dt_s` a step.
 
-    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. `bias_walk` [steps, batch]
-    are the standard normals of the discrepancy's way (Ornstein-Uhlenbeck); without them it decays.
+    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
+    are the telemetry's rows and the median of three judges. Without `wander` the discrepancy decays and rows are exact.
     """
-    memory = np.exp(-dt_s / pack.bias_tau_s)
-    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
-    bias_V = x[C.BIAS]
     cell, installation, state = unpack(pack, x)
     size = installation.cells * installation.present_capacity_Ah
     harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
-    batch = x.shape[1]
-    end_s, low_s = np.full(batch, np.inf), np.full(batch, np.inf)
-    above_end, above_low = np.full(batch, np.inf), np.full(batch, np.inf)
+    memory = np.exp(-dt_s / pack.bias_tau_s)
+    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    bias_V, before = x[C.BIAS], None
+    to_end, to_low = [], []
+    ended = np.zeros(x.shape[1], dtype=int)
     for k, power in enumerate(power_W):
         series_ohmAh = model.resistance(cell, state.soc, state.core_C) + harness_ohmAh
         rate = eq.current_at_power(model.electromotive_force(cell, state) + bias_V, series_ohmAh, power / size)
         true_V = terminal_voltage(installation, cell, state, rate * installation.present_capacity_Ah)
         volts = metered_voltage(installation, true_V + installation.cells * bias_V)
-        margin_end = volts - pack.cutoff_V
-        if reserve_soc > 0.0:  # both margins in volts, so that one crossing rule serves: 1 % soc ~ 0.1 V
-            margin_end = np.minimum(margin_end, (state.soc - reserve_soc) * 10.0)
-        margin_low = volts - pack.low_V
-        end_s = _crossed(end_s, above_end, margin_end, k, dt_s)
-        low_s = _crossed(low_s, above_low, margin_low, k, dt_s)
-        above_end, above_low = margin_end, margin_low
-        if np.isfinite(end_s).all():
+        if by_rows and wander is not None and before is not None:
+            volts = volts + installation.cells * pack.row_share * np.abs(rate - before) * series_ohmAh * wander.row[k]
+        before = rate
+        margin = volts - pack.cutoff_V
+        if reserve_soc > 0.0:
+            margin = np.minimum(margin, (state.soc - reserve_soc) * SOC_IN_VOLTS)
+        to_end.append(margin)
+        to_low.append(volts - pack.low_V)
+        ended = np.where(margin < 0.0, ended + 1, np.where(ended >= 3, ended, 0))
+        if (ended >= (3 if by_rows else 1)).all():
             break
         state = model.step(cell, state, rate, ambient_C, dt_s)
-        bias_V = memory * bias_V + (0.0 if bias_walk is None else kick_V * bias_walk[k])
-    return EndTimes(end_s, np.minimum(low_s, end_s))
+        bias_V = memory * bias_V + (0.0 if wander is None else kick_V * wander.bias[k])
+    judge = _median_crossing if by_rows else _mean_crossing
+    end_s = judge(np.array(to_end), dt_s)
+    return EndTimes(end_s, np.minimum(judge(np.array(to_low), dt_s), end_s))
 
 
-def _crossed(time_s: Array, before: Array, now: Array, k: int, dt_s: float) -> Array:
-    """First downward crossing of zero, linear between steps k-1 and k; 0 when it was below from the start."""
-    fresh = np.isinf(time_s) & (now < 0.0)
-    with np.errstate(invalid="ignore"):
-        share = np.where(np.isfinite(before), before / (before - now), 0.0)
-    return np.where(fresh, max(k - 1, 0) * dt_s + share * dt_s, time_s)
+def _mean_crossing(margin: Array, dt_s: float) -> Array:
+    """First fall through zero of each column [steps, batch], linear between steps, and the lag of the mean."""
+    below = margin < 0.0
+    first = np.argmax(below, axis=0)
+    columns = np.arange(margin.shape[1])
+    last = np.maximum(first - 1, 0)
+    above, under = margin[last, columns], margin[first, columns]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(first > 0, above / (above - under), 0.0)
+    crossing = (last + share) * dt_s + np.where(first > 0, MEAN_LAG_S, 0.0)
+    return np.where(below.any(axis=0), crossing, np.inf)
+
+
+def _median_crossing(margin: Array, dt_s: float) -> Array:
+    """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
+    if margin.shape[0] < 3:
+        return np.where((margin < 0.0).all(axis=0), 0.0, np.inf)
+    median = np.median(np.stack([margin[:-2], margin[1:-1], margin[2:]]), axis=0)
+    below = median < 0.0
+    return np.where(below.any(axis=0), (np.argmax(below, axis=0) + 1) * dt_s, np.inf)

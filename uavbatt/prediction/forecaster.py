@@ -22,7 +22,8 @@ from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
-FLYING_AFTER_S = 5.0
+LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
+SLOW_ROW_S, LONGEST_ROW_S, ROW_MEMORY = 5.0, 30.0, 0.9
 STEPS = 100
 SHORTEST_STEP_S, LONGEST_STEP_S = 1.0, 10.0
 LONGEST_HORIZON_S = 6 * 3600.0
@@ -56,8 +57,8 @@ class Forecaster:
         self.settings = settings or Settings()
         self._load = RecentLoad()
         self._rate_c = 0.0
-        self._flying_since_s = NAN
-        self._time_s = NAN
+        self._flying_since_s = self._loaded_s = NAN
+        self._time_s = self._row_s = NAN
         self._last: Forecast | None = None
 
     def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
@@ -82,8 +83,9 @@ class Forecaster:
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
             return None
-        dt_s = float(np.clip(typical_s / STEPS, SHORTEST_STEP_S, LONGEST_STEP_S))
-        steps = int(np.ceil(horizon_s / dt_s)) + 2
+        by_rows = self._row_s > SLOW_ROW_S
+        dt_s = self._row_s if by_rows else float(np.clip(typical_s / STEPS, SHORTEST_STEP_S, LONGEST_STEP_S))
+        steps = min(int(np.ceil(horizon_s / dt_s)) + 2, spread.LONGEST)
         scenarios = load.scenarios(time_s, dt_s, steps)
         power_W = scenarios.power_W[:, spread.assigned(scenarios.weight)]
         ends = time_to_end(
@@ -93,7 +95,8 @@ class Forecaster:
             belief.ambient_C,
             dt_s,
             self.settings.reserve_soc,
-            spread.walk(steps),
+            spread.wander(),
+            by_rows,
         )
         lo_s, median_s, hi_s = (float(v) for v in np.quantile(np.minimum(ends.end_s, horizon_s), spread.LEVELS))
         known_low = math.isfinite(self.pack.low_V)
@@ -115,12 +118,17 @@ class Forecaster:
         rate = float(c_rate(installation, current_A))
         dt_s = sample.time_s - self._time_s if math.isfinite(self._time_s) else 0.0
         self._time_s = sample.time_s
+        if 0.0 < dt_s <= LONGEST_ROW_S:
+            self._row_s = dt_s + (self._row_s - dt_s) * ROW_MEMORY if math.isfinite(self._row_s) else dt_s
         self._rate_c = rate + (self._rate_c - rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else rate
-        if self._rate_c < FLYING_C:
+        if self._rate_c >= FLYING_C:
+            self._loaded_s = sample.time_s
+            if not math.isfinite(self._flying_since_s):
+                self._flying_since_s = sample.time_s
+        elif sample.armed is False or not sample.time_s - self._loaded_s < LANDED_AFTER_S:
             self._flying_since_s = NAN
-            return
         if not math.isfinite(self._flying_since_s):
-            self._flying_since_s = sample.time_s
+            return
         self._load = self._load.after(sample.time_s, sample.voltage_V * current_A)
 
     def _refusal(self, sample: Sample, estimate: Estimate) -> str:
@@ -130,8 +138,6 @@ class Forecaster:
             return ""
         if not math.isfinite(self._flying_since_s):
             return "on the ground or no load: nothing tells the load to come"
-        if sample.time_s - self._flying_since_s < FLYING_AFTER_S and not math.isfinite(self._load.mean_W):
-            return "the load of this flight is not known yet"
         return ""
 
 

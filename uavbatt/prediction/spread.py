@@ -13,8 +13,10 @@ import numpy as np
 
 from uavbatt.battery.belief import SIZE, Belief, C
 from uavbatt.battery.model import Array
+from uavbatt.prediction.endurance import Wander
 
 DRAWS = 128
+LONGEST = 1024
 LEVELS = (0.05, 0.5, 0.95)
 _SEED = 5725
 
@@ -29,10 +31,10 @@ def normals() -> Array:
 
 
 @cache
-def walk(steps: int) -> Array:
-    """[steps, DRAWS] standard normals that push the model's wandering error along each draw's way."""
-    half = np.random.default_rng(_SEED + 1).standard_normal((steps, DRAWS // 2))
-    return np.concatenate([half, -half], axis=1)
+def wander() -> Wander:
+    """Standard normals for LONGEST steps of DRAWS ways: of the model's wandering error and of the rows' noise."""
+    half = np.random.default_rng(_SEED + 1).standard_normal((2, LONGEST, DRAWS // 2))
+    return Wander(*np.concatenate([half, -half], axis=2))
 
 
 @cache
