@@ -79,14 +79,14 @@ def family(page: ValidationPage) -> Html:
 
 
 def _shade(axes: Axes, at: Array, low: Array, high: Array) -> None:
-    axes.fill_between(at, low, high, color=plot.SKY, alpha=0.45, linewidth=0, label="corridor, mean ± C")
+    axes.fill_between(at, low, high, color=plot.SKY, alpha=0.45, linewidth=0, label="mean ± C")
 
 
 def _edges(axes: Axes, at: Array, mean: Array, corridor: CorridorLike, scale: float = 1.0) -> None:
     """The tolerance and the simultaneous band by their outlines."""
     bands = (
         ("95/95 tolerance", corridor.tolerance, (0, (1, 1.2))),
-        ("all instants at once", corridor.simultaneous, "--"),
+        ("all instants", corridor.simultaneous, "--"),
     )
     for name, half, style in bands:
         if np.isfinite(half).any():
@@ -104,7 +104,7 @@ def corridor(page: ValidationPage, found: CorridorLike, model: Array | None, stu
         many, _ = repeated(page)
         for run in many:
             _curve(axes, run, found.quantity, (plot.FAINT, "-"), "_run", 0.5)
-        axes.plot(minutes, found.mean, color=plot.BLUE, label="mean of the tests")
+        axes.plot(minutes, found.mean, color=plot.BLUE, label="mean")
         if model is not None:
             axes.plot(page.model.time_s / 60.0, model, "x", color=plot.RED, markersize=6, label="model, held out")
 

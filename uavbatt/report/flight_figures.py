@@ -91,7 +91,7 @@ def _voltage(rows: Rows, axis: TimeAxis, resolved: ResolvedLike) -> Html:
 
     def draw(axes: Axes) -> None:
         _line(axes, axis, rows.time_s, rows.voltage_V, plot.BLUE, "measured")
-        _line(axes, axis, rows.time_s, rows.predicted_V, plot.RED, "modelled, one row ahead", "--")
+        _line(axes, axis, rows.time_s, rows.predicted_V, plot.RED, "modelled, one step ahead", "--")
         if math.isfinite(resolved.cutoff_V):
             axes.axhline(resolved.cutoff_V, color=plot.PINK, linewidth=1.2, linestyle=(0, (4, 2)), label="cut-off")
         low, high = _span(rows.voltage_V, resolved.cutoff_V)
@@ -100,7 +100,7 @@ def _voltage(rows: Rows, axis: TimeAxis, resolved: ResolvedLike) -> Html:
 
     least, greatest = np.nanmin(rows.voltage_V), np.nanmax(rows.voltage_V)
     alt = f"Pack voltage over time, from {least:.2f} to {greatest:.2f} V, with the model's prediction."
-    said = "The model predicts each row's voltage before it sees it."
+    said = "The model predicts the voltage before it sees it."
     return figure(plot.panel(draw, alt, x=axis.label, y="pack voltage (V)", height=270), title, said)
 
 
@@ -117,27 +117,27 @@ def _innovation(rows: Rows, axis: TimeAxis) -> Html:
     title = "Innovation: measured less predicted voltage"
     if not np.isfinite(rows.innovation_V).any():
         return _missing(title, "The filter compared no voltage with its prediction.")
-    sd = rows.innovation_sd_V
-    both = np.isfinite(sd) & np.isfinite(rows.innovation_V)
-    share = float(np.mean(np.abs(rows.innovation_V[both]) <= 2.0 * sd[both])) if both.any() else math.nan
+    # One innovation a block of rows; rows without voltage (gaps) stay, so that no line crosses them.
+    kept = np.isfinite(rows.innovation_V) | np.isnan(rows.voltage_V)
+    time_s, innovation, sd = (x[kept] for x in (rows.time_s, rows.innovation_V, rows.innovation_sd_V))
+    both = np.isfinite(sd) & np.isfinite(innovation)
+    share = float(np.mean(np.abs(innovation[both]) <= 2.0 * sd[both])) if both.any() else math.nan
 
     def draw(axes: Axes) -> None:
         millivolts = 1000.0
-        _band(axes, axis, rows.time_s, -2.0 * sd * millivolts, 2.0 * sd * millivolts, plot.GREEN, "expected, ±2 sd")
-        _line(axes, axis, rows.time_s, rows.innovation_V * millivolts, plot.BLUE, "innovation")
-        edge = float(np.nanpercentile(np.abs(rows.innovation_V), 99.5)) * millivolts
+        _band(axes, axis, time_s, -2.0 * sd * millivolts, 2.0 * sd * millivolts, plot.GREEN, "expected, ±2 sd")
+        _line(axes, axis, time_s, innovation * millivolts, plot.BLUE, "innovation")
+        edge = float(np.nanpercentile(np.abs(innovation), 99.5)) * millivolts
         reach = max(1.3 * edge, 2.6 * float(np.nanmedian(sd)) * millivolts if both.any() else 0.0, 10.0)
         axes.set_ylim(-reach, reach)
         axis.dress(axes)
 
-    inside = f" {share:.0%} of the rows lie inside; about 95 % should." if math.isfinite(share) else ""
+    inside = f" {share:.0%} of the innovations lie inside; about 95 % should." if math.isfinite(share) else ""
+    with_temp = np.isfinite(rows.temp_C).any()
     from_nis = " The band is recovered from the filter's NIS; with a measured temperature it is a lower bound."
     alt = "Difference of measured and predicted voltage over time with its expected band." + inside
-    return figure(
-        plot.panel(draw, alt, x=axis.label, y="innovation (mV)"),
-        title,
-        "What the model did not foresee." + inside + (from_nis if np.isfinite(rows.temp_C).any() else ""),
-    )
+    drawn = plot.panel(draw, alt, x=axis.label, y="innovation (mV)")
+    return figure(drawn, title, "What the model did not foresee." + inside + (from_nis if with_temp else ""))
 
 
 def _current(rows: Rows, axis: TimeAxis) -> Html:

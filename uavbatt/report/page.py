@@ -140,17 +140,17 @@ def celsius(temp_C: float) -> str:
 
 
 def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
-    """The whole document."""
+    """The whole document: HTML that is well-formed XML too, so that a test can read it strictly."""
     css = (resources.files("uavbatt.report") / "page.css").read_text("utf-8")
     return "\n".join(
         (
             "<!DOCTYPE html>",
             '<html lang="en">',
             "<head>",
-            '<meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">',
-            '<meta name="color-scheme" content="light dark">',
+            '<meta charset="utf-8"/>',
+            '<meta name="viewport" content="width=device-width, initial-scale=1"/>',
+            f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}"/>',
+            '<meta name="color-scheme" content="light dark"/>',
             f"<title>{safe(title)}</title>",
             f"<style>\n{css}</style>",
             "</head>",

@@ -1,7 +1,7 @@
 """Drawings by matplotlib as inline SVG: colours from the page's own palette, text as text, no ids that collide.
 
 A drawing uses the light palette's values as marks; `svg` puts the page's variables in their place, so that a figure
-follows the light or dark setting. Drawn 480 units wide with 11-unit letters: readable on a phone and not shouting on
+follows the light or dark setting. Drawn 440 units wide with 11-unit letters: readable on a phone and not shouting on
 a screen. matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
 """
 
@@ -31,8 +31,8 @@ VARIABLES = {
     PINK: "pink", AMBER: "amber", SKY: "sky", **{value: f"t{i}" for i, value in enumerate(RAMP)},
 }  # fmt: skip
 
-WIDTH, HEIGHT = 480.0, 250.0
-LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 52.0, 10.0, 38.0, 10.0, 17.0
+WIDTH, HEIGHT = 440.0, 240.0
+LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 58.0, 10.0, 38.0, 10.0, 17.0
 LETTERS = 11.0
 SETTINGS: dict[str, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",

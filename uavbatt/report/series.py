@@ -29,8 +29,9 @@ GAP = "no row in the log"
 class Rows:
     """Columns of a flight. What was refused is NaN here, whatever value its maker left in it.
 
-    `innovation_sd_V` is what the filter expected of the voltage innovation, recovered from its NIS: exact where only
-    voltage was measured; with a temperature beside it a lower bound, raised to the greatest one nearby.
+    The filter takes rows in blocks and has one innovation a block: `innovation_V` is NaN at the rows between.
+    `innovation_sd_V` is what it expected of it, recovered from its NIS: exact where only voltage was measured; with
+    a temperature beside it a lower bound, raised to the greatest one nearby.
     """
 
     time_s: Array
@@ -95,13 +96,14 @@ def rows(steps: Sequence[StepLike]) -> Rows:
         made = np.array(values, dtype=float)
         return made if hidden is None else np.where(hidden, math.nan, made)
 
-    innovation = column([x.innovation_V for x in e])
+    nis = column([x.nis for x in e])
+    innovation = column([x.innovation_V for x in e], np.isnan(nis))
     return Rows(
         time_s=column([x.time_s for x in e]),
         voltage_V=column([x.voltage_V for x in e]),
         predicted_V=column([x.predicted_voltage_V for x in e]),
         innovation_V=innovation,
-        innovation_sd_V=innovation_sd(innovation, column([x.nis for x in e]), column([x.temp_C for x in e])),
+        innovation_sd_V=innovation_sd(innovation, nis, column([x.temp_C for x in e])),
         current_A=column([x.current_A for x in e]),
         temp_C=column([x.temp_C for x in e]),
         core_C=column([x.core_temp_C for x in e]),

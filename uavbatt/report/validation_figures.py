@@ -86,7 +86,7 @@ def _single(claims: Sequence[ClaimLike]) -> Html:
     height = 78.0 + 34.0 * len(claims)
 
     def draw(figure_: Figure) -> None:
-        axes = figure_.add_axes((0.3, 42.0 / height, 0.67, 1.0 - 54.0 / height))
+        axes = figure_.add_axes((0.37, 42.0 / height, 0.6, 1.0 - 54.0 / height))
         axes.axvspan(-1.0, 1.0, facecolor=plot.SHADE, linewidth=0)
         axes.axvline(0.0, color=plot.INK, linewidth=0.7)
         for i, c in enumerate(claims):

@@ -39,8 +39,8 @@ SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 def claims_table(claims: Sequence[ClaimLike]) -> Html:
     """One row a claim: the verdict, the bias that comes nearest to the limit, and why."""
-    head = ("claim", "ambient", "verdict", "decides", "largest bias", "its interval", "limit", "why")
-    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 3, 7))
+    head = ("claim", "verdict", "decides", "bias nearest the limit", "its interval", "limit", "why")
+    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 6))
 
 
 def nearest(claim: ClaimLike) -> int:
@@ -50,7 +50,7 @@ def nearest(claim: ClaimLike) -> int:
 
 
 def _claim_row(c: ClaimLike) -> tuple[str, ...]:
-    told = c.claim, celsius(c.ambient_C), badge(c.verdict), "yes" if c.gates else "informs"
+    told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
         return *told, DASH, DASH, DASH, c.reason
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
@@ -59,7 +59,7 @@ def _claim_row(c: ClaimLike) -> tuple[str, ...]:
     interval = DASH
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
-    limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C of each instant"
+    limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
     return *told, number(bias, decimals, unit, sign=True), interval, limit, c.reason
 
 
