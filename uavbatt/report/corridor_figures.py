@@ -24,9 +24,9 @@ NAME = {"voltage_V": "Voltage", "surface_C": "Surface temperature"}
 DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departure from the mean (K)"}
 
 
-def repeated(page: ValidationPage) -> tuple[list[Run], list[Run]]:
-    """(runs of samples tested repeatedly, one-time runs) at the page's ambient temperature."""
-    runs = page.dataset.at(page.ambient_C)
+def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], list[Run]]:
+    """(runs of samples tested repeatedly, one-time runs) at the page's ambient temperature, raw or as judged."""
+    runs = (page.tests if as_read else page.dataset).at(page.ambient_C)
     counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
     return [r for r in runs if counts[r.sample] > 1], [r for r in runs if counts[r.sample] == 1]
 
@@ -125,7 +125,7 @@ def departures(page: ValidationPage, found: CorridorLike, model: Array | None) -
         zero = np.zeros(found.at.size)
         _shade(axes, minutes, -scale * found.C, scale * found.C)
         _edges(axes, minutes, zero, found, scale)
-        many, single = repeated(page)
+        many, single = repeated(page, as_read=True)
         for i, run in enumerate(many):
             _departure(axes, run, found, scale, (plot.BLUE, "-"), "_" * (i > 0) + "runs", 0.6)
         for i, run in enumerate(single):
@@ -176,7 +176,7 @@ def in_time(page: ValidationPage) -> Html:
     def draw(axes: Axes) -> None:
         _shade(axes, found.at, -found.C, found.C)
         _edges(axes, found.at, np.zeros(found.at.size), found)
-        for i, run in enumerate(repeated(page)[1]):
+        for i, run in enumerate(repeated(page, as_read=True)[1]):
             times = _first_falls(run.time_s, run.voltage_V, found.at)
             name = "_" * (i > 0) + "tested once"
             axes.plot(found.at, times - found.mean, ":", color=plot.RED, linewidth=1.8, label=name)
@@ -243,7 +243,7 @@ def _spread(values: Sequence[float], count: int) -> list[float]:
 
 def crossings(page: ValidationPage) -> Html:
     """Time to a fixed voltage over ambient temperature: where one-time series break."""
-    title = f"Time to {page.crossing_V:g} V over ambient temperature"
+    title = f"Time to {page.crossing_V:.4g} V over ambient temperature"
     known = [c for c in page.crossings if math.isfinite(c[2])]
     if len({c[1] for c in known}) < 2:
         return figure(paragraph("Tests at two ambient temperatures or more would be needed.", css="quiet"), title)
@@ -255,6 +255,6 @@ def crossings(page: ValidationPage) -> Html:
             axes.plot([c[1] for c in mine], [c[2] / 60.0 for c in mine], marker, color=colour, markersize=4,
                       markerfacecolor="none", label=f"sample {plot.literal(sample)}")  # fmt: skip
 
-    alt = f"Time until the pack first falls to {page.crossing_V:g} V against ambient temperature, one mark a test."
-    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {page.crossing_V:g} V (min)")
+    alt = f"Time until the pack first falls to {page.crossing_V:.4g} V against ambient temperature, one mark a test."
+    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {page.crossing_V:.4g} V (min)")
     return figure(drawn, title, f"One mark a test, {len(known)} tests. {JUMPS}")

@@ -258,9 +258,13 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class ValidationPage:
-    """Everything that the page shows. `limits` are the declared ones in words; `crossings_s` [s] over ambient [°C]."""
+    """Everything that the page shows. `tests` is `dataset` as it was read for judging (fast records at the minutes).
+
+    `limits` are the declared ones in words.
+    """
 
     dataset: DataSet
+    tests: DataSet
     ambient_C: float
     verdict: str
     limits: tuple[tuple[str, str], ...]

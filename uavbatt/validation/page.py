@@ -33,6 +33,7 @@ def validation_page(v: Validation, paper: PaperReplay | None = None, changes: Se
     return validation_report(
         ValidationPage(
             dataset=v.dataset,
+            tests=tests,
             ambient_C=v.ambient_C,
             verdict=v.verdict,
             limits=_limits(v),
@@ -104,9 +105,9 @@ def _gains(v: Validation) -> tuple[Change, ...]:
 
 def _limits(v: Validation) -> tuple[tuple[str, str], ...]:
     return (
-        ("voltage", f"±{v.limits.voltage_V:g} V"),
+        ("voltage", f"±{v.limits.voltage_V:.3g} V"),
         ("time", f"±{v.limits.time_s:g} s"),
-        ("crossing voltage", f"{v.limits.crossing_V:g} V"),
+        ("crossing voltage", f"{v.limits.crossing_V:.4g} V"),
         ("surface temperature (informs)", f"±{v.limits.surface_K:g} K"),
     )
 
