@@ -20,7 +20,8 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UsageError
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.prediction.forecaster import Forecaster, Settings
-from uavbatt.prediction.load import ConstantLoad, LoggedLoad
+from uavbatt.prediction.learned import UnknownAircraft
+from uavbatt.prediction.load import Load
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.plausibility import plausible_temperature_C
 
@@ -38,7 +39,7 @@ class PackOptions:
     low_V: float = NAN
     reserve_soc: float = 0.0
     ambient_C: float = NAN
-    load: ConstantLoad | LoggedLoad | None = None
+    load: Load = UnknownAircraft()
     forecast_period_s: float = 5.0
 
 

@@ -6,15 +6,19 @@ import math
 
 import numpy as np
 
+from uavbatt.battery.vehicle import VehicleFile
 from uavbatt.errors import UsageError
-from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, LoggedLoad
+from uavbatt.prediction.learned import UnknownAircraft, learned_load
+from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.records import Flight
 
 
-def stated_load(text: str, flight: Flight) -> ConstantLoad | LoggedLoad | None:
-    """The load that `--load TEXT` means for a flight; None = as recently."""
-    if text in ("learned", "recent"):
-        return None
+def stated_load(text: str, flight: Flight, vehicle: VehicleFile | None = None) -> Load:
+    """The load that `--load TEXT` means for a flight."""
+    if text == "learned":
+        return UnknownAircraft() if vehicle is None else learned_load(vehicle)
+    if text == "recent":
+        return RecentMean()
     if text == "log":
         rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
         if len(rows) < 2:

@@ -43,27 +43,29 @@ def time_to_end(
     x: Array,
     power_W: Array,
     ambient_C: float,
-    dt_s: float,
+    dt_s: Array,
     reserve_soc: float = 0.0,
     wander: Wander | None = None,
     by_rows: bool = False,
 ) -> EndTimes:
-    """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], `dt_s` a step.
+    """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
 
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
-    are the telemetry's rows and the median of three judges. Without `wander` the discrepancy decays and rows are exact.
+    are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander` the discrepancy decays and rows are exact.
     """
     cell, installation, state = unpack(pack, x)
     size = installation.cells * installation.present_capacity_Ah
     harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
     memory = np.exp(-dt_s / pack.bias_tau_s)
     kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    along_W = np.concatenate([0.5 * (power_W[:-1] + power_W[1:]), power_W[-1:]]) if by_rows else power_W
     bias_V, before = x[C.BIAS], None
     to_end, to_low = [], []
     ended = np.zeros(x.shape[1], dtype=int)
     for k, power in enumerate(power_W):
         series_ohmAh = model.resistance(cell, state.soc, state.core_C) + harness_ohmAh
-        rate = eq.current_at_power(model.electromotive_force(cell, state) + bias_V, series_ohmAh, power / size)
+        emf_V = model.electromotive_force(cell, state) + bias_V
+        rate = eq.current_at_power(emf_V, series_ohmAh, power / size)
         true_V = terminal_voltage(installation, cell, state, rate * installation.present_capacity_Ah)
         volts = metered_voltage(installation, true_V + installation.cells * bias_V)
         if by_rows and wander is not None and before is not None:
@@ -77,15 +79,17 @@ def time_to_end(
         ended = np.where(margin < 0.0, ended + 1, np.where(ended >= 3, ended, 0))
         if (ended >= (3 if by_rows else 1)).all():
             break
-        state = model.step(cell, state, rate, ambient_C, dt_s)
-        bias_V = memory * bias_V + (0.0 if wander is None else kick_V * wander.bias[k])
+        mean_rate = eq.current_at_power(emf_V, series_ohmAh, along_W[k] / size) if by_rows else rate
+        state = model.step(cell, state, mean_rate, ambient_C, dt_s[k])
+        bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
     judge = _median_crossing if by_rows else _mean_crossing
-    end_s = judge(np.array(to_end), dt_s)
-    return EndTimes(end_s, np.minimum(judge(np.array(to_low), dt_s), end_s))
+    at_s = np.concatenate([[0.0], np.cumsum(dt_s)])[: len(to_end)]
+    end_s = judge(np.array(to_end), at_s)
+    return EndTimes(end_s, np.minimum(judge(np.array(to_low), at_s), end_s))
 
 
-def _mean_crossing(margin: Array, dt_s: float) -> Array:
-    """First fall through zero of each column [steps, batch], linear between steps, and the lag of the mean."""
+def _mean_crossing(margin: Array, at_s: Array) -> Array:
+    """First fall through zero of each column [steps, batch], linear between the steps at `at_s`; plus the mean's lag."""
     below = margin < 0.0
     first = np.argmax(below, axis=0)
     columns = np.arange(margin.shape[1])
@@ -93,14 +97,14 @@ def _mean_crossing(margin: Array, dt_s: float) -> Array:
     above, under = margin[last, columns], margin[first, columns]
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(first > 0, above / (above - under), 0.0)
-    crossing = (last + share) * dt_s + np.where(first > 0, MEAN_LAG_S, 0.0)
+    crossing = at_s[last] + share * (at_s[first] - at_s[last]) + np.where(first > 0, MEAN_LAG_S, 0.0)
     return np.where(below.any(axis=0), crossing, np.inf)
 
 
-def _median_crossing(margin: Array, dt_s: float) -> Array:
+def _median_crossing(margin: Array, at_s: Array) -> Array:
     """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
     if margin.shape[0] < 3:
         return np.where((margin < 0.0).all(axis=0), 0.0, np.inf)
     median = np.median(np.stack([margin[:-2], margin[1:-1], margin[2:]]), axis=0)
     below = median < 0.0
-    return np.where(below.any(axis=0), (np.argmax(below, axis=0) + 1) * dt_s, np.inf)
+    return np.where(below.any(axis=0), at_s[np.argmax(below, axis=0) + 1], np.inf)

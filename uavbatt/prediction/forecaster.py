@@ -17,13 +17,14 @@ from uavbatt.battery.build import Pack
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.prediction import spread
 from uavbatt.prediction.endurance import time_to_end
-from uavbatt.prediction.load import ConstantLoad, LoggedLoad, RecentLoad
+from uavbatt.prediction.learned import UnknownAircraft
+from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
-SLOW_ROW_S, LONGEST_ROW_S, ROW_MEMORY = 5.0, 30.0, 0.9
+LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 STEPS = 100
 SHORTEST_STEP_S, LONGEST_STEP_S = 1.0, 10.0
 LONGEST_HORIZON_S = 6 * 3600.0
@@ -32,9 +33,9 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the operator asks of a forecast; without a load it is taken to go on as recently."""
+    """What the operator asks of a forecast."""
 
-    load: ConstantLoad | LoggedLoad | None = None
+    load: Load = UnknownAircraft()
     reserve_soc: float = 0.0
     period_s: float = 5.0
 
@@ -59,6 +60,7 @@ class Forecaster:
         self._rate_c = 0.0
         self._flying_since_s = self._loaded_s = NAN
         self._time_s = self._row_s = NAN
+        self._took_off_s, self._flown_s, self._flown_J = NAN, 0.0, 0.0
         self._last: Forecast | None = None
 
     def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
@@ -78,22 +80,22 @@ class Forecaster:
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast from the belief and the load to come; None when no end is in sight."""
-        load = self.settings.load or ConstantLoad(max(self._load.mean_W, 1.0), self._load.spread)
-        typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W, 1.0)
+        load, now = self.settings.load, self._now(belief, time_s)
+        typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
             return None
         by_rows = self._row_s > SLOW_ROW_S
         dt_s = self._row_s if by_rows else float(np.clip(typical_s / STEPS, SHORTEST_STEP_S, LONGEST_STEP_S))
         steps = min(int(np.ceil(horizon_s / dt_s)) + 2, spread.LONGEST)
-        scenarios = load.scenarios(time_s, dt_s, steps)
+        scenarios = load.scenarios(now, dt_s, steps)
         power_W = scenarios.power_W[:, spread.assigned(scenarios.weight)]
         ends = time_to_end(
             self.pack,
             spread.draws(belief),
             power_W,
             belief.ambient_C,
-            dt_s,
+            scenarios.dt_s,
             self.settings.reserve_soc,
             spread.wander(),
             by_rows,
@@ -102,6 +104,11 @@ class Forecaster:
         known_low = math.isfinite(self.pack.low_V)
         low_s = float(np.median(np.minimum(ends.low_s, horizon_s))) if known_low else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s)
+
+    def _now(self, belief: Belief, time_s: float) -> Now:
+        since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0
+        flight_W = self._flown_J / self._flown_s if self._flown_s > 0.0 else max(self._load.mean_W, 1.0)
+        return Now(time_s, since_s, float(belief.mean[C.SOC]), max(flight_W, 1.0), self._load)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """A generous guess of what is left: charge above zero at 4 V a cell."""
@@ -129,7 +136,13 @@ class Forecaster:
             self._flying_since_s = NAN
         if not math.isfinite(self._flying_since_s):
             return
-        self._load = self._load.after(sample.time_s, sample.voltage_V * current_A)
+        power_W = sample.voltage_V * current_A
+        self._load = self._load.after(sample.time_s, power_W)
+        if not math.isfinite(self._took_off_s):
+            self._took_off_s = sample.time_s
+        else:
+            self._flown_s += max(dt_s, 0.0)
+            self._flown_J += max(dt_s, 0.0) * power_W
 
     def _refusal(self, sample: Sample, estimate: Estimate) -> str:
         if estimate.status is Status.REFUSED:

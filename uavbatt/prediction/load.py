@@ -1,14 +1,14 @@
 """The load to come: what power the flight will ask until its end.
 
-A load gives scenarios: power over time, each with a weight. `RecentLoad` is the memory that feeds it: the mean of
-the power over the last minutes and how far the mean of half a minute strays from it.
+A load gives scenarios: power over time, each with a weight. What the scenarios hang on is `Now`: where the flight
+stands. `RecentLoad` is the memory that feeds it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import ndtri
@@ -21,51 +21,40 @@ SPREAD_TAU_S = 240.0
 PRIOR_SPREAD = 0.15  # a multirotor's minute-to-minute power before this flight has shown its own
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
 SCENARIOS = 9
+SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
 
 
 class Scenarios(NamedTuple):
-    """What may be asked: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario."""
+    """What may be asked: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
+
+    `dt_s` [steps] are the lengths of the steps.
+    """
 
     power_W: Array
     weight: Array
+    dt_s: Array
 
 
-@dataclass(frozen=True, slots=True)
-class ConstantLoad:
-    """One power until the end, log-normal around `typical_W` with relative sd `spread`."""
+class Now(NamedTuple):
+    """Where the flight stands: log time, time since take-off [s], charge, mean power since take-off [W]."""
 
-    typical_W: float
-    spread: float
-
-    def scenarios(self, time_s: float, dt_s: float, steps: int) -> Scenarios:
-        """Equally likely powers at the middles of equal shares of probability; the same at every step."""
-        levels = (np.arange(SCENARIOS) + 0.5) / SCENARIOS
-        power_W = self.typical_W * np.exp(self.spread * ndtri(levels))
-        return Scenarios(np.broadcast_to(power_W, (steps, SCENARIOS)), np.full(SCENARIOS, 1.0 / SCENARIOS))
+    time_s: float
+    since_take_off_s: float
+    soc: float
+    flight_W: float
+    recent: RecentLoad
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedLoad:
-    """The flight's own later power, read from its log: replay only, it tests the battery alone."""
+class Load(Protocol):
+    """Something that knows the load to come."""
 
-    time_s: Array
-    power_W: Array
+    def typical_W(self, now: Now) -> float:
+        """A middling power, to size the simulation."""
+        ...
 
-    @property
-    def typical_W(self) -> float:
-        """Mean power of the rows."""
-        return float(np.mean(self.power_W))
-
-    def scenarios(self, time_s: float, dt_s: float, steps: int) -> Scenarios:
-        """The one scenario that came true: means over each step; beyond the log, the mean of its last minute."""
-        energy_J = np.concatenate(
-            [[0.0], np.cumsum(0.5 * (self.power_W[1:] + self.power_W[:-1]) * np.diff(self.time_s))]
-        )
-        last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
-        edges_s = time_s + dt_s * np.arange(steps + 1)
-        beyond_s = np.maximum(edges_s - self.time_s[-1], 0.0)
-        drawn_J = np.interp(edges_s, self.time_s, energy_J) + beyond_s * last_W
-        return Scenarios(np.maximum(np.diff(drawn_J) / dt_s, 1.0)[:, None], np.ones(1))
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """What may be asked from now on, in `steps` steps of `dt_s`."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,3 +84,78 @@ class RecentLoad:
     def spread(self) -> float:
         """Relative spread of the mean of a coming stretch of flight, at least 3 %."""
         return math.sqrt(max(self.variance, 0.03**2))
+
+
+def equal_levels(spread: float, count: int) -> Array:
+    """`count` equally likely factors, log-normal around 1: the middles of equal shares of probability."""
+    return np.asarray(np.exp(spread * ndtri((np.arange(count) + 0.5) / count)))
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantLoad:
+    """One power until the end, log-normal around `power_W` with relative sd `spread`."""
+
+    power_W: float
+    spread: float
+
+    def typical_W(self, now: Now) -> float:
+        """The power itself."""
+        return self.power_W
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """Equally likely powers, the same at every step."""
+        return constant(self.power_W, self.spread, dt_s, steps)
+
+
+@dataclass(frozen=True, slots=True)
+class RecentMean:
+    """The flight goes on as in its last minutes."""
+
+    def typical_W(self, now: Now) -> float:
+        """Mean of about the last minute."""
+        return max(now.recent.mean_W, 1.0)
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """The recent mean with the recent spread."""
+        return constant(self.typical_W(now), now.recent.spread, dt_s, steps)
+
+
+def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenarios:
+    """Constant powers, log-normal around `power_W` [W]."""
+    levels_W = power_W * equal_levels(spread, SCENARIOS)
+    weight = np.full(SCENARIOS, 1.0 / SCENARIOS)
+    return Scenarios(np.broadcast_to(levels_W, (steps, SCENARIOS)), weight, np.full(steps, dt_s))
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedLoad:
+    """The flight's own later power, read from its log: replay only, it tests the battery alone."""
+
+    time_s: Array
+    power_W: Array
+
+    def typical_W(self, now: Now) -> float:
+        """Mean power of the rows."""
+        return max(float(np.mean(self.power_W)), 1.0)
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """The one scenario that came true; beyond the log, the mean of its last minute.
+
+        Means over each step, or, when the log's rows are slow, its own rows.
+        """
+        last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
+        if float(np.median(np.diff(self.time_s))) > SLOW_ROW_S:
+            return self._rows(now.time_s, dt_s, steps, last_W)
+        pieces_J = 0.5 * (self.power_W[1:] + self.power_W[:-1]) * np.diff(self.time_s)
+        energy_J = np.concatenate([[0.0], np.cumsum(pieces_J)])
+        edges_s = now.time_s + dt_s * np.arange(steps + 1)
+        beyond_s = np.maximum(edges_s - self.time_s[-1], 0.0)
+        drawn_J = np.interp(edges_s, self.time_s, energy_J) + beyond_s * last_W
+        return Scenarios(np.maximum(np.diff(drawn_J) / dt_s, 1.0)[:, None], np.ones(1), np.full(steps, dt_s))
+
+    def _rows(self, time_s: float, dt_s: float, steps: int, last_W: float) -> Scenarios:
+        later = self.time_s >= time_s - 1e-6
+        beyond = max(steps - int(later.sum()), 1)
+        power_W = np.concatenate([self.power_W[later], np.full(beyond, last_W)])
+        gaps_s = np.concatenate([np.diff(self.time_s[later]), np.full(beyond + 1, dt_s)])[: power_W.size]
+        return Scenarios(np.maximum(power_W, 1.0)[:, None], np.ones(1), gaps_s)

@@ -1,0 +1,80 @@
+"""A vehicle file from past flights: their power from take-off to landing, with the charge that the battery file sees."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.model import Array
+from uavbatt.battery.vehicle import Phases, Trace, VehicleFile
+from uavbatt.errors import NotEnoughData
+from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.records import Flight
+
+GRID_S = 10.0
+SHORTEST_S = 120.0
+LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are the landing, not the flight
+
+
+def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
+    """The library of the flights that flew long enough; NotEnoughData when none did."""
+    traces = [t for t in (trace(f, battery, options) for f in flights) if t is not None]
+    if not traces:
+        raise NotEnoughData(f"{name}: none of {len(flights)} logs holds {SHORTEST_S:.0f} s of flight with a current")
+    watts = [np.array(t.power_W) for t in traces]
+    return VehicleFile(
+        name=name,
+        battery=battery.battery.name,
+        phases=Phases(
+            take_off_W=_rounded(np.mean([w[: int(60 / GRID_S)].mean() for w in watts])),
+            flight_W=_rounded(np.mean([w.mean() for w in watts])),
+            last_minute_W=_rounded(np.mean([w[-int(60 / GRID_S) :].mean() for w in watts])),
+        ),
+        traces=traces,
+        source=f"{len(traces)} flights",
+    )
+
+
+def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
+    """One flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
+    estimator = Estimator(battery, replace(options, forecast_period_s=math.inf))
+    rows = []
+    for sample in flight.samples:
+        estimator.update_facts(flight.facts_at(sample.time_s))
+        estimate, _ = estimator.step(sample)
+        if math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
+            rows.append((estimate.time_s, max(estimate.power_W, 0.0), estimate.soc))
+    table = np.array(rows)
+    if len(table) < 5:
+        return None
+    time_s, watts, soc = table.T
+    first, last = _airborne(watts)
+    if time_s[last] - time_s[first] < SHORTEST_S:
+        return None
+    grid_s = np.arange(0.0, time_s[last] - time_s[first], GRID_S)
+    return Trace(
+        time_s=[float(t) for t in grid_s],
+        power_W=[_rounded(w) for w in _means(time_s - time_s[first], watts, grid_s)],
+        soc=[round(float(z), 4) for z in np.interp(grid_s, time_s - time_s[first], soc)],
+    )
+
+
+def _airborne(watts: Array) -> tuple[int, int]:
+    """First and last row of the flight: from half to `LANDING_SHARE` of the power that is usual in the air."""
+    usual_W = float(np.median(watts[watts > 0.3 * np.percentile(watts, 90)]))
+    high = np.flatnonzero(watts > LANDING_SHARE * usual_W)
+    return int(high[0]), int(high[-1])
+
+
+def _means(time_s: Array, watts: Array, grid_s: Array) -> Array:
+    """Mean power around each grid point by the energy between the middles; the value itself for slow rows."""
+    energy_J = np.concatenate([[0.0], np.cumsum(0.5 * (watts[1:] + watts[:-1]) * np.diff(time_s))])
+    edges_s = np.concatenate([grid_s, grid_s[-1:] + GRID_S])
+    return np.asarray(np.diff(np.interp(edges_s, time_s, energy_J)) / GRID_S).clip(min=0.0)
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), 1)
