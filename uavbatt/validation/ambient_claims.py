@@ -12,13 +12,12 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet
-from uavbatt.validation import reading
+from uavbatt.validation import budget, reading
 from uavbatt.validation.budget import ONE_SIDED, meter_rows
-from uavbatt.validation.gate import LEVEL, Claim, Limits, Verdict
+from uavbatt.validation.gate import Claim, Limits, Verdict
 from uavbatt.validation.heldout import HeldOut, Single
 from uavbatt.validation.series import QuasiReplicates, breaks, quasi_replicates
 
@@ -68,7 +67,8 @@ def _near_repeats(
     step = _series_offset(dataset, held, single)
     guard = ONE_SIDED * np.sqrt(sum((u**2 for u in rows), start=(step[at] / math.sqrt(3.0)) ** 2))
     scatter = group.sd[at] * math.sqrt(group.leverage(single.ambient_C))
-    half = np.hypot(stats.t.ppf(1.0 - LEVEL / max(n, 1), group.df[at]) * scatter, guard)
+    combined, df = budget.combine(scatter, group.df[at], guard / ONE_SIDED)
+    half = budget.coverage_factor(df, n) * combined
     verdict, reason = _shown(bias, half, limits.voltage_V)
     if broken and not np.isfinite(half).all():
         reason = "one series, and series of these tests differ by an amount that is not known"

@@ -1,10 +1,11 @@
 """The uncertainty budget of a bias: model minus tests, row by row, as the gate uses it.
 
-    expanded = √( (t·u_A)² + (1.645·u_B)² )
+    expanded = t(ν)·u,  u² = u_A² + u_B²,  ν = (n-1)·u⁴/u_A⁴          (GUM G.4, Welch-Satterthwaite)
 
-u_A is the scatter of the occasions (type A, n-1 degrees of freedom, t one-sided and shared out over the instants).
-u_B is what that scatter cannot show (type B): calibration, resolution, the instant of reading, and a drift over the
-runs, of which nobody knows at which end the next flight stands. 1.645·u_B is the guard band (ISO 14253-1, GUM 4.3).
+u_A is the scatter of the occasions (type A, n-1 degrees of freedom). u_B is what that scatter cannot show (type B, its
+degrees of freedom taken as infinite): calibration, resolution, the instant of reading, and a drift over the runs, of
+which nobody knows at which end the next flight stands. t is one-sided at 5 %, shared out over the instants
+(Bonferroni). The guard band for the instruments, as if it stood alone, is 1.645·u_B.
 
 Rows that the data set does not state are assumed, never left at zero, and say so. A hand that reads at the whole
 minute is late or early by up to `reading_time_s`: rectangular, u = a/√3. All readings may be late together, so that
@@ -26,7 +27,8 @@ from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
 from uavbatt.validation.heldout import HeldOut
 
-ONE_SIDED = float(stats.norm.ppf(0.95))
+LEVEL = 0.05
+ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))
 # What is assumed where a data set states nothing: the specification of a battery tester (a limit, so rectangular),
 # a thermocouple, a hand with a watch.
 ASSUMED_CALIBRATION = 0.001  # of the reading, ±
@@ -49,29 +51,45 @@ class Row:
 class Budget:
     """The rows of one claim at `at` (instants [s] or voltages [V]); all in `unit`.
 
-    `combined` is the standard uncertainty, `coverage` the one-sided t of the scatter, `guard` 1.645·u_B, `expanded`
-    the half width that the gate adds to the bias.
+    `combined` is the standard uncertainty with `df` degrees of freedom, `factors` its coverage at each instant and
+    `coverage` the largest of them, `expanded` the half width that the gate adds to the bias, `guard` 1.645·u_B.
     """
 
     unit: str
     at: Array
     rows: tuple[Row, ...]
-    coverage: float
     combined: Array
+    df: Array
+    factors: Array
+    coverage: float
     guard: Array
     expanded: Array
 
 
-def assembled(unit: str, at: Array, rows: list[Row], coverage: float) -> Budget:
-    """Add the rows in squares, scatter and type B apart."""
+def coverage_factor(df: Array, instants: int) -> Array:
+    """One-sided t at 5 %, shared out over the instants."""
+    return np.asarray(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df), dtype=float)
 
-    def square(kind: str) -> Array:
-        total: Array = sum((r.u**2 for r in rows if r.kind == kind), start=np.zeros(at.size))
-        return total
 
-    a2, b2 = square("A"), square("B")
-    guard = ONE_SIDED * np.sqrt(b2)
-    return Budget(unit, at, tuple(rows), coverage, np.sqrt(a2 + b2), guard, np.hypot(coverage * np.sqrt(a2), guard))
+def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
+    """(combined standard uncertainty, effective degrees of freedom) per instant."""
+    u = np.asarray(np.hypot(u_A, u_B))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
+    return u, df
+
+
+def assembled(unit: str, at: Array, rows: list[Row], df_A: float) -> Budget:
+    """Add the rows in squares; `df_A` are the degrees of freedom of the scatter."""
+
+    def root(kind: str) -> Array:
+        squares = [r.u**2 for r in rows if r.kind == kind]
+        return np.sqrt(np.sum(squares, axis=0)) if squares else np.zeros(at.size)
+
+    u, df = combine(root("A"), df_A, root("B"))
+    k = coverage_factor(df, at.size)
+    largest = float(k.max()) if k.size else math.nan
+    return Budget(unit, at, tuple(rows), u, df, k, largest, ONE_SIDED * root("B"), k * u)
 
 
 def scatter_rows(residual: Array) -> list[Row]:
@@ -123,17 +141,17 @@ def loaded_slope(held: HeldOut) -> Array:
     return out
 
 
-def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: Uncertainty, coverage: float) -> Budget:
+def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: Uncertainty) -> Budget:
     """Budget of the voltage bias [V] at the instants with indices `at`."""
     half_s, how = reading_half_width_s(held, known)
     mean_V = np.nanmean(held.measured_V, axis=(0, 1))[at]
     moment = Row("instant of reading", "B", loaded_slope(held)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope")
     rows = [*scatter_rows(residual), *meter_rows(held, mean_V, known), moment]
-    return assembled("V", held.time_s[at], rows, coverage)
+    return assembled("V", held.time_s[at], rows, len(residual) - 1.0)
 
 
 def time_budget(
-    held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty, coverage: float
+    held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty
 ) -> Budget:
     """Budget of the bias of a crossing time [s]; `slope_Vps` there turns the voltmeter's rows into seconds."""
     half_s, how = reading_half_width_s(held, known)
@@ -141,10 +159,10 @@ def time_budget(
     divided = f"over {slope_Vps * 1e3:.3g} mV/s"
     meter = [Row(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}") for r in meter_rows(held, one, known)]
     moment = Row("instant of reading", "B", np.array([half_s / math.sqrt(3.0)]), how)
-    return assembled("s", one, [*scatter_rows(residual_s), *meter, moment], coverage)
+    return assembled("s", one, [*scatter_rows(residual_s), *meter, moment], len(residual_s) - 1.0)
 
 
-def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty, coverage: float) -> Budget:
+def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget:
     """Budget of the bias of the surface temperature [K]."""
     stated = known.temperature_calibration_C
     u = ASSUMED_TEMPERATURE_C if stated is None else stated
@@ -154,4 +172,4 @@ def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty, coverage:
         fine = np.full(at_s.size, known.temperature_resolution_C / math.sqrt(12.0))
         step = f"{known.temperature_resolution_C:g} K step, rectangular"
         rows.append(Row("resolution of the thermometer", "B", fine, step))
-    return assembled("K", at_s, rows, coverage)
+    return assembled("K", at_s, rows, len(residual_K) - 1.0)

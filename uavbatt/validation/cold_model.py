@@ -13,6 +13,7 @@ told from R₀(soc).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,8 @@ STEP_S = 10.0
 MISFIT_SD_V = 0.08  # what such a model leaves: weighs the readings against the priors
 NUDGE = 1e-4
 COLD_C = -20.0
-EVALUATIONS = 25
+EVALUATIONS = 30
+FRESH, START_SPREAD, SEED = 10, 0.6, 5725
 KEPT = ("slow_diffusion", "temperature_resistance")
 HEAT = ("heat_capacity_JpKAh", "cooling_WpKAh")
 
@@ -148,15 +150,29 @@ def _held(cell: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
     return held
 
 
-def fit(
-    variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, ...] = (), from_prior: bool = True
-) -> Fit:
-    """Least squares over all readings, under the priors; the best from `starts` and (if so asked) from the priors.
+def fit(variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, ...] = (), fresh: int = FRESH) -> Fit:
+    """Least squares over all readings, under the priors; the best of several starts.
 
-    A start from a smaller variant keeps its values and has the new terms at their priors, so that a variant never
-    comes out worse than what it contains.
+    Where the speed controller holds the voltage, nothing but its limit has a slope, so that the sum of squares has
+    minima of its own there. Hence `fresh` starts, at the priors and (seeded) around them, each by a robust loss first.
+    `starts` from smaller variants have their new terms at the priors: a variant does not come out worse than what it
+    contains.
     """
     slots = slots_of(variant, series)
+    rng, begin = np.random.default_rng(SEED), [np.zeros(len(slots))][:fresh]
+    begin += [rng.normal(0.0, START_SPREAD, len(slots)) for _ in range(fresh - 1)]
+    first = [_solve(variant, slots, tests, u, robust=True)[1] for u in begin]
+    for start in starts:
+        known = dict(zip((s.name for s in start.slots), start.u, strict=True))
+        first.append(np.array([known.get(s.name, 0.0) for s in slots]))
+    found = [_solve(variant, slots, tests, u, robust=False) for u in first]
+    return Fit(variant, slots, min(found, key=lambda f: f[0])[1])
+
+
+def _solve(
+    variant: Variant, slots: tuple[Slot, ...], tests: OneTimeTests, u0: Array, robust: bool
+) -> tuple[float, Array]:
+    """(cost, u) from one start."""
 
     def misfit(u: Array) -> Array:
         gap = predict(variant, slots, prior.values(slots, u), tests) - tests.voltage_V
@@ -172,13 +188,10 @@ def fit(
         out: Array = ((values[1:] - values[0]) / NUDGE).T
         return out
 
-    first = [np.zeros(len(slots))] if from_prior else []
-    for start in starts:
-        known = dict(zip((s.name for s in start.slots), start.u, strict=True))
-        first.append(np.array([known.get(s.name, 0.0) for s in slots]))
-    found = [least_squares(objective, u, jacobian, max_nfev=EVALUATIONS, xtol=1e-4, ftol=1e-4) for u in first]
-    best = min(found, key=lambda f: float(f.cost))
-    return Fit(variant, slots, np.asarray(best.x))
+    loss: Literal["soft_l1", "linear"] = "soft_l1" if robust else "linear"
+    tolerance = 1e-3 if robust else 1e-4
+    found = least_squares(objective, u0, jacobian, loss=loss, max_nfev=EVALUATIONS, xtol=1e-4, ftol=tolerance)
+    return float(found.cost), np.asarray(found.x, dtype=float)
 
 
 def residuals(found: Fit, tests: OneTimeTests) -> Array:

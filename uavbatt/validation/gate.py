@@ -1,8 +1,8 @@
 """The gate: is the model equivalent to the tests, within limits declared for flight safety?
 
 Two one-sided tests per instant: the interval of the bias (model minus mean of the held-out occasions) must lie inside
-±limit. It is simultaneous over the instants (Bonferroni), has the degrees of freedom of the occasions, and a guard
-band for what the scatter of the readings cannot show (`budget`).
+±limit. It is simultaneous over the instants and holds both the scatter of the occasions and what that scatter cannot
+show of instruments and drift (`budget`).
 
     pass             the whole interval is inside ±limit at every instant
     fail             the bias itself is beyond the limit somewhere
@@ -21,7 +21,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
@@ -33,7 +32,6 @@ from uavbatt.validation.series import KNEE_CELL_V
 
 Verdict = Literal["pass", "fail", "not enough data"]
 Method = Literal["iso", "paper"]
-LEVEL = 0.05
 LEAST_OCCASIONS = 3
 
 
@@ -97,11 +95,6 @@ def gating(claim: Claim, gates: bool) -> Claim:
     return replace(claim, gates=gates)
 
 
-def coverage_factor(instants: int, df: float) -> float:
-    """One-sided t at 5 %, shared out over the instants (Bonferroni)."""
-    return float(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df))
-
-
 def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
     """Verdict and reason for biases with the half widths of their intervals against ±`limit`."""
     instants = bias.size
@@ -117,18 +110,18 @@ def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
     return "not enough data", f"the bias is inside ±{limit:g} but its interval is not, at {open_} of {instants}"
 
 
-def equivalence(residual: Array, guard: Array, limit: float) -> tuple[Array, Array, Verdict, str]:
+def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Array, Verdict, str]:
     """(bias, half width, verdict, reason) of residuals [occasion, instant] against ±`limit`.
 
-    half width = sqrt((t s/√n)² + guard²), t one-sided at 5 % over all instants together (Bonferroni, n-1 df).
+    `type_B` is the standard uncertainty that the scatter does not show; half width as in `budget`.
     """
     n, instants = residual.shape
     bias: Array = residual.mean(axis=0)
     if n < LEAST_OCCASIONS:
         nothing = np.full(instants, np.nan)
         return bias, nothing, "not enough data", f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
-    t = coverage_factor(instants, n - 1)
-    half = np.hypot(t * residual.std(axis=0, ddof=1) / np.sqrt(n), guard)
+    u, df = budgets.combine(residual.std(axis=0, ddof=1) / np.sqrt(n), n - 1.0, type_B)
+    half = budgets.coverage_factor(df, instants) * u
     return bias, half, *decide(bias, half, limit)
 
 
@@ -158,8 +151,9 @@ def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncerta
     residual = complete(held.residual_V()[:, at])
     if len(residual) < LEAST_OCCASIONS:
         return too_few(name, held.ambient_C, len(residual))
-    b = budgets.voltage_budget(held, at, residual, known, coverage_factor(at.size, len(residual) - 1))
-    bias, half, verdict, reason = equivalence(residual, b.guard, limits.voltage_V)
+    b = budgets.voltage_budget(held, at, residual, known)
+    bias, half = residual.mean(axis=0), b.expanded
+    verdict, reason = decide(bias, half, limits.voltage_V)
     return Claim(name, held.ambient_C, verdict, reason, True, b.at, bias, half, b.guard, limits.voltage_V, "V", b)
 
 
@@ -210,10 +204,9 @@ def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Unc
         nothing = np.empty(0)
         return Claim(name, held.ambient_C, "not enough data", reason, True, nothing, nothing, nothing, nothing,
                      limits.time_s, "s")  # fmt: skip
-    b = budgets.time_budget(
-        held, levels_V, residual, _slope(runs, levels_V), known, coverage_factor(1, len(residual) - 1)
-    )
-    bias, half, verdict, reason = equivalence(residual, b.guard, limits.time_s)
+    b = budgets.time_budget(held, levels_V, residual, _slope(runs, levels_V), known)
+    bias, half = residual.mean(axis=0), b.expanded
+    verdict, reason = decide(bias, half, limits.time_s)
     if late and verdict != "fail":
         verdict, reason = "fail", f"the model does not fall that far in {late} of {model.size} crossings"
     return Claim(name, held.ambient_C, verdict, reason, True, at, bias, half, b.guard, limits.time_s, "s", b)
@@ -252,10 +245,9 @@ def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | 
     residual = complete(gap[:, samples][:, :, kept].mean(axis=1))
     if len(residual) < LEAST_OCCASIONS or not kept.any():
         return informing(name, held.ambient_C, f"{len(residual)} occasions, at least {LEAST_OCCASIONS} are needed")
-    b = budgets.surface_budget(
-        held.time_s[kept], residual, known, coverage_factor(int(kept.sum()), len(residual) - 1)
-    )
-    bias, half, verdict, reason = equivalence(residual, b.guard, limits.surface_K)
+    b = budgets.surface_budget(held.time_s[kept], residual, known)
+    bias, half = residual.mean(axis=0), b.expanded
+    verdict, reason = decide(bias, half, limits.surface_K)
     worst = f"largest bias {np.abs(bias).max():.2f} K; {reason}"
     return Claim(name, held.ambient_C, verdict, worst, False, b.at, bias, half, b.guard, limits.surface_K, "K", b)
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy import stats
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Levels, Uncertainty
@@ -24,7 +23,7 @@ from uavbatt.validation import budget, gate
 from uavbatt.validation.corridor import shared_table
 from uavbatt.validation.drift import permutations
 from uavbatt.validation.findings import Finding
-from uavbatt.validation.gate import LEVEL, Claim, Limits, Verdict, informing
+from uavbatt.validation.gate import Claim, Limits, Verdict, informing
 from uavbatt.validation.heldout import HeldOut
 from uavbatt.validation.intermediate import crossed
 from uavbatt.validation.intervals import satterthwaite
@@ -112,8 +111,9 @@ def reproducibility_claim(
     table = (held.model_V - held.measured_V)[:, :, at]
     table = table[np.isfinite(table).all(axis=(1, 2))]
     u, df = _random_samples(table)
-    guard = budget.voltage_budget(held, at, table.mean(axis=1), known, 1.0).guard
-    half = np.hypot(stats.t.ppf(1.0 - LEVEL / at.size, df) * u, guard)
+    guard = budget.voltage_budget(held, at, table.mean(axis=1), known).guard
+    combined, df = budget.combine(u, df, guard / budget.ONE_SIDED)
+    half = budget.coverage_factor(df, at.size) * combined
     bias = table.mean(axis=(0, 1))
     verdict, reason = gate.decide(bias, half, limits.voltage_V)
     said = f"{k} samples of one make in one laboratory: {reason}"

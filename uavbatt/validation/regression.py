@@ -7,7 +7,7 @@
 t counts from the start of the load; before it the voltage is e₀. It knows neither current nor heat: it holds for the
 load of the tests and for nothing else. A rival to the circuit model, gated on the same held-out occasions; it does
 not ship. One-time curves that come from other series than the repeats have a level and a knee of their own, so that
-a step between series does not pass for an effect of temperature.
+a step between series does not pass for an effect of temperature; where they divide is taken from all of them.
 """
 
 from __future__ import annotations

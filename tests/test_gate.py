@@ -1,0 +1,238 @@
+"""The gate: what must fail fails, noise never helps, the budget is what it says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from uavbatt import dataset
+from uavbatt.dataset import DataSet, Uncertainty
+from uavbatt.validation import budget, gate, heldout, reading
+from uavbatt.validation.gate import Limits
+from uavbatt.validation.heldout import HeldOut
+
+RANK = {"fail": 0, "not enough data": 1, "pass": 2}
+LIMITS = Limits()
+
+
+@pytest.fixture(scope="module")
+def study() -> DataSet:
+    return dataset.load()
+
+
+@pytest.fixture(scope="module")
+def held(study: DataSet) -> HeldOut:
+    return heldout.circuit(study)
+
+
+def claims(study: DataSet, held: HeldOut) -> list[gate.Claim]:
+    known, cutoff_V = study.uncertainty, study.cutoff_V
+    return [
+        gate.voltage_claim(held, LIMITS, cutoff_V, known),
+        gate.crossing_claim(held, LIMITS, known),
+        gate.knee_claim(held, LIMITS, cutoff_V, known),
+    ]
+
+
+def test_the_study_s_circuit_model_passes_on_occasions_it_has_not_seen(study: DataSet, held: HeldOut) -> None:
+    assert [c.verdict for c in claims(study, held)] == ["pass", "pass", "pass"]
+    assert np.sqrt(np.mean(held.residual_V() ** 2)) < 0.08
+
+
+@pytest.mark.parametrize("shift_V", [0.2, -0.2])
+def test_a_model_shifted_by_0_2_V_fails(study: DataSet, held: HeldOut, shift_V: float) -> None:
+    shifted = claims(study, replace(held, model_V=held.model_V + shift_V))
+    assert shifted[0].verdict == "fail"
+    assert gate.overall(shifted) == "fail"
+    assert "beyond ±0.15" in shifted[0].reason
+
+
+def test_a_model_with_shuffled_time_fails(study: DataSet, held: HeldOut) -> None:
+    for seed in range(5):
+        order = np.random.default_rng(seed).permutation(held.time_s.size)
+        assert claims(study, replace(held, model_V=held.model_V[:, :, order]))[0].verdict == "fail"
+
+
+def test_a_straight_line_fails(study: DataSet, held: HeldOut) -> None:
+    mean_V = held.measured_V.mean(axis=(0, 1))
+    line = np.polyval(np.polyfit(held.time_s, mean_V, 1), held.time_s)
+    verdicts = [c.verdict for c in claims(study, replace(held, model_V=np.broadcast_to(line, held.model_V.shape)))]
+    assert verdicts[0] == "fail"
+    assert "fail" in verdicts[1:]
+
+
+def test_a_model_that_is_late_by_20_s_fails_in_time_but_one_late_by_3_s_does_not(
+    study: DataSet, held: HeldOut
+) -> None:
+    def late(by_s: float) -> HeldOut:
+        model = np.array([np.interp(held.time_s - by_s, held.time_s, c) for c in held.model_V.reshape(-1, 9)])
+        return replace(held, model_V=model.reshape(held.model_V.shape))
+
+    assert gate.crossing_claim(late(20.0), LIMITS, study.uncertainty).verdict == "fail"
+    assert gate.crossing_claim(late(1.0), LIMITS, study.uncertainty).bias[0] > 1.0
+
+
+def test_a_model_that_never_falls_fails_although_its_error_cannot_be_timed(study: DataSet, held: HeldOut) -> None:
+    flat = replace(held, model_V=np.full_like(held.model_V, 11.0))
+    assert gate.crossing_claim(flat, LIMITS, study.uncertainty).verdict == "fail"
+
+
+def test_wider_limits_are_an_option_and_narrow_ones_stop_the_model(study: DataSet, held: HeldOut) -> None:
+    def verdict(limit_V: float) -> str:
+        return gate.voltage_claim(held, Limits(voltage_V=limit_V), study.cutoff_V, study.uncertainty).verdict
+
+    assert [verdict(v) for v in (0.005, 0.05, 0.15)] == ["fail", "not enough data", "pass"]
+    assert Limits().for_cells(6).voltage_V == pytest.approx(0.3)
+    assert Limits(time_s=7.0).for_cells(6).time_s == 7.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.floats(1.0, 20.0))
+def test_noisier_tests_never_make_the_gate_easier(seed: int, factor: float) -> None:
+    known = Uncertainty(voltage_calibration_V=0.01)
+    base = _synthetic(np.random.default_rng(seed))
+    mean_V = base.measured_V.mean(axis=0)
+    noisy = replace(base, measured_V=mean_V + factor * (base.measured_V - mean_V))
+    a, b = (gate.voltage_claim(h, LIMITS, 9.3, known) for h in (base, noisy))
+    assert (b.half_width >= a.half_width - 1e-12).all()
+    assert RANK[b.verdict] <= RANK[a.verdict]
+
+
+def test_more_and_more_reading_noise_ends_the_pass_of_the_study_s_model(study: DataSet, held: HeldOut) -> None:
+    noise = np.random.default_rng(5).normal(0.0, 1.0, held.measured_V.shape)
+    noise -= noise.mean(axis=0)
+    found = [
+        claims(study, replace(held, measured_V=held.measured_V + sd_V * noise))[0] for sd_V in (0.0, 0.1, 0.2, 0.4)
+    ]
+    assert found[0].verdict == "pass"
+    assert {c.verdict for c in found[2:]} == {"not enough data"}
+    widths = [float(c.half_width.max()) for c in found]
+    assert widths == sorted(widths)
+
+
+def _synthetic(rng: np.random.Generator) -> HeldOut:
+    time_s = 60.0 * np.arange(6)
+    curve = 12.0 - 0.004 * time_s
+    occasions = rng.normal(0.0, 0.03, (8, 1, 6))
+    occasions -= occasions.mean(axis=0)
+    model = np.broadcast_to(curve + rng.uniform(-0.2, 0.2), (8, 1, 6))
+    return HeldOut("line", 25.0, 3, time_s, curve + occasions, model)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=8),
+    st.floats(1.0, 50.0),
+    st.floats(0.0, 0.1),
+    st.floats(0.0, 0.1),
+)
+def test_equivalence_is_monotone_in_scatter_and_in_what_the_scatter_hides(
+    values: list[float], factor: float, u_B: float, more: float
+) -> None:
+    residual = np.array(values)[:, None]
+    mean = residual.mean(axis=0)
+
+    def verdict(scale: float, hidden: float) -> int:
+        return RANK[gate.equivalence(mean + scale * (residual - mean), np.array([hidden]), 0.15)[2]]
+
+    assert verdict(factor, u_B) <= verdict(1.0, u_B)
+    assert verdict(1.0, u_B + more) <= verdict(1.0, u_B)
+
+
+def test_a_bias_at_the_limit_passes_in_at_most_5_percent() -> None:
+    rng = np.random.default_rng(7)
+    passed = sum(
+        gate.equivalence(0.15 + rng.normal(0.0, 0.02, (10, 1)), np.zeros(1), 0.15)[2] == "pass" for _ in range(2000)
+    )
+    assert passed / 2000 < 0.07
+
+
+def test_the_half_width_is_the_t_interval_without_type_B_and_welch_satterthwaite_with_it() -> None:
+    residual = np.array([[0.01], [-0.02], [0.03], [0.0]])
+    u_A = residual.std(ddof=1) / 2.0
+    assert gate.equivalence(residual, np.zeros(1), 0.15)[1][0] == pytest.approx(stats.t.ppf(0.95, 3) * u_A)
+    with_B = gate.equivalence(residual, np.array([u_A]), 0.15)[1][0]
+    assert with_B == pytest.approx(stats.t.ppf(0.95, 12.0) * u_A * math.sqrt(2.0))  # 3·(√2)⁴ degrees of freedom
+
+
+def test_two_occasions_are_not_enough(study: DataSet, held: HeldOut) -> None:
+    two = replace(held, measured_V=held.measured_V[:2], model_V=held.model_V[:2])
+    found = claims(study, two)
+    assert {c.verdict for c in found} == {"not enough data"}
+    assert gate.overall(found) == "not enough data"
+    assert all(c.gates for c in found)
+
+
+def test_the_budget_adds_up_and_names_every_source(study: DataSet, held: HeldOut) -> None:
+    b = gate.voltage_claim(held, LIMITS, study.cutoff_V, study.uncertainty).budget
+    assert b is not None
+    sources = [r.source for r in b.rows]
+    assert sources == [
+        "scatter of the occasions", "drift over the runs", "calibration of the voltmeter",
+        "resolution of the voltmeter", "instant of reading",
+    ]  # fmt: skip
+    assert b.combined == pytest.approx(np.sqrt(sum(r.u**2 for r in b.rows)))
+    assert b.expanded == pytest.approx(b.factors * b.combined)
+    at_6_min = float(b.rows[4].u[6])
+    assert at_6_min == pytest.approx(abs(9.3665 - 10.472) / 120.0 * 5.0 / math.sqrt(3.0), rel=0.02)
+    assert b.rows[3].u[0] == pytest.approx(0.01 / math.sqrt(12.0))
+    assert (b.rows[1].u[1:4] > 0.02).all()  # the study's step after run 6
+
+
+def test_the_slope_is_not_taken_across_the_start_of_the_load(held: HeldOut) -> None:
+    slope = budget.loaded_slope(held)
+    assert slope[0] == 0.0
+    assert slope[1] < 0.006  # 12.50 -> 10.85 V over two minutes would be 0.014 V/s
+
+
+def test_what_a_data_set_does_not_state_is_assumed_and_never_zero(held: HeldOut) -> None:
+    unstated = Uncertainty()
+    b = budget.voltage_budget(held, np.arange(7), held.residual_V()[:, :7], unstated)
+    stated = {r.source: r for r in b.rows}
+    assert (stated["calibration of the voltmeter"].u > 0.005).all()
+    assert "assumed" in stated["calibration of the voltmeter"].how
+    assert "assumed" in stated["instant of reading"].how
+    assert (stated["resolution of the voltmeter"].u > 0.0).all()
+
+
+def test_the_corridor_informs_by_iso_and_decides_by_the_paper(study: DataSet, held: HeldOut) -> None:
+    mean_V, narrow = held.measured_V.mean(axis=(0, 1)), np.full(held.time_s.size, 1e-4)
+    by_iso = gate.corridor_claim(held, mean_V, narrow, LIMITS, study.cutoff_V)
+    by_paper = gate.corridor_claim(held, mean_V, narrow, LIMITS, study.cutoff_V, gates=True)
+    assert by_iso.verdict == by_paper.verdict == "fail"
+    assert gate.overall([by_iso]) == "not enough data"
+    assert gate.overall([by_paper]) == "fail"
+
+
+def test_changing_a_run_does_not_change_its_own_prediction(study: DataSet) -> None:
+    short = replace(study, runs=tuple(r for r in study.at(25.0) if r.sample != "T1" and r.run <= 3))
+    spoilt = tuple(replace(r, voltage_V=r.voltage_V - 0.3) if r.run == 1 else r for r in short.runs)
+    before, after = heldout.circuit(short), heldout.circuit(replace(short, runs=spoilt))
+    assert after.model_V[0] == pytest.approx(before.model_V[0], abs=1e-9)
+    assert np.abs(after.model_V[1] - before.model_V[1]).max() > 0.01
+
+
+def test_a_straight_record_is_read_exactly_and_noise_goes_down() -> None:
+    time_s = np.arange(0.0, 301.0, 5.0)
+    phase = np.zeros(time_s.size, dtype=np.intp)
+    w = reading.weights(time_s, phase, np.array([60.0, 120.0]))
+    assert w @ (15.0 - 0.01 * time_s) == pytest.approx([14.4, 13.8])
+    assert (np.sqrt((w**2).sum(axis=1)) < 0.5).all()
+
+
+def test_a_window_never_reaches_across_a_load_step() -> None:
+    time_s = np.arange(0.0, 121.0, 5.0)
+    current = np.where(time_s >= 20.0, 12.0, 0.0)
+    volts = np.where(time_s >= 20.0, 15.0, 16.8)
+    w = reading.weights(time_s, reading.phases(current), np.array([0.0, 15.0, 20.0, 25.0]))
+    assert w @ volts == pytest.approx([16.8, 16.8, 15.0, 15.0])
+
+
+def test_hand_read_tables_stay_as_they_are(study: DataSet) -> None:
+    assert reading.at_minutes(study).runs == study.runs
