@@ -26,6 +26,7 @@ from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.file import BatteryFile
+    from uavbatt.battery.vehicle import VehicleFile
     from uavbatt.pipeline import PackOptions, Resolved
     from uavbatt.records import Flight
     from uavbatt.replay import Outcome, Step
@@ -41,6 +42,7 @@ def replay(
     allow_uncertified: UncertifiedOption = False,
     instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
     load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
+    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
@@ -51,6 +53,7 @@ def replay(
     With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list.
     """
     from uavbatt.battery import file
+    from uavbatt.battery import vehicle as vehicle_file
     from uavbatt.pipeline import PackOptions
 
     several = len(logs) > 1
@@ -58,6 +61,7 @@ def replay(
         _check_folders(logs, jsonl, csv, report)
     check_writable(summary, *([] if several else [jsonl, csv, report]))
     content = file.read(battery, allow_uncertified=allow_uncertified)
+    flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = PackOptions(
         cells=cells,
         capacity_Ah=known(capacity_ah, "--capacity-ah"),
@@ -67,7 +71,7 @@ def replay(
     results = []
     for log in logs:
         targets = [_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)]
-        results.append(_one(log, content, options, load, instance, *targets))
+        results.append(_one(log, content, options, (load, flown), instance, *targets))
     if summary is not None:
         from uavbatt.aside import written_aside
 
@@ -80,7 +84,7 @@ def _one(
     log: Path,
     content: BatteryFile,
     options: PackOptions,
-    load: str,
+    load: tuple[str, VehicleFile | None],
     instance: int | None,
     jsonl: Path | None,
     csv: Path | None,
@@ -95,7 +99,7 @@ def _one(
     from uavbatt.telemetry import read_log
 
     flight = read_log(log, instance)
-    estimator = Estimator(content, changed(options, load=stated_load(load, flight)))
+    estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1])))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(sinks.json_lines(jsonl))] if jsonl is not None else []

@@ -32,8 +32,11 @@ class OwnPrior:
 
     rested_soc: float = 0.005
     loaded_soc: float = 0.08
-    log_resistance: float = 1e-4  # bench samples and flights of one pack; 0.1 for a fleet of packs
+    log_resistance: float = 1e-4  # one pack; 0.04 for flights with whatever pack was at hand
     log_capacity: float = 1e-4
+
+
+FLEET = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.04, log_capacity=0.02)
 
 
 @dataclass(frozen=True, slots=True)

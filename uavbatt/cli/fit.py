@@ -1,0 +1,89 @@
+"""`uavbatt fit`: battery and vehicle files from bench tests and flights."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from uavbatt.cli.options import (
+    BatteryOption,
+    CapacityOption,
+    CellsOption,
+    CutoffOption,
+    UncertifiedOption,
+    check_writable,
+    known,
+)
+from uavbatt.errors import UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.battery.file import BatteryFile
+    from uavbatt.records import Flight
+
+
+def fit(
+    sources: Annotated[list[Path], typer.Argument(metavar="DATASET|LOG...", help="Data-set folders and flight logs.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="NAME.battery.toml to write.")] = None,
+    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="NAME.vehicle.toml to write.")] = None,
+    battery: BatteryOption = "",
+    cells: CellsOption = None,
+    capacity_ah: CapacityOption = None,
+    cutoff_voltage: CutoffOption = None,
+    allow_uncertified: UncertifiedOption = False,
+    instance: Annotated[int | None, typer.Option("--instance", min=0)] = None,
+) -> None:
+    """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
+    from uavbatt import dataset
+    from uavbatt.battery import file
+    from uavbatt.fitting.battery import fit_battery, size_of
+    from uavbatt.telemetry import read_log
+
+    if output is None and vehicle is None:
+        raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
+    if battery and output is not None:
+        raise UsageError("-o fits a battery file and --battery names one: expected one of the two")
+    check_writable(output, vehicle)
+    datasets = [dataset.load(path) for path in sources if path.is_dir()]
+    flights = [read_log(path, instance) for path in sources if not path.is_dir()]
+    stated = (cells, known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
+    if battery:
+        content = file.read(battery, allow_uncertified=allow_uncertified)
+    else:
+        name = (output or vehicle or Path("fitted")).name.split(".")[0]
+        size = size_of(name, datasets, flights, *stated)
+        print(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...", file=sys.stderr)
+        found = fit_battery(size, datasets, flights)
+        content = found.file
+        for line in found.known:
+            typer.echo(f"  {line}")
+        for line in found.unknown:
+            typer.echo(f"not told: {line}")
+    if output is not None:
+        typer.echo(f"{file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
+    if vehicle is not None:
+        typer.echo(_vehicle(vehicle, content, flights, stated))
+
+
+def _vehicle(
+    path: Path,
+    content: BatteryFile,
+    flights: list[Flight],
+    stated: tuple[int | None, float, float],
+) -> str:
+    from uavbatt.battery import vehicle as vehicle_file
+    from uavbatt.fitting.vehicle import vehicle_file as learn
+    from uavbatt.pipeline import PackOptions
+
+    if not flights:
+        raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
+    options = PackOptions(cells=stated[0], capacity_Ah=stated[1], cutoff_V=stated[2])
+    learned = learn(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, options)
+    vehicle_file.write(learned, path)
+    phases = learned.phases
+    return (
+        f"{path}: {len(learned.traces)} of {len(flights)} flights; mean power {phases.flight_W:.0f} W, first minute "
+        f"{phases.take_off_W:.0f} W, last minute {phases.last_minute_W:.0f} W"
+    )

@@ -1,0 +1,137 @@
+"""`uavbatt fit`: one battery file from bench tests, from flights, or from both, and what they could not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.file import Battery, BatteryFile, Certificate
+from uavbatt.dataset import DataSet
+from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.fitting import assemble, observed, solve
+from uavbatt.fitting.observed import Stack
+from uavbatt.fitting.solve import Fit
+from uavbatt.records import Flight
+
+MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD = 0.06, 0.02
+LOW_CELL_V = 3.5
+LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """The pack that the records are of, and the voltage that ends a flight [V]."""
+
+    name: str
+    cells: int
+    capacity_Ah: float
+    cutoff_V: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The file (not sealed) and, in words, what the data tell and do not tell."""
+
+    file: BatteryFile
+    known: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+def fit_battery(
+    size: Size, datasets: list[DataSet], flights: list[Flight], progress: Callable[[int], None] | None = None
+) -> Fitted:
+    """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
+    bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
+    flown = [observed.from_flight(f, size.cells, size.capacity_Ah) for f in flights]
+    if not bench and not flown:
+        raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
+    stack = observed.stack(bench + flown)
+    own_prior = solve.OwnPrior() if bench else solve.FLEET
+    found = solve.fit(stack, own_prior=own_prior, progress=progress, evaluations=60)
+    error = {s.name: found.standard_error(s.name) for s in found.slots}
+    spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
+    left = assemble.discrepancy(
+        stack, solve.replay(stack, found), held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights"
+    )
+    file = BatteryFile(
+        battery=Battery(
+            name=size.name,
+            chemistry=datasets[0].chemistry if datasets else "LiPo",
+            cells_series=size.cells,
+            capacity_Ah=size.capacity_Ah,
+            cutoff_V=size.cutoff_V,
+            low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
+            source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
+            remarks=list(_unknown(found, stack, bool(bench))),
+        ),
+        parameters=assemble.parameter_table(
+            found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), MAKE_CAPACITY_SD
+        ),
+        effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
+        discrepancy=left,
+        certificate=Certificate(status="fitted", data_sha256=datasets[0].sha256 if len(datasets) == 1 else ""),
+    )
+    return Fitted(file, _known(found), _unknown(found, stack, bool(bench)))
+
+
+def size_of(
+    name: str, datasets: list[DataSet], flights: list[Flight], cells: int | None, capacity_Ah: float, cutoff_V: float
+) -> Size:
+    """The pack's size from the options, else the data sets, else the vehicles; UsageError when nobody says."""
+    facts = [f.facts_at(np.inf) for f in flights]
+    known_cells = [d.cells_series for d in datasets] + [f.cells_series for f in facts if f.cells_series]
+    series = cells or next(iter(known_cells), None)
+    if series is None:
+        raise UsageError("cells: neither a data set nor a vehicle states them: give --cells")
+    stated = [d.capacity_Ah for d in datasets if d.capacity_Ah] + [f.capacity_Ah for f in facts]
+    capacity = _first([capacity_Ah, *stated])
+    if not np.isfinite(capacity):
+        raise UsageError("capacity: neither a data set nor a vehicle states it: give --capacity-ah")
+    cutoff = _first([cutoff_V, *[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets], 3.3 * series])
+    return Size(name, int(series), float(capacity), float(cutoff))
+
+
+def _first(values: list[float]) -> float:
+    return next((v for v in values if np.isfinite(v)), float("nan"))
+
+
+def _known(found: Fit) -> tuple[str, ...]:
+    """Each parameter with its confidence."""
+    lines = []
+    for i, slot in enumerate(found.slots):
+        value, sd = float(found.x[i]), found.standard_error(slot.name)
+        lines.append(f"{slot.name} = {value:.4g} ± {sd:.2g}")
+    return tuple(lines)
+
+
+def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
+    """What the records cannot tell, in words."""
+    told_nothing = [
+        s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
+    ]
+    lines = []
+    if told_nothing:
+        lines.append(f"the data say little about {', '.join(told_nothing)}: the LiPo prior stands")
+    temps = stack.temp_C[stack.compare]
+    temps = temps[np.isfinite(temps)]
+    if temps.size == 0:
+        lines.append("no temperature was measured: resistance in the cold and in the heat is the prior's")
+    else:
+        low, high = float(np.percentile(temps, 1)), float(np.percentile(temps, 99))
+        if low > 5.0:
+            lines.append(f"no cold data: nothing below {low:.0f} °C")
+        if high < 35.0:
+            lines.append(f"no warm data: nothing above {high:.0f} °C")
+    drawn = np.sum(stack.current_A * stack.dt_s, axis=0) / 3600.0 / stack.capacity_Ah
+    lowest = float(np.min(found.own[:, 0] - drawn))
+    if lowest > 0.1:
+        lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")
+    if not has_bench:
+        lines.append("flights alone cannot tell capacity from state of charge: the stated capacity stands")
+    if not stack.rested.any():
+        lines.append("no record starts at rest: the open-circuit voltage near full is the prior's")
+    return tuple(lines)
+
+
