@@ -22,11 +22,12 @@ from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import Load
-from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.plausibility import plausible_temperature_C
 
 FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
+ALARM_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +124,11 @@ class Estimator:
             )
         estimate = self._filter.step(sample)
         estimate = replace(estimate, warnings=self._warnings(sample, estimate))
-        return estimate, self._forecaster.step(sample, estimate, self._filter.belief)
+        remaining = self._forecaster.step(sample, estimate, self._filter.belief)
+        if remaining.remaining_alarm_s <= ALARM_S:
+            alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
+            estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
+        return estimate, remaining
 
     def _with_plausible_temperature(self, sample: Sample) -> Sample:
         """A temperature that a cell cannot have is no temperature; a jump is doubted until it has lasted."""

@@ -42,7 +42,7 @@ def replay(
     allow_uncertified: UncertifiedOption = False,
     instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
     load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
-    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")] = None,
+    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,

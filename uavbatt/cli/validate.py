@@ -101,7 +101,8 @@ def _lines(result: Validation) -> list[str]:
         if row.quantity == "voltage_V" and (row.time_s % 60.0) < 1e-6:
             p = row.precision
             lines.append(
-                f"  {row.time_s / 60.0:5.0f}  {p.mean:8.4f} {p.s_r:8.4f} {p.s_L:8.4f} {p.s_R:8.4f} {p.r:8.4f} {p.R:8.4f}"
+                f"  {row.time_s / 60.0:5.0f}  "
+                + " ".join(f"{v:8.4f}" for v in (p.mean, p.s_r, p.s_L, p.s_R, p.r, p.R))
                 + ("  s_L² < 0, set to 0" if p.negative_between else "")
             )
     return lines

@@ -1,4 +1,4 @@
-"""A vehicle file from past flights: their power from take-off to landing, with the charge that the battery file sees."""
+"""A vehicle file from past flights: power from take-off to landing, with the charge that the battery file sees."""
 
 from __future__ import annotations
 

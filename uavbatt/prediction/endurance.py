@@ -51,7 +51,8 @@ def time_to_end(
     """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
 
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
-    are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander` the discrepancy decays and rows are exact.
+    are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
+    the discrepancy decays and rows are exact.
     """
     cell, installation, state = unpack(pack, x)
     size = installation.cells * installation.present_capacity_Ah
@@ -89,7 +90,7 @@ def time_to_end(
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
-    """First fall through zero of each column [steps, batch], linear between the steps at `at_s`; plus the mean's lag."""
+    """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the mean's lag."""
     below = margin < 0.0
     first = np.argmax(below, axis=0)
     columns = np.arange(margin.shape[1])

@@ -14,18 +14,22 @@ import numpy as np
 
 from uavbatt.battery.belief import Belief, C
 from uavbatt.battery.build import Pack
+from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.prediction import spread
 from uavbatt.prediction.endurance import time_to_end
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
-from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
+from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 STEPS = 100
+STEADY_TAU_S = 20.0
+LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
+LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
 SHORTEST_STEP_S, LONGEST_STEP_S = 1.0, 10.0
 LONGEST_HORIZON_S = 6 * 3600.0
 LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
@@ -48,6 +52,8 @@ class Forecast(NamedTuple):
     lo_s: float
     hi_s: float
     low_warning_s: float
+    alarm_s: float
+    ends_s: Array  # sorted
 
 
 class Forecaster:
@@ -100,10 +106,27 @@ class Forecaster:
             spread.wander(),
             by_rows,
         )
-        lo_s, median_s, hi_s = (float(v) for v in np.quantile(np.minimum(ends.end_s, horizon_s), spread.LEVELS))
+        fresh_s = np.sort(np.minimum(ends.end_s, horizon_s))
+        ends_s = self._steadied(fresh_s, time_s)
+        lo_s, alarm_s, median_s, hi_s = (float(v) for v in np.quantile(ends_s, LEVELS))
         known_low = math.isfinite(self.pack.low_V)
         low_s = float(np.median(np.minimum(ends.low_s, horizon_s))) if known_low else NAN
-        return Forecast(time_s, median_s, lo_s, hi_s, low_s)
+        return Forecast(time_s, median_s, lo_s, hi_s, min(low_s, median_s) if known_low else NAN, alarm_s, ends_s)
+
+    def _steadied(self, fresh_s: Array, time_s: float) -> Array:
+        """The fresh ends blended, rank by rank, with the last ones less their age, so that a person can read them.
+
+        A change too large to be jitter is a change of load: it is shown at once.
+        """
+        if self._last is None:
+            return fresh_s
+        age_s = time_s - self._last.time_s
+        aged_s = np.maximum(self._last.ends_s - age_s, 0.0)
+        jump_s = abs(float(np.median(fresh_s) - np.median(aged_s)))
+        if jump_s > max(LARGEST_JITTER_S, LARGEST_JITTER * float(np.median(aged_s))):
+            return fresh_s
+        keep = math.exp(-age_s / STEADY_TAU_S)
+        return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
 
     def _now(self, belief: Belief, time_s: float) -> Now:
         since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0
@@ -172,4 +195,5 @@ def _counted_down(last: Forecast, time_s: float, estimate: Estimate) -> Remainin
         remaining_to_low_s=left(last.low_warning_s),
         status=estimate.status,
         reason=estimate.reason,
+        remaining_alarm_s=left(last.alarm_s),
     )

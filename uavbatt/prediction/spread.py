@@ -1,4 +1,4 @@
-"""Draws of what is uncertain: the same fixed normals at every forecast, so that a forecast moves only when the belief does.
+"""Draws of what is uncertain: the same fixed normals at every forecast, which moves only when the belief does.
 
 The end of a flight can be bimodal (a surge grazes the cut-off or does not), which a mean and a variance cannot say:
 so each draw flies to its own end and the quantiles are those of the ends. The normals come in antithetic pairs and
@@ -17,7 +17,6 @@ from uavbatt.prediction.endurance import Wander
 
 DRAWS = 128
 LONGEST = 1024
-LEVELS = (0.05, 0.5, 0.95)
 _SEED = 5725
 
 
