@@ -19,14 +19,15 @@ from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UsageError
 from uavbatt.estimation.soc_filter import SocFilter
+from uavbatt.intake import Intake
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.learned import UnknownAircraft
-from uavbatt.prediction.load import Load
+from uavbatt.prediction.load import ConstantLoad, Load
 from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.telemetry.plausibility import plausible_temperature_C
 
 FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
+RESTED_C_RATE, SWAP_CELL_V, SWAP_ROWS = 0.15, 0.12, 3
 ALARM_S = 120.0
 
 
@@ -70,7 +71,9 @@ class Estimator:
         self._facts = PackFacts()
         self._filter: SocFilter | None = None
         self._forecaster: Forecaster | None = None
-        self._last_temp_C, self._last_temp_s = NAN, NAN
+        power_W = self.options.load.power_W if isinstance(self.options.load, ConstantLoad) else NAN
+        self._intake = Intake(stated_power_W=power_W)
+        self._fresh_rows = 0
 
     @classmethod
     def from_battery(
@@ -111,18 +114,18 @@ class Estimator:
 
     def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
         """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""
-        sample = self._with_plausible_temperature(sample)
+        self._intake, sample = self._intake.after(sample)
         if self._filter is None or self._forecaster is None:
             if not math.isfinite(sample.voltage_V):
                 return _unknown(sample)
             self.resolved = self._resolve(_cells_from_voltage(sample.voltage_V, self.battery.battery.cells_series))
-            pack = self._pack(self.resolved)
-            self._filter = SocFilter(pack, ambient_C=self.options.ambient_C)
-            self._forecaster = Forecaster(
-                pack,
-                Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s),
-            )
+            self._begin(self._pack(self.resolved))
+        assert self._filter is not None and self._forecaster is not None and self.resolved is not None
         estimate = self._filter.step(sample)
+        if self._is_swapped(estimate):
+            self._begin(self._pack(self.resolved))
+            estimate = self._filter.step(sample)
+        self._forecaster.cell_spread_V = self._intake.cell_spread_V
         estimate = replace(estimate, warnings=self._warnings(sample, estimate))
         remaining = self._forecaster.step(sample, estimate, self._filter.belief)
         if remaining.remaining_alarm_s <= ALARM_S:
@@ -130,15 +133,29 @@ class Estimator:
             estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
         return estimate, remaining
 
-    def _with_plausible_temperature(self, sample: Sample) -> Sample:
-        """A temperature that a cell cannot have is no temperature; a jump is doubted until it has lasted."""
-        temp_C = plausible_temperature_C(sample.temp_C, self._last_temp_C, sample.time_s - self._last_temp_s)
-        if math.isfinite(temp_C):
-            self._last_temp_C, self._last_temp_s = temp_C, sample.time_s
-        return replace(sample, temp_C=temp_C)
+    def _begin(self, pack: Pack) -> None:
+        """A new battery: nothing that was believed of the last one holds."""
+        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C)
+        self._forecaster = Forecaster(
+            pack, Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s)
+        )
+        self._fresh_rows = 0
+
+    def _is_swapped(self, estimate: Estimate) -> bool:
+        """A rested pack that shows, row after row, far more voltage than the believed one can: another pack."""
+        assert self._filter is not None and self.resolved is not None
+        cells, capacity_Ah = self.resolved.cells, self.resolved.capacity_Ah
+        rested = abs(estimate.current_A) < RESTED_C_RATE * capacity_Ah
+        fresh = rested and estimate.innovation_V > SWAP_CELL_V * cells
+        self._fresh_rows = self._fresh_rows + 1 if fresh else 0
+        return self._fresh_rows >= SWAP_ROWS
 
     def _pack(self, resolved: Resolved) -> Pack:
-        return pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+        pack = pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+        if math.isfinite(self._intake.stated_power_W) and not self._intake.metered:
+            # The current is a guess from the stated power: known to a fifth, and so is all that scales with it.
+            pack = pack._replace(resistance_scale_sd=max(pack.resistance_scale_sd, 0.2), capacity_scale_sd=0.2)
+        return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
 
     def _resolve(self, guessed_cells: int) -> Resolved:
         """Stated by the caller, else by the vehicle, else by voltage (cells) or battery file."""
@@ -196,7 +213,7 @@ class Estimator:
             found.append("no usable pack temperature")
         if self._facts.sag_compensated:
             found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
-        return tuple(found)
+        return (*found, *self._intake.notices)
 
 
 def _unknown(sample: Sample) -> tuple[Estimate, Remaining]:

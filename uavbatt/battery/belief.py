@@ -85,7 +85,9 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
-    """Voltage that the sensor should report [V] under a true pack current [A], the discrepancy included."""
+    """Voltage that the telemetry should report [V] under a true pack current [A], the discrepancy included."""
     now = unpack(pack, x)
+    if pack.sag_compensated:
+        current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
     return metered_voltage(now.installation, true_V + now.installation.cells * x[C.BIAS])

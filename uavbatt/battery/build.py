@@ -30,6 +30,7 @@ class Pack(NamedTuple):
     temperature_sd_K: float
     row_share: float  # part of a change of current between rows that a row's voltage does not show
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
+    sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
 
 
 # The status widens the belief: what was not gated may be another battery than it says. (A generic file states

@@ -32,6 +32,8 @@ VOLTAGE_SD_V = 0.004
 # The drop itself is known to this share: scale of the current sensor, and its noise, which a filter that trusted
 # every row would read as a smaller resistance (errors in variables).
 DROP_SHARE = 0.06
+# An autopilot's own compensation is as good as its guess of the resistance.
+COMPENSATED_SHARE = 0.35
 
 
 def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
@@ -88,4 +90,5 @@ def _lag_times(pack: Pack) -> tuple[float, float]:
 
 def voltage_variance(pack: Pack, drop_V: float, step_V: float) -> float:
     """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
-    return VOLTAGE_SD_V**2 + (DROP_SHARE * drop_V) ** 2 + (pack.row_share * step_V) ** 2
+    share = COMPENSATED_SHARE if pack.sag_compensated else DROP_SHARE
+    return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2

@@ -62,6 +62,7 @@ class Forecaster:
     def __init__(self, pack: Pack, settings: Settings | None = None) -> None:
         self.pack = pack
         self.settings = settings or Settings()
+        self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
         self._load = RecentLoad()
         self._rate_c = 0.0
         self._flying_since_s = self._loaded_s = NAN
@@ -97,7 +98,7 @@ class Forecaster:
         scenarios = load.scenarios(now, dt_s, steps)
         power_W = scenarios.power_W[:, spread.assigned(scenarios.weight)]
         ends = time_to_end(
-            self.pack,
+            self._weakest(),
             spread.draws(belief),
             power_W,
             belief.ambient_C,
@@ -127,6 +128,11 @@ class Forecaster:
             return fresh_s
         keep = math.exp(-age_s / STEADY_TAU_S)
         return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
+
+    def _weakest(self) -> Pack:
+        """The pack with its limits where the weakest cell meets them."""
+        raised_V = self.pack.installation.cells * self.cell_spread_V
+        return self.pack._replace(cutoff_V=self.pack.cutoff_V + raised_V, low_V=self.pack.low_V + raised_V)
 
     def _now(self, belief: Belief, time_s: float) -> Now:
         since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0

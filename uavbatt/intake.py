@@ -1,0 +1,79 @@
+"""What telemetry must pass before the filter believes it; a value that goes from sample to sample.
+
+A temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
+is missing for a moment is held; one that is never there is worked out from the power that the operator stated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
+
+HELD_CURRENT_S = 5.0
+CELL_SPREAD_TAU_S = 30.0
+NOTICED_CELL_SPREAD_V = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Intake:
+    """Last plausible readings and what was noticed about the sensors; `after` gives the next one."""
+
+    stated_power_W: float = NAN
+    temp_C: float = NAN
+    temp_s: float = NAN
+    is_board_sensor: bool = False
+    current_A: float = NAN
+    current_s: float = NAN
+    metered: bool = False
+    cell_spread_V: float = 0.0
+    spread_s: float = NAN
+
+    def after(self, sample: Sample) -> tuple[Intake, Sample]:
+        """The next state, and the sample as the filter may have it."""
+        now, temp_C = self._with_temperature(sample)
+        now, current_A = now._with_current(sample)
+        return now._with_cells(sample), replace(sample, temp_C=temp_C, current_A=current_A)
+
+    def _with_temperature(self, sample: Sample) -> tuple[Intake, float]:
+        temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
+        if not math.isfinite(temp_C):
+            return self, NAN
+        is_board = self.is_board_sensor or (not math.isfinite(self.temp_C) and temp_C > BOARD_START_C)
+        now = replace(self, temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
+        return now, NAN if is_board else temp_C
+
+    def _with_current(self, sample: Sample) -> tuple[Intake, float]:
+        if math.isfinite(sample.current_A):
+            return replace(self, current_A=sample.current_A, current_s=sample.time_s, metered=True), sample.current_A
+        if sample.time_s - self.current_s <= HELD_CURRENT_S:
+            return self, self.current_A
+        if self.metered or not math.isfinite(self.stated_power_W) or not sample.voltage_V > 0.0:
+            return self, NAN
+        return self, 0.0 if sample.armed is False else self.stated_power_W / sample.voltage_V
+
+    def _with_cells(self, sample: Sample) -> Intake:
+        """Memory of how far the weakest cell is below the mean [V]."""
+        cells = [v for v in sample.cell_voltages_V if math.isfinite(v) and v > 0.0]
+        if len(cells) < 2:
+            return self
+        spread_V = sum(cells) / len(cells) - min(cells)
+        if not math.isfinite(self.spread_s):
+            return replace(self, cell_spread_V=spread_V, spread_s=sample.time_s)
+        keep = math.exp(-max(sample.time_s - self.spread_s, 0.0) / CELL_SPREAD_TAU_S)
+        blended_V = keep * self.cell_spread_V + (1.0 - keep) * spread_V
+        return replace(self, cell_spread_V=blended_V, spread_s=sample.time_s)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a reader of the estimate should know of the sensors."""
+        found = []
+        if self.is_board_sensor:
+            found.append(f"the temperature started above {BOARD_START_C:.0f} °C: a board's, not the pack's, not used")
+        if not self.metered and math.isfinite(self.stated_power_W):
+            found.append("no current sensor: current worked out from the stated power")
+        if self.cell_spread_V > NOTICED_CELL_SPREAD_V:
+            found.append(f"the weakest cell is {1000 * self.cell_spread_V:.0f} mV below the mean and ends the flight")
+        return tuple(found)
