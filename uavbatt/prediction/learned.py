@@ -17,7 +17,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.vehicle import VehicleFile
-from uavbatt.prediction.load import Now, Scenarios, equal_levels
+from uavbatt.prediction.load import Now, Scenarios, equal_levels, gusty
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -112,4 +112,5 @@ class UnknownAircraft:
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)
-        return Scenarios(power_W, np.full(power_W.shape[1], 1.0 / power_W.shape[1]), np.full(steps, dt_s))
+        weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
+        return gusty(Scenarios(power_W, weight, np.full(steps, dt_s)), now.recent.gusts)

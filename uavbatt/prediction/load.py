@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +19,8 @@ from uavbatt.battery.model import Array
 MEAN_TAU_S = 60.0
 WINDOW_TAU_S = 20.0
 SPREAD_TAU_S = 240.0
+GUST_TAU_S, PRIOR_GUST = 5.0, 0.12
+GUST_MEMORY_S = 8.0
 PRIOR_SPREAD = 0.15  # a multirotor's minute-to-minute power before this flight has shown its own
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
 SCENARIOS = 9
@@ -65,11 +68,13 @@ class RecentLoad:
     mean_W: float = math.nan
     window_W: float = math.nan
     variance: float = PRIOR_SPREAD**2  # of window / mean
+    gust_W: float = math.nan
+    gust_variance: float = PRIOR_GUST**2  # of five seconds / mean
 
     def after(self, time_s: float, power_W: float) -> RecentLoad:
         """The memory with one more row; rows must come in order of time."""
         if not math.isfinite(self.time_s):
-            return RecentLoad(time_s, power_W, power_W, self.variance)
+            return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
         dt_s = max(time_s - self.time_s, 0.0)
 
         def blend(old: float, new: float, tau_s: float) -> float:
@@ -77,13 +82,27 @@ class RecentLoad:
 
         mean_W = blend(self.mean_W, power_W, MEAN_TAU_S)
         window_W = blend(self.window_W, power_W, WINDOW_TAU_S)
+        gust_W = blend(self.gust_W, power_W, GUST_TAU_S)
         strayed = (window_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.variance
-        return RecentLoad(time_s, mean_W, window_W, blend(self.variance, strayed, SPREAD_TAU_S))
+        gusty = (gust_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.gust_variance
+        return RecentLoad(
+            time_s,
+            mean_W,
+            window_W,
+            blend(self.variance, strayed, SPREAD_TAU_S),
+            gust_W,
+            blend(self.gust_variance, gusty, SPREAD_TAU_S),
+        )
 
     @property
     def spread(self) -> float:
         """Relative spread of the mean of a coming stretch of flight, at least 3 %."""
         return math.sqrt(max(self.variance, 0.03**2))
+
+    @property
+    def gusts(self) -> float:
+        """Relative sd of the mean of five seconds, at most 60 %: it is the gusts that meet the cut-off first."""
+        return min(math.sqrt(self.gust_variance), 0.6)
 
 
 def equal_levels(spread: float, count: int) -> Array:
@@ -116,8 +135,9 @@ class RecentMean:
         return max(now.recent.mean_W, 1.0)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """The recent mean with the recent spread."""
-        return constant(self.typical_W(now), now.recent.spread, dt_s, steps)
+        """The recent mean with the recent spread and the recent gusts."""
+        steady = constant(self.typical_W(now), now.recent.spread, dt_s, steps)
+        return gusty(steady, now.recent.gusts)
 
 
 def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenarios:
@@ -125,6 +145,25 @@ def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenario
     levels_W = power_W * equal_levels(spread, SCENARIOS)
     weight = np.full(SCENARIOS, 1.0 / SCENARIOS)
     return Scenarios(np.broadcast_to(levels_W, (steps, SCENARIOS)), weight, np.full(steps, dt_s))
+
+
+@cache
+def _gust_normals(steps: int, scenarios: int) -> Array:
+    return np.random.default_rng(scenarios).standard_normal((steps, scenarios))
+
+
+def gusty(scenarios: Scenarios, sd: float) -> Scenarios:
+    """The scenarios with gusts of relative sd `sd` on them, correlated over GUST_MEMORY_S; their mean power stays."""
+    steps, count = scenarios.power_W.shape
+    normals = _gust_normals(1024, count)
+    gust = np.empty((steps, count))
+    now = normals[0]
+    memory = np.exp(-scenarios.dt_s / GUST_MEMORY_S)
+    for k in range(steps):
+        gust[k] = now
+        now = memory[k] * now + np.sqrt(1.0 - memory[k] ** 2) * normals[(k + 1) % 1024]
+    factor = np.exp(sd * gust - 0.5 * sd**2)
+    return Scenarios(scenarios.power_W * factor, scenarios.weight, scenarios.dt_s)
 
 
 @dataclass(frozen=True, slots=True)
