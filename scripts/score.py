@@ -1,0 +1,78 @@
+"""Every score of the project in one run, beside the methods of PX4, ArduPilot and INAV.
+
+    python scripts/score.py [--only m100|truth|flights] [--markdown FILE]
+
+Reads the measured data ($UAVBATT_DATA, else ../shared/data beside the checkout). Tables go to stdout, progress to
+stderr; --markdown also writes them for the README.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread only gets in the way
+
+from scoring.table import Table
+
+SECTIONS = ("m100", "truth", "flights")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the chosen sections; 1 when the data are not there."""
+    from uavbatt.aside import written_aside
+    from uavbatt.errors import UavbattError
+
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="one section; may be given again")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables as Markdown")
+    given = parser.parse_args(arguments)
+    tables: list[Table] = []
+    try:
+        for section in given.only or SECTIONS:
+            made = _section(section)
+            print("\n".join(t.text() for t in made), flush=True)
+            tables += made
+        if given.markdown is not None:
+            with written_aside(given.markdown, "w") as stream:
+                stream.write("\n".join(t.markdown() for t in tables) + "\n")
+    except UavbattError as error:
+        print(f"score: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def _section(name: str) -> list[Table]:
+    from scoring import data
+
+    folder, began_s = data.folder(), time.monotonic()
+    say = _progress(began_s)
+    if name == "m100":
+        from scoring import m100, m100_tables
+
+        made = m100_tables.tables(m100.results(data.m100(folder), say))
+    elif name == "truth":
+        from scoring import truth
+
+        made = truth.tables(folder, say)
+    else:
+        from scoring import shared
+
+        made = shared.tables(folder, say)
+    say(f"{name}: done")
+    return made
+
+
+def _progress(began_s: float) -> Callable[[str], None]:
+    def say(text: str) -> None:
+        print(f"[{time.monotonic() - began_s:5.0f} s] {text}", file=sys.stderr, flush=True)
+
+    return say
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""Tables as they are printed: aligned text for a terminal, Markdown for the README."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+DASH = "–"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table: the first column names the row, the others hold figures."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+    def text(self) -> str:
+        """For a terminal."""
+        lines = [self.head, *self.rows]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.head))]
+        made = [
+            "  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:], strict=True))])
+            for line in lines
+        ]
+        ruled = [made[0], "-" * len(made[0]), *made[1:]]
+        return "\n".join([f"\n{self.title}", *ruled, *([self.note] if self.note else [])])
+
+    def markdown(self) -> str:
+        """For a page."""
+        cells = [[c.replace("|", "\\|") for c in line] for line in (self.head, *self.rows)]
+        ruler = "|---" + "|---:" * (len(self.head) - 1) + "|"
+        made = ["| " + " | ".join(line) + " |" for line in cells]
+        note = [f"\n{self.note}"] if self.note else []
+        return "\n".join([f"\n**{self.title}**\n", made[0], ruler, *made[1:], *note])
+
+
+def figure(value: float, decimals: int = 0, *, sign: bool = False) -> str:
+    """A number, or a dash when there is none."""
+    if not math.isfinite(value):
+        return DASH if math.isnan(value) else "∞"
+    return f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}"
+
+
+def with_error(value: float, error: float, *, sign: bool = False, decimals: int = 0) -> str:
+    """`value ± standard error`."""
+    return f"{figure(value, decimals, sign=sign)} ± {figure(error, decimals)}"
+
+
+def share(value: float) -> str:
+    """A share in per cent."""
+    return DASH if math.isnan(value) else f"{value:.0%}"
+
+
+def grid(title: str, columns: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], note: str = "") -> Table:
+    """A table with an unnamed first column."""
+    return Table(title, ("", *columns), tuple((name, *cells) for name, cells in rows), note)
