@@ -24,7 +24,7 @@ from uavbatt.replay import outcome, steps
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
 
-STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, forecast_period_s=10.0)
+STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, forecast_period_s=20.0)
 
 
 @cache
@@ -70,7 +70,7 @@ def test_a_log_cut_by_bytes_has_the_same_lines(suffix: str, share: float, tmp_pa
     write(whole_log, list(flown()), pack)
     data = whole_log.read_bytes()
     cut_log.write_bytes(data[: int(len(data) * share) + 3])
-    options = PackOptions(capacity_Ah=5.0, forecast_period_s=10.0)
+    options = PackOptions(capacity_Ah=5.0, forecast_period_s=20.0)
     whole, cut = (lines(read_log(p), options) for p in (whole_log, cut_log))
     assert_prefix(cut, whole, int(len(whole) * (share - 0.1)))
 
@@ -80,7 +80,7 @@ def test_a_real_text_log_cut_by_rows(shared_data: Path, tmp_path: Path) -> None:
     text = path.read_text(errors="replace").splitlines(keepends=True)
     cut_log = tmp_path / path.name
     cut_log.write_text("".join(text[: len(text) // 2]))
-    options = PackOptions(cutoff_V=9.6, forecast_period_s=10.0)
+    options = PackOptions(cutoff_V=9.6, forecast_period_s=20.0)
     assert_prefix(lines(read_log(cut_log), options), lines(read_log(path), options), 100)
 
 
@@ -128,7 +128,7 @@ def test_garbage_in_a_tlog_changes_nothing(tmp_path: Path) -> None:
     told = nonsense("backwards")
     for name, samples in (("a", flown()), ("b", [told(k, s) for k, s in enumerate(flown())])):
         write(tmp_path / f"{name}.tlog", list(samples), pack)
-    options = PackOptions(forecast_period_s=10.0)
+    options = PackOptions(forecast_period_s=20.0)
     assert lines(read_log(tmp_path / "a.tlog"), options) == lines(read_log(tmp_path / "b.tlog"), options)
 
 

@@ -117,7 +117,7 @@ def _one(
 
             flight_page.write(report, flight, run, resolved, found, content)
     for line in _lines(flight, resolved, found, run):
-        typer.echo(line)
+        typer.echo(line, err=Path("-") in (jsonl, csv, report))  # lines on stdout are nothing but lines
     return _summary(flight, resolved, found, run, content)
 
 

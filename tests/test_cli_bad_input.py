@@ -1,0 +1,214 @@
+"""Bad input through the real command: one line on stderr, the right exit code, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uavbatt.battery import file
+
+ROOT = Path(__file__).parents[1]
+UAVBATT = Path(sys.executable).parent / "uavbatt"
+TLOG, BIN = ROOT / "logs/quad_4s.tlog", ROOT / "logs/quad_3s.BIN"
+HEAD = "time_s,voltage_V,current_A\n"
+ROWS = "".join(f"{t},{16.0 - 0.01 * t:.2f},12\n" for t in range(30))
+
+
+def run(*call: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
+    return subprocess.run(
+        [str(UAVBATT), *map(str, call)], capture_output=True, text=True, cwd=folder, env=environment, timeout=120
+    )
+
+
+def files(folder: Path) -> set[str]:
+    return {str(p.relative_to(folder)) for p in folder.rglob("*")}
+
+
+def assert_refused(folder: Path, call: tuple[str | Path, ...], code: int, words: tuple[str, ...]) -> None:
+    """One line that holds the words, exit code, no traceback, nothing on stdout and no file more than before."""
+    before = files(folder)
+    done = run(*call, folder=folder)
+    said = done.stderr.strip()
+    assert done.returncode == code, (done.returncode, said)
+    assert said.startswith("uavbatt: ") and "\n" not in said and "Traceback" not in said
+    assert all(word in said for word in words), said
+    assert done.stdout == ""
+    assert files(folder) == before
+
+
+def replay(log: Path, *more: str | Path) -> tuple[str | Path, ...]:
+    outputs = ("--jsonl", "out/a.jsonl", "--csv", "out/a.csv", "--json", "out/a.json", "--report", "out/a.html")
+    return ("replay", log, "--capacity-ah", "5", *outputs, *more)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "out").mkdir()
+    return tmp_path
+
+
+BYTES: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
+    "empty": ("f.tlog", b"", ("empty file",)),
+    "png": ("f.tlog", b"\x89PNG\r\n\x1a\n" + random.Random(1).randbytes(5000), ("another kind",)),
+    "png named BIN": ("f.BIN", b"\x89PNG\r\n\x1a\n" + random.Random(2).randbytes(5000), ("another kind",)),
+    "letter": ("f.csv.txt", b"Dear all,\nthis is a letter.\n", ("another kind",)),
+    "zeros": ("f.BIN", bytes(5000), ("another kind",)),
+    "only the head of a tlog": ("f.tlog", TLOG.read_bytes()[:50], ("expected",)),
+    "only the head of a BIN": ("f.BIN", BIN.read_bytes()[:400], ("battery messages", "found none")),
+    "missing column": ("f.csv", b"time_s,current_A\n0,1\n1,1\n", ("header", "voltage_V")),
+    "misspelt column": ("f.csv", b"time_s,voltge_V,current_A\n0,16,1\n", ("`voltge_V`", "`voltage_V`")),
+    "misspelt current": ("f.csv", b"time_s,voltage_V,curent_A\n0,16,1\n", ("`curent_A`", "`current_A`")),
+    "nan": ("f.csv", (HEAD + ROWS + "30,nan,12\n").encode(), ("row 31 (line 32)", "voltage_V", "a number")),
+    "text": ("f.csv", (HEAD + ROWS + "30,15.7,many\n").encode(), ("row 31 (line 32)", "current_A", "`many`")),
+    "backwards": ("f.csv", (HEAD + ROWS + "7,15.7,12\n").encode(), ("row 31 (line 32)", "time_s", "found 7")),
+    "no current": ("f.csv", b"time_s,voltage_V\n0,16\n1,16\n2,15.9\n", ("battery 0", "a measured current")),
+    "current never measured": ("f.csv", (HEAD + "0,16,\n1,16,nan\n").encode(), ("battery 0", "a measured current")),
+    "header alone": ("f.csv", HEAD.encode(), ("battery messages",)),
+    "semicolons": ("f.csv", b"time_s;voltage_V\n0;16\n", ("semicolons",)),
+}
+
+
+@pytest.mark.parametrize("case", BYTES)
+def test_logs_that_cannot_be_replayed(case: str, folder: Path) -> None:
+    name, data, words = BYTES[case]
+    (folder / name).write_bytes(data)
+    assert_refused(folder, replay(Path(name)), 1, (name, "expected", *words))
+
+
+@pytest.mark.parametrize("command", ["replay", "info"])
+def test_missing_and_directory(command: str, folder: Path) -> None:
+    call = replay if command == "replay" else lambda log: ("info", log)
+    assert_refused(folder, call(Path("nowhere.tlog")), 1, ("nowhere.tlog", "expected", "no such file"))
+    assert_refused(folder, call(Path("out")), 1, ("out", "expected", "a directory"))
+
+
+def test_a_log_without_battery_messages(folder: Path) -> None:
+    """A whole tlog with its battery messages taken out."""
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    frames = []
+    for k in range(50):
+        beat = link.heartbeat_encode(2, 3, 0, 0, 4)
+        frames.append((1_700_000_000_000_000 + k * 1_000_000).to_bytes(8, "big") + beat.pack(link))
+    (folder / "f.tlog").write_bytes(b"".join(frames))
+    assert_refused(folder, replay(Path("f.tlog")), 1, ("f.tlog", "battery messages", "found none"))
+
+
+def test_a_truncated_log_is_replayed_as_far_as_it_goes(folder: Path) -> None:
+    for log in (TLOG, BIN):
+        cut = folder / f"cut{log.suffix}"
+        cut.write_bytes(log.read_bytes()[: log.stat().st_size // 9 + 11])
+        done = run("replay", cut.name, "--jsonl", f"out/{cut.name}.jsonl", folder=folder)
+        assert done.returncode == 0 and "does not reach the end" in done.stdout, done.stderr
+        assert len((folder / f"out/{cut.name}.jsonl").read_text().splitlines()) > 200
+
+
+def edited(folder: Path, old: str, new: str) -> Path:
+    text = file._text("lpab-3s")[0].decode()
+    assert text.count(old) >= 1
+    path = folder / f"edited{file.SUFFIX}"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return path.relative_to(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("\ndiffusion_ratio = 0.", "\ndiffusion_ratio = 1.", ("content_sha256", "was edited", "--allow-uncertified")),
+        ('verdict = "pass"', 'verdict = "fail"', ("content_sha256", "--allow-uncertified")),
+        ("[discrepancy]", "[discrepency]", ("discrepency", "a battery file")),
+        ("cells_series = 3", 'cells_series = "three"', ("cells_series", "a battery file")),
+        ('name = "polarisation"', 'name = "gremlins"', ("gremlins", "one of")),
+    ],
+)
+def test_edited_battery_files(old: str, new: str, words: tuple[str, ...], folder: Path) -> None:
+    battery = edited(folder, old, new)
+    assert_refused(folder, replay(TLOG, "--battery", battery), 1, (str(battery), *words))
+
+
+def test_a_battery_file_whose_verdict_is_fail(folder: Path) -> None:
+    import tomllib
+
+    import msgspec
+
+    content = tomllib.loads(file._text("lpab-3s")[0].decode())
+    content["certificate"]["verdicts"][0]["verdict"] = "fail"
+    file.write(msgspec.convert(content, file.BatteryFile), folder / "failed.battery.toml")
+    words = ("failed.battery.toml", content["certificate"]["verdicts"][0]["claim"], "it is fail")
+    assert_refused(folder, replay(TLOG, "--battery", "failed.battery.toml"), 1, words)
+    out = ("-o", "out/f.csv")
+    assert_refused(folder, ("simulate", "--battery", "failed.battery.toml", *out), 1, words)
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        (("--load", "nonsense"), 2, ("--load nonsense", "recent", "watts")),
+        (("--load", "-5"), 2, ("--load -5", "positive")),
+        (("--battery", "lipo-genric"), 1, ("lipo-genric", "lipo-generic")),
+        (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "exists")),
+        (("--instance", "7"), 2, ("no battery instance 7", "0")),
+        (("--cutoff-voltage", "-3"), 2, ("--cutoff-voltage", "positive")),
+        (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),
+        (("--jsonl", "no/such/folder/f.jsonl"), 2, ("no/such/folder/f.jsonl", "existing folder")),
+        (("--report", "out"), 2, ("out", "directory")),
+    ],
+)
+def test_slips_in_the_call(more: tuple[str, ...], code: int, words: tuple[str, ...], folder: Path) -> None:
+    assert_refused(folder, replay(TLOG, *more), code, words)
+
+
+def test_a_capacity_that_nobody_states(folder: Path) -> None:
+    (folder / "f.csv").write_text(HEAD + ROWS)
+    call = ("replay", "f.csv", "--jsonl", "out/a.jsonl", "--report", "out/a.html")
+    assert_refused(folder, call, 2, ("--capacity-ah",))
+
+
+def test_several_logs(folder: Path) -> None:
+    for name in ("a", "b"):
+        (folder / name).mkdir()
+        (folder / name / "f.csv").write_text(HEAD + ROWS)
+    both = ("replay", "a/f.csv", "b/f.csv", "--capacity-ah", "5")
+    assert_refused(folder, (*both, "--jsonl", "out"), 2, ("one name", "expected"))
+    (folder / "taken").write_text("")
+    (folder / "b/f.csv").rename(folder / "b/g.csv")
+    both = ("replay", "a/f.csv", "b/g.csv", "--capacity-ah", "5")
+    assert_refused(folder, (*both, "--csv", "taken"), 2, ("taken", "a folder"))
+
+
+@pytest.mark.parametrize(
+    ("call", "code", "words"),
+    [
+        (("simulate", "-o", "out/f.txt"), 2, ("out/f.txt", ".tlog")),
+        (("simulate", "-o", "nowhere/f.tlog"), 2, ("nowhere/f.tlog", "existing folder")),
+        (("simulate", "-o", "out/f.csv", "--effect", "gremlins=1"), 2, ("gremlins", "one of")),
+        (("simulate", "-o", "out/f.csv", "--effect", "weak_cell=9"), 2, ("weak_cell", "deficit")),
+        (("simulate", "-o", "out/f.csv", "--effect", "weak_cell"), 2, ("weak_cell", "NAME=VALUE")),
+        (("validate", "nowhere"), 1, ("nowhere", "expected")),
+        (("validate", "out"), 1, ("out", "battery.toml")),
+        (("validate", "--report", "no/such/f.html"), 2, ("no/such/f.html", "existing folder")),
+        (("validate", "--method", "paper", "--ship", "out"), 2, ("--method",)),
+    ],
+)
+def test_other_commands(call: tuple[str, ...], code: int, words: tuple[str, ...], folder: Path) -> None:
+    assert_refused(folder, call, code, words)
+
+
+@pytest.mark.parametrize("call", [("replay",), ("no-such-command",), ("replay", "f", "--cells", "many")])
+def test_calls_that_are_none(call: tuple[str, ...], folder: Path) -> None:
+    done = run(*call, folder=folder)
+    assert done.returncode == 2 and done.stdout == "" and "Traceback" not in done.stderr and done.stderr.strip()
+
+
+def test_an_output_that_was_there_is_kept_when_the_replay_fails(folder: Path) -> None:
+    (folder / "f.csv").write_text(HEAD + ROWS.replace(",12\n", ",\n"))
+    (folder / "out/a.jsonl").write_text("old\n")
+    assert_refused(folder, replay(Path("f.csv")), 1, ("a measured current",))
+    assert (folder / "out/a.jsonl").read_text() == "old\n"
