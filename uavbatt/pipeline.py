@@ -112,6 +112,13 @@ class Estimator:
         if self._filter is not None and self._forecaster is not None:
             self._filter.pack = self._forecaster.pack = self._pack(now)
 
+    def restore(self, belief: Belief, resolved: Resolved, facts: PackFacts, current_A: float = 0.0) -> None:
+        """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
+        self._facts, self.resolved = facts, resolved
+        self._begin(self._pack(resolved))
+        assert self._filter is not None
+        self._filter.restore(belief, current_A)
+
     def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
         """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""
         self._intake, sample = self._intake.after(sample)

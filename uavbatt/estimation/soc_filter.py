@@ -100,9 +100,11 @@ class SocFilter:
             return None
         return Belief(self._time_s, self._kalman.x.copy(), self._kalman.P.copy(), self._ambient_C)
 
-    def restore(self, belief: Belief) -> None:
-        """Go on from a belief (a saved one, after a restart)."""
+    def restore(self, belief: Belief, current_A: float = 0.0) -> None:
+        """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A`."""
         self._begin(belief.mean.copy(), belief.covariance.copy(), belief.time_s, belief.ambient_C)
+        self._current_A = self._block_A = current_A
+        self._block = Block()
 
     def step(self, sample: Sample) -> Estimate:
         """Take one sample in; a sample without voltage or current moves nothing and says so."""
