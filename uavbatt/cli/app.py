@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from uavbatt import __version__
-from uavbatt.cli import fit, info, replay, simulate, validate
+from uavbatt.cli import fit, info, plan, replay, simulate, validate
 
 app = typer.Typer(
     name="uavbatt",
@@ -34,6 +34,7 @@ def _top(
 
 app.command("validate")(validate.validate)
 app.command("fit")(fit.fit)
+app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
 app.command("info")(info.info)
 app.command("simulate")(simulate.simulate)

@@ -1,0 +1,164 @@
+"""`uavbatt plan`: endurance before take-off."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from uavbatt.cli.options import (
+    DEFAULT_BATTERY,
+    BatteryOption,
+    CapacityOption,
+    CellsOption,
+    CutoffOption,
+    ReserveOption,
+    UncertifiedOption,
+    check_writable,
+    known,
+)
+from uavbatt.errors import NotEnoughData, UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.battery.file import BatteryFile
+    from uavbatt.pipeline import PackOptions
+    from uavbatt.plan import Plan
+    from uavbatt.prediction.load import Load
+    from uavbatt.records import Flight
+
+
+def plan(
+    battery: BatteryOption = DEFAULT_BATTERY,
+    power_w: Annotated[float | None, typer.Option("--power-w", help="Mean power of the flight [W].")] = None,
+    like: Annotated[Path | None, typer.Option("--like", help="A past log: fly as it did.")] = None,
+    vehicle: Annotated[
+        Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
+    ] = None,
+    ambient_c: Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0)] = 20.0,
+    start_soc: Annotated[float, typer.Option("--start-soc", min=0.01, max=1.0)] = 1.0,
+    cells: CellsOption = None,
+    capacity_ah: CapacityOption = None,
+    cutoff_voltage: CutoffOption = None,
+    reserve_soc: ReserveOption = 0.0,
+    allow_uncertified: UncertifiedOption = False,
+    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance of the log.")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
+) -> None:
+    """Endurance before take-off, with its interval, and a table over ambient temperature."""
+    from uavbatt import plan as planning
+    from uavbatt.battery import file
+    from uavbatt.pipeline import PackOptions
+    from uavbatt.telemetry import read_log
+
+    if sum(given is not None for given in (power_w, like, vehicle)) != 1:
+        raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
+    check_writable(report, summary)
+    content = file.read(battery, allow_uncertified=allow_uncertified)
+    stated = (known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
+    options = PackOptions(cells=cells, capacity_Ah=stated[0], cutoff_V=stated[1], reserve_soc=reserve_soc)
+    flight = read_log(like, instance) if like is not None else None
+    resolved = planning.resolve(content, options, flight)
+    load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
+    found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc)
+    for line in _lines(found):
+        typer.echo(line)
+    if report is not None:
+        _write_report(report, found)
+    if summary is not None:
+        _write_summary(summary, found, content.certificate.content_sha256)
+
+
+def _load(
+    power_W: float, flight: Flight | None, vehicle: Path | None, battery: BatteryFile, options: PackOptions
+) -> tuple[Load, str]:
+    """The load to come and its name."""
+    from uavbatt.battery import vehicle as vehicle_file
+    from uavbatt.fitting.vehicle import vehicle_file as learn
+    from uavbatt.plan import FromTakeOff
+    from uavbatt.prediction.learned import learned_load
+    from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
+
+    if math.isfinite(power_W):
+        return ConstantLoad(power_W, STATED_SPREAD), f"{power_W:g} W"
+    if flight is not None:
+        try:
+            flown = learn(Path(flight.source).stem, [flight], battery, options)
+        except NotEnoughData as error:
+            raise NotEnoughData(f"--like {error}") from None
+        words = f"as in {Path(flight.source).name}, {flown.phases.flight_W:.0f} W on average"
+    else:
+        assert vehicle is not None
+        flown = vehicle_file.read(vehicle)
+        words = f"as {flown.name} flew {len(flown.traces)} times, {flown.phases.flight_W:.0f} W on average"
+    return FromTakeOff(learned_load(flown)), words
+
+
+def _lines(plan: Plan) -> list[str]:
+    """The plan for a person."""
+    resolved, here = plan.resolved, plan.here
+    lines = [
+        f"{resolved.battery} ({resolved.status}): {resolved.cells}S from {resolved.cells_from}, "
+        f"{resolved.capacity_Ah:g} Ah from {resolved.capacity_from}, cut-off {resolved.cutoff_V:g} V from "
+        f"{resolved.cutoff_from}",
+        f"  load       {plan.load}; state of charge {plan.start_soc:g} at take-off",
+        *(f"  warning    {warning}" for warning in plan.warnings),
+        f"  at {here.ambient_C:g} °C: {_clock(here.median_s)} [{_clock(here.lo_s)}, {_clock(here.hi_s)}]"
+        + (f"; low-voltage warning after {_clock(here.to_low_s)}" if math.isfinite(here.to_low_s) else "")
+        + (f"; {here.remark}" if here.remark else ""),
+        f"  {'ambient':>8}  {'median':>8}  {'5 %':>8}  {'95 %':>8}",
+    ]
+    for e in plan.rows:
+        times = "  ".join(f"{_clock(value_s):>8}" for value_s in (e.median_s, e.lo_s, e.hi_s))
+        lines.append(f"  {e.ambient_C:>5.0f} °C  {times}  {e.remark}".rstrip())
+    return lines
+
+
+def _clock(seconds: float) -> str:
+    """Minutes and seconds."""
+    if not math.isfinite(seconds):
+        return "unknown"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def _write_report(path: Path, plan: Plan) -> None:
+    from uavbatt.aside import written_aside
+    from uavbatt.report.plan import plan_report
+
+    html = plan_report(plan)
+    with written_aside(path, "w") as stream:
+        stream.write(html)
+
+
+def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
+    """The plan for a program: where the numbers came from, the planned temperature, the table."""
+    from uavbatt.aside import written_aside
+
+    pack = asdict(plan.resolved)
+    content = {
+        "battery": pack.pop("battery"),
+        "certificate_status": pack.pop("status"),
+        "content_sha256": content_sha256,
+        **pack,
+        "load": plan.load,
+        "start_soc": plan.start_soc,
+        "warnings": list(plan.warnings),
+        "planned": asdict(plan.here),
+        "table": [asdict(e) for e in plan.rows],
+    }
+    with written_aside(path, "w") as stream:
+        stream.write(json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    """NaN as null."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,184 @@
+"""Endurance before take-off: how long a rested pack of a battery file lasts under a load, over ambient temperature.
+
+The forecast is the one of the flight itself (`prediction.forecaster`): it starts from a belief that nobody has
+updated yet, so that its width is what the battery file states of its own spreads and what is not known of the load.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.belief import SIZE, Belief, C
+from uavbatt.battery.build import Pack, pack_of
+from uavbatt.battery.file import BatteryFile
+from uavbatt.errors import UsageError
+from uavbatt.estimation.noise import start_covariance
+from uavbatt.pipeline import Estimator, PackOptions, Resolved
+from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.prediction.learned import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
+from uavbatt.prediction.load import Load, Now, Scenarios, equal_levels
+from uavbatt.records import NAN, Flight
+
+TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
+CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
+START_SOC_SD = 0.01  # a charger that says full, a rested voltage that was read
+AMBIENT_SD_K = 2.0
+RESTED_OVERPOTENTIAL_SD_V = 1e-3
+LOWEST_POWER_W = 1.0
+EMPTY_SOC = 1e-3  # below it nothing is left to draw, whatever a fitted voltage says beyond the end of its table
+VALID_WITHIN_K = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Endurance:
+    """Seconds in the air at one ambient temperature; NaN with the reason in `remark` when there is no answer."""
+
+    ambient_C: float
+    median_s: float
+    lo_s: float
+    hi_s: float
+    to_low_s: float
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What was asked and what came of it: at the planned temperature, as a table, and as a finer curve."""
+
+    resolved: Resolved
+    load: str
+    start_soc: float
+    here: Endurance
+    rows: tuple[Endurance, ...]
+    curve: tuple[Endurance, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FromTakeOff:
+    """Past flights flown again from their take-off, each as it was, at levels around it."""
+
+    library: LearnedLoad
+
+    def typical_W(self, now: Now) -> float:
+        """Median of the flights' mean powers."""
+        return float(np.median(self.library.mean_W[:, -1]))
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """Every flight from its first second, whatever the charge: the pack may start part-used."""
+        flown_W = self.library.power_W
+        grid_s = GRID_S * np.arange(flown_W.shape[1])
+        ahead_s = dt_s * (np.arange(steps) + 0.5)
+        traces_W = np.stack([np.interp(ahead_s, grid_s, watts) for watts in flown_W], axis=1)
+        levels = equal_levels(OWN_SPREAD if flown_W.shape[0] >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
+        power_W = np.maximum((traces_W[:, :, None] * levels).reshape(steps, -1), LOWEST_POWER_W)
+        return Scenarios(power_W, np.full(power_W.shape[1], 1.0 / power_W.shape[1]), np.full(steps, dt_s))
+
+
+def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = None) -> Resolved:
+    """The pack's size from the options, else from the past flight, else from the battery file.
+
+    Raises UsageError when nobody states the cells or the capacity.
+    """
+    if like is not None:
+        return _as_flown(battery, options, like)
+    typed = battery.battery
+    cells = options.cells or typed.cells_series
+    if options.cells is None and battery.status == "generic":
+        raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
+    capacity_Ah = options.capacity_Ah if math.isfinite(options.capacity_Ah) else typed.capacity_Ah
+    if capacity_Ah is None:
+        raise UsageError(f"capacity: battery `{typed.name}` states none: give --capacity-ah")
+    share = cells / typed.cells_series
+    stated_V = math.isfinite(options.cutoff_V)
+    return Resolved(
+        battery=typed.name,
+        status=battery.status,
+        cells=cells,
+        cells_from="--cells" if options.cells else "battery file",
+        capacity_Ah=capacity_Ah,
+        capacity_from="--capacity-ah" if math.isfinite(options.capacity_Ah) else "battery file",
+        cutoff_V=options.cutoff_V if stated_V else typed.cutoff_V * share,
+        cutoff_from="--cutoff-voltage" if stated_V else "battery file",
+        low_V=NAN if typed.low_V is None else typed.low_V * share,
+        low_from="nobody" if typed.low_V is None else "battery file",
+    )
+
+
+def _as_flown(battery: BatteryFile, options: PackOptions, like: Flight) -> Resolved:
+    estimator = Estimator(battery, options)
+    estimator.update_facts(like.facts_at(math.inf))
+    for sample in like.samples:
+        estimator.step(sample)
+        if estimator.resolved is not None:
+            return estimator.resolved
+    raise UsageError(f"{like.source}: expected at least one row with a voltage")
+
+
+def made(
+    battery: BatteryFile,
+    resolved: Resolved,
+    load: tuple[Load, str],
+    ambient_C: float,
+    start_soc: float = 1.0,
+    reserve_soc: float = 0.0,
+) -> Plan:
+    """The whole plan for a load and its name."""
+
+    def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
+        return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc) for t in ambients_C)
+
+    curve = at(CURVE_C)
+    rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
+    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, _warnings(battery, resolved))
+
+
+def endurance(
+    battery: BatteryFile,
+    resolved: Resolved,
+    load: Load,
+    ambient_C: float,
+    start_soc: float = 1.0,
+    reserve_soc: float = 0.0,
+) -> Endurance:
+    """Time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
+    pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+    forecaster = Forecaster(pack, Settings(load, max(reserve_soc, EMPTY_SOC)))
+    found = forecaster.forecast(rested(pack, start_soc, ambient_C), 0.0)
+    if found is None:
+        return Endurance(ambient_C, NAN, NAN, NAN, NAN, "no end within six hours: this is not the load of a flight")
+    times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
+    return Endurance(ambient_C, *times_s, range_remark(battery, ambient_C))
+
+
+def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
+    """What is known of a pack before take-off: its stated charge, the temperature of the air, the file's spreads."""
+    mean = np.zeros(SIZE)
+    mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = start_soc, ambient_C, ambient_C
+    covariance = start_covariance(pack, START_SOC_SD, AMBIENT_SD_K, RESTED_OVERPOTENTIAL_SD_V)
+    return Belief(0.0, mean, covariance, ambient_C)
+
+
+def range_remark(battery: BatteryFile, ambient_C: float) -> str:
+    """Whether the certificate reaches this temperature [°C], give or take VALID_WITHIN_K; empty when it does."""
+    validated = battery.certificate.validated_ambient_C
+    if not validated:
+        return "validated at no temperature"
+    low, high = min(validated), max(validated)
+    if low - VALID_WITHIN_K <= ambient_C <= high + VALID_WITHIN_K:
+        return ""
+    return f"outside the validated range: {low:g} °C{'' if high == low else f' to {high:g} °C'}"
+
+
+def _warnings(battery: BatteryFile, resolved: Resolved) -> tuple[str, ...]:
+    typed = battery.battery
+    if battery.status != "certified":
+        return (f"battery file is {battery.status}, not certified",)
+    if (resolved.cells, resolved.capacity_Ah) != (typed.cells_series, typed.capacity_Ah):
+        size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
+        return (f"the certificate is for a {size} pack; this one is scaled from it",)
+    return ()

@@ -1,0 +1,143 @@
+"""The page of a plan: the endurance in words, over ambient temperature, and what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from uavbatt import __version__
+from uavbatt.report import plot
+from uavbatt.report.inputs import ResolvedLike
+from uavbatt.report.page import (
+    Html,
+    badge,
+    bullets,
+    celsius,
+    duration,
+    element,
+    facts,
+    figure,
+    number,
+    page,
+    paragraph,
+    section,
+    strong,
+    table,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class EnduranceLike(Protocol):
+    """What a row of the page needs, see `uavbatt.plan.Endurance`."""
+
+    @property
+    def ambient_C(self) -> float: ...
+    @property
+    def median_s(self) -> float: ...
+    @property
+    def lo_s(self) -> float: ...
+    @property
+    def hi_s(self) -> float: ...
+    @property
+    def to_low_s(self) -> float: ...
+    @property
+    def remark(self) -> str: ...
+
+
+class PlanLike(Protocol):
+    """What the page needs, see `uavbatt.plan.Plan`."""
+
+    @property
+    def resolved(self) -> ResolvedLike: ...
+    @property
+    def load(self) -> str: ...
+    @property
+    def start_soc(self) -> float: ...
+    @property
+    def here(self) -> EnduranceLike: ...
+    @property
+    def rows(self) -> Sequence[EnduranceLike]: ...
+    @property
+    def curve(self) -> Sequence[EnduranceLike]: ...
+    @property
+    def warnings(self) -> Sequence[str]: ...
+
+
+def plan_report(plan: PlanLike) -> str:
+    """The whole page as HTML."""
+    return page(
+        f"{plan.resolved.battery}: how long will it fly?",
+        "uavbatt plan",
+        _answer(plan),
+        section("Over ambient temperature", _figure(plan), _table(plan)),
+        section("What it rests on", facts(_basis(plan)), bullets(plan.warnings)),
+        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
+    )
+
+
+def _answer(plan: PlanLike) -> Html:
+    here = plan.here
+    said = paragraph(
+        strong(duration(here.median_s)),
+        f" at {celsius(here.ambient_C)}, with 90 % probability between {duration(here.lo_s)} and "
+        f"{duration(here.hi_s)}, until the pack is below {number(plan.resolved.cutoff_V, 1, 'V')} under load. "
+        f"Load: {plan.load}. Charge at take-off: {number(100.0 * plan.start_soc, 0, '%')}.",
+    )
+    return element(
+        "div",
+        said,
+        *([paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []),
+        paragraph(badge(plan.resolved.status), " battery file.", css="quiet"),
+        css="answer",
+    )
+
+
+def _figure(plan: PlanLike) -> Html:
+    def draw(axes: Axes) -> None:
+        ambient_C = np.array([e.ambient_C for e in plan.curve])
+        lo, median, hi = (
+            np.array([getattr(e, key) for e in plan.curve]) / 60.0 for key in ("lo_s", "median_s", "hi_s")
+        )
+        axes.fill_between(ambient_C, lo, hi, color=plot.SKY, alpha=0.35, linewidth=0, label="90 % interval")
+        axes.plot(ambient_C, median, color=plot.BLUE, label="median")
+        doubted = np.array([bool(e.remark) for e in plan.curve])
+        if doubted.any():
+            axes.plot(
+                ambient_C[doubted],
+                median[doubted],
+                "o",
+                color=plot.PAPER,
+                markeredgecolor=plot.RED,
+                label="not validated",
+            )
+        axes.plot([plan.here.ambient_C], [plan.here.median_s / 60.0], "o", color=plot.BLUE, label="planned")
+        axes.set_ylim(bottom=0.0)
+
+    alt = "Endurance in minutes over ambient temperature, median and 90 % interval"
+    svg = plot.panel(draw, alt, x="ambient temperature [°C]", y="endurance [min]", legend_columns=2)
+    return figure(svg, "Endurance over ambient temperature", "The pack rested, and as warm as the air, at take-off.")
+
+
+def _table(plan: PlanLike) -> Html:
+    rows = [
+        (celsius(e.ambient_C), duration(e.median_s), duration(e.lo_s), duration(e.hi_s), duration(e.to_low_s), e.remark)
+        for e in plan.rows
+    ]
+    head = ("ambient", "median", "5 %", "95 %", "low-voltage warning", "")
+    return table(head, rows, "Time from take-off", text_columns=(0, 5))
+
+
+def _basis(plan: PlanLike) -> list[tuple[str, str]]:
+    pack = plan.resolved
+    return [
+        ("battery", f"{pack.battery} ({pack.status})"),
+        ("cells", f"{pack.cells} in series, from {pack.cells_from}"),
+        ("capacity", f"{number(pack.capacity_Ah, 2, 'Ah')}, from {pack.capacity_from}"),
+        ("end of flight", f"below {number(pack.cutoff_V, 2, 'V')}, from {pack.cutoff_from}"),
+        ("low-voltage warning", f"{number(pack.low_V, 2, 'V')}, from {pack.low_from}"),
+        ("load", plan.load),
+    ]
