@@ -105,19 +105,20 @@ def _coverage(found: dict[str, list[Result]]) -> Table:
 
 
 def _against_percentage(found: dict[str, list[Result]]) -> Table:
-    rows = []
+    rows: list[tuple[str, list[str]]] = []
     for name in (LOG, LEARNED, UNKNOWN):
-        rows.append((f"{name}: own interval", [_cell(*_own(found[name], i)) for i in JUDGED]))
+        own = [_own(found[name], i) for i in JUDGED]
+        rows.append((f"{name}: own interval", [*(_cell(*o) for o in own), _mean([w for w, _ in own])]))
         for rival in dict.fromkeys((name, MAH)):
-            cells = [_each(found[name], found[rival], i) for i in JUDGED]
-            rows.append((f"  {rival}: ± p % at each instant", cells))
+            rows.append((f"  {rival}: ± p % at each instant", _each(found[name], found[rival])))
             rows.append((f"  {rival}: ± one p %", _one(found[name], found[rival])))
     note = (
         "Mean width [s] (flights inside). The rival is the median of the method named, ± p % of itself. p is chosen "
         "with hindsight on these very flights, which our interval has not seen: at each instant the least p that holds "
         "as many flights as our interval does there; or one p for the four instants that holds as many in all."
     )
-    return grid("M100: against the interval of a fixed percentage with the same coverage", JUDGED, rows, note)
+    title = "M100: against the interval of a fixed percentage with the same coverage"
+    return grid(title, (*JUDGED, "mean"), rows, note)
 
 
 def _at(results: list[Result], label: str) -> list[Instant]:
@@ -134,13 +135,21 @@ def _cell(width_s: float, inside: int) -> str:
     return f"{figure(width_s)} ({inside})"
 
 
-def _each(ours: list[Result], rival: list[Result], label: str) -> str:
-    """The rival with its own best p at this instant."""
-    hits, at = _own(ours, label)[1], _at(rival, label)
-    if not 0 < hits <= len(at):
-        return DASH
-    percent, width_s = fixed_percentage([i.truth_s for i in at], [i.forecast_s for i in at], hits)
-    return f"{_cell(width_s, hits)}, p {share(percent)}" if np.isfinite(percent) else "none holds"
+def _mean(widths_s: list[float]) -> str:
+    return figure(float(np.mean(widths_s)))
+
+
+def _each(ours: list[Result], rival: list[Result]) -> list[str]:
+    """The rival with its own best p at each instant."""
+    cells, widths_s = [], []
+    for label in JUDGED:
+        hits, at = _own(ours, label)[1], _at(rival, label)
+        if not 0 < hits <= len(at):
+            return [DASH] * (len(JUDGED) + 1)
+        percent, width_s = fixed_percentage([i.truth_s for i in at], [i.forecast_s for i in at], hits)
+        cells.append(f"{_cell(width_s, hits)}, p {share(percent)}" if np.isfinite(percent) else "none holds")
+        widths_s.append(width_s)
+    return [*cells, _mean(widths_s)]
 
 
 def _one(ours: list[Result], rival: list[Result]) -> list[str]:
@@ -149,11 +158,12 @@ def _one(ours: list[Result], rival: list[Result]) -> list[str]:
     every = [i for label in JUDGED for i in _at(rival, label)]
     percent, _ = fixed_percentage([i.truth_s for i in every], [i.forecast_s for i in every], hits)
     if not np.isfinite(percent):
-        return ["none holds"] * len(JUDGED)
-    cells = []
+        return ["none holds"] * len(JUDGED) + [DASH]
+    cells, widths_s = [], []
     for label in JUDGED:
         said_s = np.nan_to_num([i.forecast_s for i in _at(rival, label)])
         missed_s = np.abs([i.truth_s for i in _at(rival, label)] - said_s)
         inside = int((missed_s <= percent * said_s * (1.0 + 1e-9)).sum())
-        cells.append(f"{_cell(float(np.mean(2.0 * percent * said_s)), inside)}, p {share(percent)}")
-    return cells
+        widths_s.append(float(np.mean(2.0 * percent * said_s)))
+        cells.append(f"{_cell(widths_s[-1], inside)}, p {share(percent)}")
+    return [*cells, _mean(widths_s)]
