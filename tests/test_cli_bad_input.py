@@ -6,6 +6,8 @@ import os
 import random
 import subprocess
 import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from uavbatt.battery import file
 ROOT = Path(__file__).parents[1]
 UAVBATT = Path(sys.executable).parent / "uavbatt"
 TLOG, BIN = ROOT / "logs/quad_4s.tlog", ROOT / "logs/quad_3s.BIN"
+Call = tuple[str | Path, ...]
 HEAD = "time_s,voltage_V,current_A\n"
 ROWS = "".join(f"{t},{16.0 - 0.01 * t:.2f},12\n" for t in range(30))
 
@@ -30,19 +33,34 @@ def files(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*")}
 
 
-def assert_refused(folder: Path, call: tuple[str | Path, ...], code: int, words: tuple[str, ...]) -> None:
-    """One line that holds the words, exit code, no traceback, nothing on stdout and no file more than before."""
+@dataclass(frozen=True)
+class Answer:
+    """What the command did: its end, and the files before and after."""
+
+    done: subprocess.CompletedProcess[str]
+    before: set[str]
+    after: set[str]
+
+    def assert_refused(self, code: int, words: tuple[str, ...]) -> None:
+        """One line that holds the words, exit code, no traceback, nothing on stdout and no file more than before."""
+        said = self.done.stderr.strip()
+        assert self.done.returncode == code, (self.done.returncode, said)
+        assert said.startswith("uavbatt: ") and "\n" not in said and "Traceback" not in said
+        assert all(word in said for word in words), said
+        assert self.done.stdout == ""
+        assert self.after == self.before
+
+
+def ask(folder: Path, call: Call) -> Answer:
     before = files(folder)
-    done = run(*call, folder=folder)
-    said = done.stderr.strip()
-    assert done.returncode == code, (done.returncode, said)
-    assert said.startswith("uavbatt: ") and "\n" not in said and "Traceback" not in said
-    assert all(word in said for word in words), said
-    assert done.stdout == ""
-    assert files(folder) == before
+    return Answer(run(*call, folder=folder), before, files(folder))
 
 
-def replay(log: Path, *more: str | Path) -> tuple[str | Path, ...]:
+def assert_refused(folder: Path, call: Call, code: int, words: tuple[str, ...]) -> None:
+    ask(folder, call).assert_refused(code, words)
+
+
+def replay(log: Path, *more: str | Path) -> Call:
     outputs = ("--jsonl", "out/a.jsonl", "--csv", "out/a.csv", "--json", "out/a.json", "--report", "out/a.html")
     return ("replay", log, "--capacity-ah", "5", *outputs, *more)
 
@@ -74,11 +92,55 @@ BYTES: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("case", BYTES)
-def test_logs_that_cannot_be_replayed(case: str, folder: Path) -> None:
-    name, data, words = BYTES[case]
-    (folder / name).write_bytes(data)
-    assert_refused(folder, replay(Path(name)), 1, (name, "expected", *words))
+# the words that follow `replay LOG ...`, and whole calls of other commands: exit code, words of the line
+SLIPS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
+    (("--load", "nonsense"), 2, ("--load nonsense", "recent", "watts")),
+    (("--load", "-5"), 2, ("--load -5", "positive")),
+    (("--battery", "lipo-genric"), 1, ("lipo-genric", "lipo-generic")),
+    (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "exists")),
+    (("--instance", "7"), 2, ("no battery instance 7", "0")),
+    (("--cutoff-voltage", "-3"), 2, ("--cutoff-voltage", "positive")),
+    (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),
+    (("--jsonl", "no/such/folder/f.jsonl"), 2, ("no/such/folder/f.jsonl", "existing folder")),
+    (("--report", "out"), 2, ("out", "directory")),
+]
+OTHERS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
+    (("simulate", "-o", "out/f.txt"), 2, ("out/f.txt", ".tlog")),
+    (("simulate", "-o", "nowhere/f.tlog"), 2, ("nowhere/f.tlog", "existing folder")),
+    (("simulate", "-o", "out/f.csv", "--effect", "gremlins=1"), 2, ("gremlins", "one of")),
+    (("simulate", "-o", "out/f.csv", "--effect", "weak_cell=9"), 2, ("weak_cell", "deficit")),
+    (("simulate", "-o", "out/f.csv", "--effect", "weak_cell"), 2, ("weak_cell", "NAME=VALUE")),
+    (("validate", "nowhere"), 1, ("nowhere", "expected")),
+    (("validate", "out"), 1, ("out", "battery.toml")),
+    (("validate", "--report", "no/such/f.html"), 2, ("no/such/f.html", "existing folder")),
+    (("validate", "--method", "paper", "--ship", "out"), 2, ("--method",)),
+]
+CASES: dict[str, tuple[Call, int, tuple[str, ...]]] = {
+    **{case: (replay(Path(name)), 1, (name, "expected", *words)) for case, (name, _, words) in BYTES.items()},
+    **{" ".join(more): (replay(TLOG, *more), code, words) for more, code, words in SLIPS},
+    **{" ".join(call): (call, code, words) for call, code, words in OTHERS},
+}
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Future[Answer]]:
+    """All cases, two at a time, each in a folder of its own with its bad file and an empty out/."""
+    asked = {}
+    with ThreadPoolExecutor(2) as pool:
+        for case, (call, _, _) in CASES.items():
+            folder = tmp_path_factory.mktemp("case")
+            (folder / "out").mkdir()
+            if case in BYTES:
+                name, data, _ = BYTES[case]
+                (folder / name).write_bytes(data)
+            asked[case] = pool.submit(ask, folder, call)
+    return asked
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_named_in_one_line(case: str, answers: dict[str, Future[Answer]]) -> None:
+    _, code, words = CASES[case]
+    answers[case].result().assert_refused(code, words)
 
 
 @pytest.mark.parametrize("command", ["replay", "info"])
@@ -147,24 +209,6 @@ def test_a_battery_file_whose_verdict_is_fail(folder: Path) -> None:
     assert_refused(folder, ("simulate", "--battery", "failed.battery.toml", *out), 1, words)
 
 
-@pytest.mark.parametrize(
-    ("more", "code", "words"),
-    [
-        (("--load", "nonsense"), 2, ("--load nonsense", "recent", "watts")),
-        (("--load", "-5"), 2, ("--load -5", "positive")),
-        (("--battery", "lipo-genric"), 1, ("lipo-genric", "lipo-generic")),
-        (("--battery", "no/such.battery.toml"), 1, ("no/such.battery.toml", "exists")),
-        (("--instance", "7"), 2, ("no battery instance 7", "0")),
-        (("--cutoff-voltage", "-3"), 2, ("--cutoff-voltage", "positive")),
-        (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),
-        (("--jsonl", "no/such/folder/f.jsonl"), 2, ("no/such/folder/f.jsonl", "existing folder")),
-        (("--report", "out"), 2, ("out", "directory")),
-    ],
-)
-def test_slips_in_the_call(more: tuple[str, ...], code: int, words: tuple[str, ...], folder: Path) -> None:
-    assert_refused(folder, replay(TLOG, *more), code, words)
-
-
 def test_a_capacity_that_nobody_states(folder: Path) -> None:
     (folder / "f.csv").write_text(HEAD + ROWS)
     call = ("replay", "f.csv", "--jsonl", "out/a.jsonl", "--report", "out/a.html")
@@ -181,24 +225,6 @@ def test_several_logs(folder: Path) -> None:
     (folder / "b/f.csv").rename(folder / "b/g.csv")
     both = ("replay", "a/f.csv", "b/g.csv", "--capacity-ah", "5")
     assert_refused(folder, (*both, "--csv", "taken"), 2, ("taken", "a folder"))
-
-
-@pytest.mark.parametrize(
-    ("call", "code", "words"),
-    [
-        (("simulate", "-o", "out/f.txt"), 2, ("out/f.txt", ".tlog")),
-        (("simulate", "-o", "nowhere/f.tlog"), 2, ("nowhere/f.tlog", "existing folder")),
-        (("simulate", "-o", "out/f.csv", "--effect", "gremlins=1"), 2, ("gremlins", "one of")),
-        (("simulate", "-o", "out/f.csv", "--effect", "weak_cell=9"), 2, ("weak_cell", "deficit")),
-        (("simulate", "-o", "out/f.csv", "--effect", "weak_cell"), 2, ("weak_cell", "NAME=VALUE")),
-        (("validate", "nowhere"), 1, ("nowhere", "expected")),
-        (("validate", "out"), 1, ("out", "battery.toml")),
-        (("validate", "--report", "no/such/f.html"), 2, ("no/such/f.html", "existing folder")),
-        (("validate", "--method", "paper", "--ship", "out"), 2, ("--method",)),
-    ],
-)
-def test_other_commands(call: tuple[str, ...], code: int, words: tuple[str, ...], folder: Path) -> None:
-    assert_refused(folder, call, code, words)
 
 
 @pytest.mark.parametrize("call", [("replay",), ("no-such-command",), ("replay", "f", "--cells", "many")])

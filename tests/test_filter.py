@@ -377,3 +377,18 @@ def test_no_rows_break_it(rows: list[tuple[float, float, float, float]]) -> None
         assert 0.0 <= estimate.soc <= 1.0 and 0.0 < estimate.soc_sd < math.inf
         belief = ours.belief
         assert belief is not None and np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()
+
+
+def test_a_restored_filter_goes_on_as_if_nothing_had_been() -> None:
+    samples = [s for s in flight() if s.time_s <= 400.0][::2]  # a row every two seconds: no block is torn
+    whole, estimates = run(samples)
+    first, _ = run(samples[:100])
+    assert first.belief is not None
+    again = SocFilter(pack())
+    again.restore(first.belief, samples[99].current_A)
+    later = [again.step(s) for s in samples[100:]]
+    for ours, theirs in zip(later, estimates[100:], strict=True):
+        assert ours.soc == pytest.approx(theirs.soc, abs=1e-9)
+        assert ours.nis == pytest.approx(theirs.nis, rel=1e-6)
+    assert whole.belief is not None and again.belief is not None
+    assert again.belief.covariance == pytest.approx(whole.belief.covariance, abs=1e-12)
