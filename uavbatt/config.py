@@ -1,0 +1,169 @@
+"""`uavbatt.toml`: what the companion process is told. Every key has a default; scripts/uavbatt.toml shows them all.
+
+Read from --config, else $UAVBATT_CONFIG, else /etc/uavbatt/uavbatt.toml where that exists; options of the command
+line override. An unknown key, a wrong type or an impossible value is named with its file.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from uavbatt.errors import BadInput, UsageError
+
+SYSTEM_FILE = Path("/etc/uavbatt/uavbatt.toml")
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+FeedKind = Literal["proxy", "battery", "named"]
+
+Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
+Component = Annotated[int, msgspec.Meta(ge=1, le=255)]
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Rate = Annotated[float, msgspec.Meta(gt=0, le=50)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=0.99)]
+
+
+class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A section of the file: immutable, every key known."""
+
+
+class LinkSection(Section, frozen=True):
+    """[link]: where the telemetry comes from and where the ground stations are."""
+
+    endpoint: str = ""
+    gcs: list[str] = []
+    system: Byte | None = None
+    component: Component | None = None
+    own_component: Component = 193
+    request: bool = False
+    request_rate_Hz: Rate = 10.0
+    signing_key_file: str = ""
+
+
+class PackSection(Section, frozen=True):
+    """[pack]: the battery; what is absent is asked of the vehicle, then of the battery file."""
+
+    battery: str = "lipo-generic"
+    instance: Byte | None = None
+    cells: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
+    capacity_Ah: Positive | None = None
+    cutoff_voltage_V: Positive | None = None
+    reserve_soc: Share = 0.0
+    ambient_C: Annotated[float, msgspec.Meta(ge=-60, le=80)] | None = None
+    vehicle: str = ""
+    load: str = "learned"
+    forecast_period_s: Positive | None = None
+    allow_uncertified: bool = False
+
+
+class FeedSection(Section, frozen=True):
+    """[feed]: how the ground station hears of it."""
+
+    kinds: tuple[FeedKind, ...] = ("named",)
+    named_rate_Hz: Rate = 4.0
+    battery_rate_Hz: Rate = 4.0
+    alarms_s: tuple[Positive, ...] = (300.0, 120.0, 60.0)
+    proxy_soc: bool = False
+    proxy_control: str = ""
+
+
+class HttpSection(Section, frozen=True):
+    """[http]: the page for a browser; empty: none."""
+
+    listen: str = ""
+    token: str = ""
+
+
+class RecordSection(Section, frozen=True):
+    """[record]: raw telemetry and estimates; empty folder: none."""
+
+    folder: str = ""
+    when: Literal["always", "while-armed"] = "always"
+    max_file_MB: Positive = 200.0
+    max_files: Annotated[int, msgspec.Meta(ge=1)] = 50
+    min_free_MB: Annotated[float, msgspec.Meta(ge=0)] = 500.0
+
+
+class StateSection(Section, frozen=True):
+    """[state]: what survives a crash; empty file: nothing."""
+
+    file: str = ""
+    period_s: Positive = 5.0
+    max_age_s: Positive = 600.0
+
+
+class Config(Section, frozen=True):
+    """The whole file."""
+
+    link: LinkSection = LinkSection()
+    pack: PackSection = PackSection()
+    feed: FeedSection = FeedSection()
+    http: HttpSection = HttpSection()
+    record: RecordSection = RecordSection()
+    state: StateSection = StateSection()
+
+
+def read(path: Path | None = None) -> Config:
+    """The configuration of `path`, or of the place that the environment names, or the defaults."""
+    named = path if path is not None else _named()
+    if named is None:
+        return Config()
+    try:
+        text = named.read_bytes()
+    except OSError as error:
+        raise BadInput(named, "", f"a configuration file, cannot be read: {error.strerror}") from None
+    try:
+        return msgspec.toml.decode(text, type=Config)
+    except msgspec.ValidationError as error:
+        what, _, place = str(error).partition(" - at `$.")
+        key = place.rstrip("`")
+        raise BadInput(named, f"key {key}" if key else "", f"the keys of uavbatt.toml: {what}") from None
+    except msgspec.DecodeError as error:
+        raise BadInput(named, "", f"TOML: {error}") from None
+
+
+def _named() -> Path | None:
+    if "UAVBATT_CONFIG" in os.environ:
+        return Path(os.environ["UAVBATT_CONFIG"])
+    return SYSTEM_FILE if SYSTEM_FILE.exists() else None
+
+
+def checked(config: Config) -> Config:
+    """The configuration, if its parts fit together; UsageError in words if they do not."""
+    if not config.link.endpoint:
+        raise UsageError("no ENDPOINT: name one, or set link.endpoint in uavbatt.toml")
+    if "proxy" in config.feed.kinds and not config.link.gcs:
+        raise UsageError("feed proxy: expected --gcs ENDPOINT, where the ground station is")
+    if "battery" in config.feed.kinds and not config.link.gcs:
+        raise UsageError("feed battery: expected --gcs ENDPOINT, where the ground station is")
+    if config.http.listen:
+        host, _ = address(config.http.listen)
+        if host not in LOOPBACK and len(config.http.token) < 8:
+            raise UsageError(
+                f"--http {config.http.listen}: an address that others can reach needs http.token "
+                "(8 characters or more) in uavbatt.toml"
+            )
+    return config
+
+
+def address(text: str) -> tuple[str, int]:
+    """HOST:PORT taken apart; a bare :PORT or PORT is this host."""
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or not 0 <= int(port) < 65536:
+        raise UsageError(f"--http {text}: expected HOST:PORT")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
+def signing_key(path: str) -> bytes | None:
+    """The 32-byte key of `path` (64 hexadecimal digits), None when there is no path."""
+    if not path:
+        return None
+    try:
+        key = bytes.fromhex(Path(path).read_text(encoding="ascii").strip())
+    except (OSError, ValueError) as error:
+        raise BadInput(path, "", f"64 hexadecimal digits: {error}") from None
+    if len(key) != 32:
+        raise BadInput(path, "", f"64 hexadecimal digits, found {2 * len(key)}")
+    return key

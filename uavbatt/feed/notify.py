@@ -1,0 +1,19 @@
+"""sd_notify: one datagram to the service manager, nothing when there is none."""
+
+from __future__ import annotations
+
+import os
+import socket
+
+
+def notify(message: str) -> None:
+    """Tell systemd, e.g. READY=1, WATCHDOG=1 or STATUS=text; silent without $NOTIFY_SOCKET."""
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address:
+        return
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as manager:
+            manager.connect("\0" + address[1:] if address.startswith("@") else address)
+            manager.send(message.encode())
+    except OSError:
+        return

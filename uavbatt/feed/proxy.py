@@ -1,0 +1,278 @@
+"""The proxy between autopilot and ground stations: a process of its own, so light that it outlives the estimator.
+
+    autopilot <-> proxy <-> ground stations          every byte as it came, in both directions, but:
+                    ^                                BATTERY_STATUS of a battery whose time is known gets the time
+                    | control socket (unix stream)
+                estimator                            hears every byte of the autopilot, says what is left
+
+Rewritten: unsigned MAVLink 2 frames of message 147 with a good checksum, of a system, component and battery id that
+the estimator named less than 3 s ago (its time less its age, at least 1 s; an autopilot's own time only while ours
+is `ok`). The original reaches the estimator, which records it. A datagram stays one datagram; a stream's partial
+frame waits at most 20 ms. Control messages: `kind (1 byte) | length (u16, little endian) | body`.
+
+Run as `python -m uavbatt.feed.proxy JSON` with the keys of `Settings`. Standard library only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import sys
+import time
+from typing import NamedTuple
+
+from uavbatt.errors import UavbattError
+from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.framing import Splitter, battery_of, header, pieces, with_battery
+from uavbatt.mavlink.links import Pipe, open_link
+
+HOLD_S = 0.020
+SILENT_AFTER_S = 3.0
+HELLO, ESTIMATE, TO_GCS, TO_AUTOPILOT, QUIT = b"H", b"E", b"G", b"A", b"Q"
+TELEMETRY, STATS = b"T", b"P"
+ESTIMATE_LAYOUT = "<BBBBddd"  # system, component, battery id, status, remaining [s], soc [0..1], monotonic time [s]
+NOTHING, CONVERGING, OK = 0, 1, 2
+ORIGINATED = frozenset((0, 20, 76))  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
+LONGEST_BODY = 60_000
+
+
+class Settings(NamedTuple):
+    """What the proxy is told at its start."""
+
+    autopilot: str
+    gcs: list[str]
+    control: str
+    request: bool = False  # whether the estimator may send towards the autopilot
+    soc: bool = False  # rewrite battery_remaining as well
+
+
+class Known(NamedTuple):
+    """What the estimator said last of one battery."""
+
+    status: int
+    remaining_s: float
+    soc: float
+    since_s: float
+
+
+def message(kind: bytes, body: bytes) -> bytes:
+    """A control message."""
+    return kind + struct.pack("<H", len(body)) + body
+
+
+class Messages:
+    """A control stream cut into messages."""
+
+    def __init__(self) -> None:
+        self._data = b""
+
+    def feed(self, data: bytes) -> list[tuple[bytes, bytes]]:
+        """(kind, body) of every whole message."""
+        self._data += data
+        made = []
+        while len(self._data) >= 3:
+            end = 3 + int.from_bytes(self._data[1:3], "little")
+            if len(self._data) < end:
+                break
+            made.append((self._data[:1], self._data[3:end]))
+            self._data = self._data[end:]
+        return made
+
+
+class Rewriter:
+    """Knows what is left of each battery, and puts it into the frames that may carry it."""
+
+    def __init__(self, soc: bool) -> None:
+        self.known: dict[tuple[int, int, int], Known] = {}
+        self.rewritten = self.seen = 0
+        self._soc = soc
+
+    def take(self, body: bytes) -> None:
+        """An estimate, as the control socket carries it."""
+        if len(body) == struct.calcsize(ESTIMATE_LAYOUT):
+            system, component, battery, *rest = struct.unpack(ESTIMATE_LAYOUT, body)
+            self.known[system, component, battery] = Known(*rest)
+
+    def frame(self, frame: bytes, now_s: float) -> bytes:
+        """The frame as the ground station shall see it."""
+        if not self.known:
+            return frame
+        battery = battery_of(frame)
+        if battery is None:
+            return frame
+        self.seen += 1
+        sender = header(frame)
+        known = self.known.get((sender.system, sender.component, battery.id))
+        if known is None or known.status == NOTHING or not 0.0 <= now_s - known.since_s <= SILENT_AFTER_S:
+            return frame
+        if battery.time_remaining_s != 0 and known.status != OK:
+            return frame
+        if not 0.0 <= known.remaining_s < 1e6:
+            return frame
+        left_s = max(int(known.remaining_s - (now_s - known.since_s)), 1)
+        percent = round(known.soc * 100.0) if self._soc and 0.0 <= known.soc <= 1.0 else None
+        self.rewritten += 1
+        return with_battery(frame, left_s, percent)
+
+    def datagram(self, data: bytes, now_s: float) -> bytes:
+        """A datagram with its frames rewritten."""
+        return b"".join(
+            self.frame(data[begin:end], now_s) if whole else data[begin:end] for begin, end, whole in pieces(data)
+        )
+
+
+class Control:
+    """The estimator's side: one client, the newest; slow or gone, it is dropped."""
+
+    def __init__(self, path: str) -> None:
+        self._path, self._messages = path, Messages()
+        self._client: Pipe | None = None
+        if os.path.exists(path):
+            os.unlink(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.bind(path)
+        os.chmod(path, 0o600)
+        self._socket.listen(2)
+        self._socket.setblocking(False)
+
+    def filenos(self) -> list[int]:
+        """What to wait on."""
+        return [self._socket.fileno(), *([self._client.fd] if self._client is not None else [])]
+
+    def read(self) -> list[tuple[bytes, bytes]]:
+        """Messages of the estimator."""
+        try:
+            made, _ = self._socket.accept()
+            made.setblocking(False)
+            self.close_client()
+            self._client, self._messages = Pipe(made.fileno(), made), Messages()
+        except BlockingIOError:
+            pass
+        if self._client is None:
+            return []
+        data = self._client.read()
+        if data is None:
+            self.close_client()
+            return []
+        return self._messages.feed(data) if data else []
+
+    def write(self, kind: bytes, body: bytes) -> None:
+        """Tell the estimator, if it listens."""
+        if self._client is not None and not self._client.write(message(kind, body)):
+            self.close_client()
+
+    def close_client(self) -> None:
+        """Forget the estimator."""
+        if self._client is not None:
+            self._client.close()
+        self._client = None
+
+    def close(self) -> None:
+        """Take the socket away."""
+        self.close_client()
+        self._socket.close()
+        if os.path.exists(self._path):
+            os.unlink(self._path)
+
+
+class Proxy:
+    """The loop; `turn` is one pass of it."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.rewriter = Rewriter(settings.soc)
+        self.autopilot = open_link(settings.autopilot)
+        self.stations: list[Link] = [open_link(text) for text in settings.gcs]
+        self.control = Control(settings.control)
+        self._splitters: dict[object, tuple[Splitter, float]] = {}
+        self.is_asked_to_quit = False
+
+    def wait(self) -> None:
+        """Sleep until a byte comes; at most 20 ms while a partial frame is held."""
+        waiting = any(splitter.waiting for splitter, _ in self._splitters.values())
+        ready = [fd for link in (self.autopilot, *self.stations) for fd in link.filenos()]
+        select.select([*ready, *self.control.filenos()], [], [], HOLD_S / 2 if waiting else 0.25)
+
+    def turn(self, now_s: float) -> None:
+        """Pass on what has come in."""
+        for kind, body in self.control.read():
+            self._told(kind, body, now_s)
+        for station in self.stations:
+            for data, _ in station.read(now_s):
+                self.autopilot.write(data, now_s)
+        for data, sender in self.autopilot.read(now_s):
+            if self.autopilot.is_stream:
+                self._stream(data, sender, now_s)
+            else:
+                self._to_stations(self.rewriter.datagram(data, now_s), now_s)
+                self.control.write(TELEMETRY, data[:LONGEST_BODY])
+        for splitter, since_s in self._splitters.values():
+            if splitter.waiting and now_s - since_s >= HOLD_S:
+                self._pass(splitter.flush(), now_s)
+
+    def close(self) -> None:
+        """Release all sockets."""
+        for link in (self.autopilot, *self.stations):
+            link.close()
+        self.control.close()
+
+    def _stream(self, data: bytes, sender: object, now_s: float) -> None:
+        splitter, since_s = self._splitters.get(sender) or (Splitter(), now_s)
+        if len(self._splitters) > 64:
+            self._splitters.clear()
+        was_waiting = splitter.waiting
+        made = splitter.feed(data)
+        self._splitters[sender] = (splitter, since_s if was_waiting and not made else now_s)
+        for piece, whole in made:
+            if whole:
+                self._to_stations(self.rewriter.frame(piece, now_s), now_s)
+                self.control.write(TELEMETRY, piece)
+            else:
+                self._pass(piece, now_s)
+
+    def _pass(self, data: bytes, now_s: float) -> None:
+        self._to_stations(data, now_s)
+        self.control.write(TELEMETRY, data)
+
+    def _to_stations(self, data: bytes, now_s: float) -> None:
+        for station in self.stations:
+            station.write(data, now_s)
+
+    def _told(self, kind: bytes, body: bytes, now_s: float) -> None:
+        if kind == ESTIMATE:
+            self.rewriter.take(body)
+        elif kind == TO_GCS:
+            self._to_stations(body, now_s)
+        elif kind == TO_AUTOPILOT and self._settings.request and header(body).message_id in ORIGINATED:
+            self.autopilot.write(body, now_s)
+        elif kind == HELLO:
+            stats = {"settings": self._settings._asdict(), "pid": os.getpid(), "rewritten": self.rewriter.rewritten}
+            self.control.write(STATS, json.dumps(stats).encode())
+        elif kind == QUIT:
+            self.is_asked_to_quit = True
+
+
+def main() -> int:
+    """The process: until SIGTERM, SIGINT or QUIT."""
+    stopped: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda signum, frame: stopped.append(signum))
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    try:
+        proxy = Proxy(Settings(**json.loads(sys.argv[1])))
+    except (UavbattError, OSError) as error:
+        print(f"uavbatt proxy: {error}", file=sys.stderr)
+        return 2
+    while not (stopped or proxy.is_asked_to_quit):
+        proxy.wait()
+        proxy.turn(time.monotonic())
+    proxy.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""Endpoint strings, spelled as pymavlink spells them, and what the loops see of an open endpoint.
+
+udpin:HOST:PORT (or udp:)   listen; answers go to everybody heard in the last minute
+udpout:HOST:PORT            send there, hear answers
+tcp:HOST:PORT               connect; tcpin:HOST:PORT accepts any number of clients
+DEVICE[,BAUD] or serial:DEVICE:BAUD     a serial line, 57600 baud unless said
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+from uavbatt.errors import UsageError
+
+DEFAULT_BAUD = 57_600
+
+Chunk = tuple[bytes, object]  # bytes, and who sent them
+
+
+class Endpoint(NamedTuple):
+    """An endpoint string, taken apart."""
+
+    kind: str  # udpin | udpout | tcp | tcpin | serial
+    host: str  # or the device
+    port: int  # or the baud rate
+    text: str
+
+
+class Link(Protocol):
+    """What the loops see of an endpoint."""
+
+    is_stream: bool
+
+    def filenos(self) -> Iterator[int]:
+        """Descriptors to wait on."""
+
+    def read(self, now_s: float) -> list[Chunk]:
+        """All that has come in."""
+
+    def write(self, data: bytes, now_s: float) -> None:
+        """Send without waiting; what cannot be sent is lost."""
+
+    def close(self) -> None:
+        """Release the sockets."""
+
+
+def parse(text: str) -> Endpoint:
+    """An endpoint string; UsageError says what was expected."""
+    forms = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or DEVICE,BAUD"
+    expected = f"endpoint `{text}`: expected {forms}"
+    kind, _, rest = text.partition(":")
+    if kind == "udp":
+        kind = "udpin"
+    if kind in ("udpin", "udpout", "tcp", "tcpin"):
+        host, _, port = rest.removeprefix("//").rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+            raise UsageError(expected)
+        return Endpoint(kind, host, int(port), text)
+    if kind == "serial":
+        device, _, baud = rest.rpartition(":")
+    else:
+        device, _, baud = text.partition(",")
+    baud = baud or str(DEFAULT_BAUD)
+    if not device.startswith("/") or not baud.isdigit():
+        raise UsageError(expected)
+    return Endpoint("serial", device, int(baud), text)

@@ -1,0 +1,123 @@
+"""Our own frames: MAVLink 2, packed by pymavlink, unknown values as each field's sentinel.
+
+Components of the vehicle's system: ONBOARD (193 unless configured) is the companion, BATTERY (180) a battery of its
+own. Signed when a key is given. Towards the autopilot only `heartbeat`, `interval_request` and `parameter_request`
+may travel (`MAY_REACH_AUTOPILOT`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+ONBOARD, BATTERY = 193, 180
+SET_MESSAGE_INTERVAL = 511
+HEARTBEAT_ID, PARAM_REQUEST_READ_ID, COMMAND_LONG_ID = 0, 20, 76
+MAY_REACH_AUTOPILOT = frozenset((HEARTBEAT_ID, PARAM_REQUEST_READ_ID, COMMAND_LONG_ID))
+SEVERITY_CRITICAL, SEVERITY_WARNING, SEVERITY_NOTICE = 2, 4, 5
+UINT16_MAX, INT16_MAX = 65535, 32767
+LONGEST_TEXT, LONGEST_NAME = 50, 10
+
+
+class Outgoing:
+    """Packs frames of one component; counts its sequence."""
+
+    def __init__(self, system: int, component: int, signing_key: bytes | None = None) -> None:
+        self.system, self.component = system, component
+        self._link: Any = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        if signing_key is not None:
+            self._link.signing.secret_key = signing_key
+            self._link.signing.link_id = component
+            self._link.signing.sign_outgoing = True
+
+    def pack(self, message: Any) -> bytes:
+        """The frame of a message."""
+        frame = bytes(message.pack(self._link))
+        self._link.seq = (self._link.seq + 1) % 256
+        return frame
+
+    def heartbeat(self) -> bytes:
+        """HEARTBEAT: an onboard controller, or a battery when this is a battery's component."""
+        kind = dialect.MAV_TYPE_BATTERY if self.component in (180, 181) else dialect.MAV_TYPE_ONBOARD_CONTROLLER
+        return self.pack(
+            dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3)
+        )
+
+    def interval_request(self, component: int, message_id: int, rate_Hz: float) -> bytes:
+        """COMMAND_LONG SET_MESSAGE_INTERVAL: `message_id` every 1/`rate_Hz` seconds, please."""
+        interval_us = 1e6 / rate_Hz
+        return self.pack(
+            dialect.MAVLink_command_long_message(
+                self.system, component, SET_MESSAGE_INTERVAL, 0, message_id, interval_us, 0, 0, 0, 0, 0
+            )
+        )
+
+    def parameter_request(self, component: int, name: str) -> bytes:
+        """PARAM_REQUEST_READ by name."""
+        return self.pack(
+            dialect.MAVLink_param_request_read_message(self.system, component, name.encode("ascii")[:16], -1)
+        )
+
+    def named_value(self, name: str, value: float, boot_ms: int) -> bytes:
+        """NAMED_VALUE_FLOAT; NaN stays NaN: unknown."""
+        label = name.encode("ascii")[:LONGEST_NAME]
+        return self.pack(dialect.MAVLink_named_value_float_message(boot_ms & 0xFFFFFFFF, label, value))
+
+    def text(self, severity: int, text: str) -> bytes:
+        """STATUSTEXT, cut to 50 bytes."""
+        content = text.encode("ascii", "replace")[:LONGEST_TEXT]
+        return self.pack(dialect.MAVLink_statustext_message(severity, content))
+
+    def battery(
+        self,
+        battery_id: int,
+        *,
+        voltage_V: float,
+        current_A: float,
+        temp_C: float,
+        soc: float,
+        remaining_s: float,
+    ) -> bytes:
+        """BATTERY_STATUS of a battery of our own: function and charge state unknown, NaN at the field's sentinel."""
+        return self.pack(
+            dialect.MAVLink_battery_status_message(
+                battery_id,
+                dialect.MAV_BATTERY_FUNCTION_UNKNOWN,
+                dialect.MAV_BATTERY_TYPE_UNKNOWN,
+                _bounded(temp_C * 100.0, INT16_MAX, -INT16_MAX, INT16_MAX - 1),
+                _pack_mV(voltage_V),
+                _current_cA(current_A),
+                -1,
+                -1,
+                _bounded(soc * 100.0, -1, 0, 100),
+                seconds(remaining_s),
+                dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
+            )
+        )
+
+
+def seconds(remaining_s: float) -> int:
+    """time_remaining [s]: 0 is "not provided", so that a known time is at least 1."""
+    return max(int(remaining_s), 1) if math.isfinite(remaining_s) else 0
+
+
+def _bounded(value: float, unknown: int, low: int, high: int) -> int:
+    return min(max(round(value), low), high) if math.isfinite(value) else unknown
+
+
+def _current_cA(current_A: float) -> int:
+    centi = _bounded(current_A * 100.0, -1, -INT16_MAX, INT16_MAX - 1)
+    return -2 if centi == -1 and math.isfinite(current_A) else centi
+
+
+def _pack_mV(voltage_V: float) -> list[int]:
+    """voltages[10]: the pack in the first entry, what is above 65534 mV in the second."""
+    fields = [UINT16_MAX] * 10
+    total_mV = _bounded(voltage_V * 1000.0, UINT16_MAX, 0, 2 * (UINT16_MAX - 1))
+    if math.isfinite(voltage_V):
+        fields[0] = min(total_mV, UINT16_MAX - 1)
+        if total_mV >= UINT16_MAX - 1:
+            fields[1] = total_mV - fields[0]
+    return fields

@@ -1,0 +1,75 @@
+"""What the companion process sends, and to whom.
+
+Towards the autopilot: HEARTBEAT, and with `--request` SET_MESSAGE_INTERVAL and PARAM_REQUEST_READ; behind the proxy
+none of them without `--request`. Everything else goes to the ground-station endpoints only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from uavbatt.config import Config, signing_key
+from uavbatt.feed.battery_component import BatteryFeed
+from uavbatt.feed.named import NamedFeed
+from uavbatt.feed.now import Report
+from uavbatt.feed.proxy_client import ProxyClient
+from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.outgoing import BATTERY, Outgoing
+from uavbatt.requests import Requests, parameter_names
+from uavbatt.telemetry.live import LiveReader
+
+
+class Sender:
+    """Heartbeats, feeds and requests, each when it is due."""
+
+    def __init__(self, config: Config, link: Link, stations: Sequence[Link]) -> None:
+        self._config, self._link, self._stations = config, link, stations
+        self._named = NamedFeed(config.feed.named_rate_Hz, config.feed.alarms_s)
+        self._component = BatteryFeed(config.feed.battery_rate_Hz)
+        self.requests = Requests(config.link.request_rate_Hz)
+        self._key = signing_key(config.link.signing_key_file)
+        self._outs: dict[int, Outgoing] = {}
+        self._beat_s = float("-inf")
+
+    def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
+        """All that is due at `now_s` on the monotonic clock [s]."""
+        kinds, asks = self._config.feed.kinds, self._config.link.request
+        system = reader.system or 1
+        own = self._out(system, self._config.link.own_component)
+        to_gcs: list[bytes] = []
+        to_autopilot: list[bytes] = []
+        if now_s >= self._beat_s:
+            self._beat_s = now_s + 1.0
+            to_gcs.append(own.heartbeat())
+            if asks or not isinstance(self._link, ProxyClient):
+                to_autopilot.append(own.heartbeat())
+        if reader.is_found:
+            if "named" in kinds:
+                to_gcs += self._named.frames(now_s, reports, own)
+            if "battery" in kinds:
+                to_gcs += self._component.frames(now_s, reports, reader.battery_ids, self._out(system, BATTERY))
+            if asks:
+                names = parameter_names(reader.battery_ids, reader.is_px4)
+                to_autopilot += self.requests.frames(now_s, reader.component or 1, reader.parameters, names, own)
+        for frame in to_autopilot:
+            self._link.write(frame, now_s)
+        for frame in to_gcs:
+            self._to_gcs(frame, now_s)
+
+    def _to_gcs(self, frame: bytes, now_s: float) -> None:
+        if isinstance(self._link, ProxyClient):
+            self._link.to_gcs(frame)
+        for station in self._stations:
+            station.write(frame, now_s)
+
+    def _out(self, system: int, component: int) -> Outgoing:
+        """Our frames carry the vehicle's system; 1 until it is known."""
+        out = self._outs.get(component)
+        if out is None or out.system != system:
+            out = self._outs[component] = Outgoing(system, component, self._key)
+        return out
+
+
+def in_order(reports: Mapping[int, Report]) -> list[Report]:
+    """The batteries, those with a current first: the first one speaks for the vehicle."""
+    return sorted(reports.values(), key=lambda r: (r.estimate.current_A != r.estimate.current_A, r.instance))

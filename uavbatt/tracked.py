@@ -1,0 +1,95 @@
+"""One battery in flight: its estimator, and what of it survives a crash.
+
+Resuming: the saved belief is put at its own time, before the first row of the new process. The charge that was drawn
+meanwhile is the difference of the autopilot's counter where it has one; else the load is taken to have gone on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from uavbatt.battery.belief import SIZE, Belief
+from uavbatt.battery.file import BatteryFile
+from uavbatt.errors import UavbattError
+from uavbatt.pipeline import Estimator, PackOptions, Resolved
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+
+COUNTER_SLACK_AH = 0.02
+
+
+class TrackedBattery:
+    """Rows of one battery in, estimates out; never raises for what a vehicle may say."""
+
+    def __init__(self, battery: BatteryFile, options: PackOptions, saved: Mapping[str, Any] | None = None) -> None:
+        self._battery, self._options = battery, options
+        self.estimator = Estimator(battery, options)
+        self._saved = saved
+        self._last: Sample | None = None
+
+    def step(self, sample: Sample, facts: PackFacts, gap_s: float = NAN) -> tuple[Estimate, Remaining]:
+        """One row; `gap_s` is the age of the saved state at this row [s]."""
+        if self._saved is not None:
+            self._resume(self._saved, sample, gap_s)
+            self._saved = None
+        self._last = sample
+        try:
+            self.estimator.update_facts(facts)
+            return self.estimator.step(sample)
+        except (UavbattError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            self.estimator = Estimator(self._battery, self._options)
+            return refused(sample, str(error))
+
+    def saved(self, facts: PackFacts) -> dict[str, Any] | None:
+        """What is worth saving; None before the first estimate."""
+        belief, resolved, last = self.estimator.belief, self.estimator.resolved, self._last
+        if belief is None or resolved is None or last is None:
+            return None
+        return {
+            "since_row_s": last.time_s - belief.time_s,
+            "mean": belief.mean.tolist(),
+            "covariance": belief.covariance.tolist(),
+            "ambient_C": belief.ambient_C,
+            "resolved": asdict(resolved),
+            "facts": asdict(facts),
+            "consumed_Ah": last.consumed_Ah,
+            "current_A": last.current_A,
+        }
+
+    def _resume(self, saved: Mapping[str, Any], sample: Sample, gap_s: float) -> None:
+        """Start from the saved belief; a damaged one is left alone."""
+        try:
+            belief = Belief(
+                sample.time_s - gap_s - float(saved["since_row_s"]),
+                np.array(saved["mean"], dtype=float),
+                np.array(saved["covariance"], dtype=float),
+                float(saved["ambient_C"]),
+            )
+            if belief.mean.shape != (SIZE,) or belief.covariance.shape != (SIZE, SIZE):
+                return
+            if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all() and gap_s > 0.0):
+                return
+            resolved, facts = Resolved(**saved["resolved"]), PackFacts(**saved["facts"])
+            drawn_Ah = sample.consumed_Ah - float(saved["consumed_Ah"])
+            before_A = _current_at_belief(float(saved["current_A"]), sample.current_A, drawn_Ah, gap_s)
+            self.estimator.restore(belief, resolved, facts, before_A)
+        except (KeyError, TypeError, ValueError, UavbattError):
+            self.estimator = Estimator(self._battery, self._options)
+
+
+def _current_at_belief(saved_A: float, now_A: float, drawn_Ah: float, gap_s: float) -> float:
+    """The current [A] at the start of the gap for which the trapezium over the gap holds the charge drawn."""
+    if math.isfinite(now_A) and math.isfinite(drawn_Ah) and drawn_Ah > -COUNTER_SLACK_AH:
+        return 2.0 * max(drawn_Ah, 0.0) * 3600.0 / gap_s - now_A
+    return saved_A if math.isfinite(saved_A) else max(now_A, 0.0) if math.isfinite(now_A) else 0.0
+
+
+def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
+    """An estimate that says only why there is none."""
+    row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
+    estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
+    return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)
