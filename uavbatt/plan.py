@@ -31,6 +31,7 @@ RESTED_OVERPOTENTIAL_SD_V = 1e-3
 LOWEST_POWER_W = 1.0
 EMPTY_SOC = 1e-3  # below it nothing is left to draw, whatever a fitted voltage says beyond the end of its table
 VALID_WITHIN_K = 5.0
+SETTLED_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,9 @@ class FromTakeOff:
     library: LearnedLoad
 
     def typical_W(self, now: Now) -> float:
-        """Median of the flights' mean powers."""
-        return float(np.median(self.library.mean_W[:, -1]))
+        """Median of the flights' mean powers, or less where one began so gently that the horizon would cut it off."""
+        begun = self.library.mean_W[:, int(SETTLED_S / GRID_S) :]
+        return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * begun.min()))
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Every flight from its first second, whatever the charge: the pack may start part-used."""
