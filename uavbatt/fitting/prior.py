@@ -82,3 +82,28 @@ def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFE
         for q in EFFECTS[name].quantities
     }
     return Parameters(ocv_V=dense(OCV_SOC, ocv_V), r0_ohmAh=dense_resistance(RESISTANCE_SOC, r0_ohmAh), **fields)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posterior:
+    """What a fit found: u of the slots (most probable) with its covariance, and the effects that were on."""
+
+    slots: tuple[Slot, ...]
+    effects: tuple[str, ...]
+    u: Array
+    covariance_u: Array
+
+    @property
+    def x(self) -> Array:
+        """Values of the slots."""
+        return values(self.slots, self.u)
+
+    def value(self, name: str) -> float:
+        """Value of one slot."""
+        return float(self.x[[s.name for s in self.slots].index(name)])
+
+    def standard_error(self, name: str) -> float:
+        """Standard error of one slot, to first order."""
+        i = [s.name for s in self.slots].index(name)
+        slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
+        return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)

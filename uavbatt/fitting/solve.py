@@ -18,7 +18,7 @@ from uavbatt.battery.model import SOC_GRID, Array, rested
 from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
-from uavbatt.fitting.prior import Slot
+from uavbatt.fitting.prior import Posterior, Slot
 
 TEMPERATURE_SD_K = 0.6
 ROBUST_SCALE = 4.0
@@ -39,31 +39,12 @@ class OwnPrior:
 FLEET = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.04, log_capacity=0.02)
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """Shared values by slot, each record's own (start soc, ln scales), and the posterior covariance of u."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit(Posterior):
+    """Posterior of the shared slots, and each record's own (start soc, ln scales)."""
 
-    slots: tuple[Slot, ...]
-    effects: tuple[str, ...]
-    u: Array
     own: Array  # [records, 3]
-    covariance_u: Array
     cost: float
-
-    @property
-    def x(self) -> Array:
-        """Values of the slots."""
-        return prior.values(self.slots, self.u)
-
-    def value(self, name: str) -> float:
-        """Value of one slot."""
-        return float(self.x[[s.name for s in self.slots].index(name)])
-
-    def standard_error(self, name: str) -> float:
-        """Standard error of one slot, to first order."""
-        i = [s.name for s in self.slots].index(name)
-        slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
-        return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)
 
 
 def start_guess(stack: Stack) -> Array:
@@ -150,7 +131,14 @@ def fit(
     slopes = np.asarray(found.jac, dtype=float)
     covariance = np.linalg.inv(slopes.T @ slopes)
     own = own_mean + own_sd * found.x[shared:].reshape(records, len(OWN))
-    return Fit(slots, effects, found.x[:shared], own, covariance[:shared, :shared], float(found.cost))
+    return Fit(
+        slots=slots,
+        effects=effects,
+        u=found.x[:shared],
+        covariance_u=covariance[:shared, :shared],
+        own=own,
+        cost=float(found.cost),
+    )
 
 
 def replay(stack: Stack, found: Fit, own: Array | None = None) -> Trajectory:

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from uavbatt.battery import model
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.fitting import prior
-from uavbatt.fitting.prior import Slot
+from uavbatt.fitting.prior import Posterior, Slot
 
 STEP_S = 5.0
 LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
@@ -41,31 +41,6 @@ class MeanTest:
     surface_C: Array
     cells: int
     ambient_C: float
-
-
-@dataclass(frozen=True, slots=True)
-class UnmeteredFit:
-    """Values u of the slots (cell first, then load) with their posterior covariance."""
-
-    slots: tuple[Slot, ...]
-    effects: tuple[str, ...]
-    u: Array
-    covariance_u: Array
-
-    @property
-    def x(self) -> Array:
-        """Values of the slots."""
-        return prior.values(self.slots, self.u)
-
-    def value(self, name: str) -> float:
-        """Value of one slot."""
-        return float(self.x[[s.name for s in self.slots].index(name)])
-
-    def standard_error(self, name: str) -> float:
-        """Standard error of one slot, to first order."""
-        i = [s.name for s in self.slots].index(name)
-        slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
-        return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)
 
 
 def limited_test(p: Parameters, start: State, rate: Array, limit_V: Array, ambient_C: float, time_s: Array) -> Array:
@@ -107,7 +82,7 @@ def predict(slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, test: M
     return out
 
 
-def fit(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> UnmeteredFit:
+def fit(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Posterior:
     """Most probable cell and load for the mean test."""
     slots = slots_of(effects)
     sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
@@ -127,4 +102,4 @@ def fit(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Unmete
 
     found = least_squares(objective, np.zeros(len(slots)), jacobian, max_nfev=60, xtol=1e-6, ftol=1e-8)
     slopes = np.asarray(found.jac, dtype=float)
-    return UnmeteredFit(slots, effects, found.x, np.linalg.inv(slopes.T @ slopes))
+    return Posterior(slots=slots, effects=effects, u=found.x, covariance_u=np.linalg.inv(slopes.T @ slopes))
