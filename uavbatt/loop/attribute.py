@@ -1,0 +1,136 @@
+"""Which refit explains the records best, which others cannot be told from it, and whether it can be believed.
+
+Rank: chi-square + k ln(n), n the number of independent stretches of the records (Schwarz 1978, with the
+autocorrelation-corrected n). The whitening is only as good as the battery's model, so a rival is excluded only when
+it falls short by more than `INSIGHT` of what the winner explains, never by a bare difference of ten.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.loop.candidates import Candidate
+from uavbatt.loop.refit import Problem, Refit, refit
+
+LEAST_GAIN = 10.0  # of BIC: "very strong" (Kass & Raftery 1995)
+INSIGHT = 0.09
+LEAST_SIGMAS = 2.5  # beyond what errors of the battery file alone would feign
+LARGEST_CLASS = 3
+UNSTEADY = 0.35  # spread between records, relative to the value
+RIVALS = 5  # models that a further effect is tried on
+
+
+@dataclass(frozen=True, slots=True)
+class Constancy:
+    """Each record's own values, and whether they agree."""
+
+    values: Array  # [records, freed]
+    q: float  # Cochran's Q of the first quantity
+    spread: float  # between-record sd of the first quantity, relative to its change
+    held_out_gain: Array  # [records]: chi-square saved on a record by the value that the others give
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One round: the refits that cannot be told apart, best first, and what they explain."""
+
+    members: tuple[Refit, ...]
+    before: Refit
+    gain: float  # of BIC over the model of the round before
+    sigmas: float
+    constancy: Constancy | None
+    fits: tuple[Refit, ...]  # every model tried that earned its place, best first
+    probability: float  # that the cause is among the members, were it one of the candidates
+
+
+def bic(fit: Refit, problem: Problem) -> float:
+    """Bayesian information criterion of a refit."""
+    quantities = len(fit.candidate.freed)
+    if fit.candidate.free_start:
+        quantities += len(problem.evidence.names)
+    return fit.total + quantities * float(np.log(problem.evidence.independent))
+
+
+def sigmas(fit: Refit, problem: Problem) -> float:
+    """How many considered standard errors the effect added last is away from the file's values."""
+    freed = fit.candidate.freed
+    if not freed:
+        shift = fit.v[:, 0] * 0.2
+        return float(abs(np.mean(shift)) / 0.01)
+    last = fit.candidate.last
+    base = np.array([problem.base[f.index] for f in freed])[-last:]
+    away = (fit.values()[0][-last:] - base) / np.maximum(fit.errors()[-last:], 1e-12)
+    return float(np.max(np.abs(away))) if last else float("inf")
+
+
+def find(problem: Problem, known: list[Refit], options: list[Candidate], *, constant: bool = True) -> Finding | None:
+    """The best effect to add to each of the `known` models; None when none earns its place."""
+    tried, starts = [], []
+    for model in known:
+        for option in options:
+            if not set(option.names) & set(model.candidate.names):
+                tried.append(model.candidate.plus(option))
+                starts.append(model)
+    if not tried:
+        return None
+    fits = sorted(refit(problem, tried, start=starts, iterations=14), key=lambda f: bic(f, problem))
+    before = min(known, key=lambda f: bic(f, problem))
+    floor = bic(before, problem)
+    earned = [f for f in fits if floor - bic(f, problem) > LEAST_GAIN and sigmas(f, problem) > LEAST_SIGMAS]
+    if not earned:
+        return None
+    best = earned[0]
+    gain = floor - bic(best, problem)
+    tolerance = max(LEAST_GAIN, INSIGHT * gain)
+    behind = np.array([bic(f, problem) - bic(best, problem) for f in earned])
+    members = _distinct([f for f, d in zip(earned, behind, strict=True) if d <= tolerance])
+    steady = constancy(problem, best, before) if constant else None
+    return Finding(members, before, gain, sigmas(best, problem), steady, tuple(earned), _weight(earned, members, behind / tolerance))
+
+
+def _weight(fits: list[Refit], members: tuple[Refit, ...], behind: Array) -> float:
+    """Share of the members in exp(-2 behind/tolerance) over all that earned a place."""
+    weights: dict[str, float] = {}
+    for fit, far in zip(fits, behind, strict=True):
+        weights.setdefault(fit.candidate.name, float(np.exp(-2.0 * far)))
+    return sum(weights[m.candidate.name] for m in members) / sum(weights.values())
+
+
+def _distinct(fits: list[Refit]) -> tuple[Refit, ...]:
+    """The best refit of each name added last, at most LARGEST_CLASS."""
+    kept: dict[str, Refit] = {}
+    for fit in fits:
+        kept.setdefault(fit.candidate.name, fit)
+    return tuple(list(kept.values())[:LARGEST_CLASS])
+
+
+def constancy(problem: Problem, fit: Refit, before: Refit) -> Constancy | None:
+    """Refit every record by itself, the errors of the file held; None for a single record or a bare start."""
+    if not fit.candidate.freed or len(problem.evidence.names) < 2:
+        return None
+    own = refit(problem, [fit.candidate], own=True, start=[fit], iterations=8)[0]
+    first = len(fit.columns) - len(fit.candidate.freed)
+    k = len(fit.columns) - fit.candidate.last
+    u, size = own.u[:, first:], len(fit.candidate.freed)
+    weight = own.information[:, first : first + size, first : first + size]
+    predicted = np.array([_others(u, weight, j) for j in range(len(u))])
+    away = (predicted - u)[..., None]
+    loss = own.chi2 + (np.swapaxes(away, -1, -2) @ weight @ away)[:, 0, 0]
+    precision = weight[:, k - first, k - first]
+    mean = np.sum(precision * own.u[:, k]) / np.sum(precision)
+    q = float(np.sum(precision * (own.u[:, k] - mean) ** 2))
+    between = max(q - (len(u) - 1), 0.0) / max(np.sum(precision) - np.sum(precision**2) / np.sum(precision), 1e-12)
+    freed = fit.columns[k]
+    change = freed.value(np.array([mean + np.sqrt(between), mean])) - problem.base[freed.index]
+    return Constancy(own.values(), q, float(abs(change[0] - change[1]) / max(abs(change[1]), 1e-12)), before.chi2 - loss)
+
+
+def _others(u: Array, weight: Array, j: int) -> Array:
+    """Precision-weighted mean of the other records' values."""
+    rest = np.arange(len(u)) != j
+    total = np.sum(weight[rest], axis=0) + 1e-9 * np.eye(u.shape[1])
+    mean: Array = np.linalg.solve(total, np.sum((weight[rest] @ u[rest][..., None])[..., 0], axis=0))
+    return mean

@@ -1,0 +1,150 @@
+"""The effects that a residual may be traced to: what is refitted, from where, how far.
+
+A candidate is a named effect with the quantities that its refit frees. In the solver's space a quantity is u with
+
+    value = start + scale·u            or            value = start·exp(scale·u)
+
+and bounds on the value. What belongs to the aircraft (wiring, sensors, start) is always a candidate; a cell effect is
+one as long as the battery file lacks it, but for the sensor's lag, which a file states for another mounting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.effects import CELL_EFFECTS, INSTALLATION_EFFECTS, Effect, Quantity
+from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.model import Array, Parameters
+from uavbatt.battery.pack import Installation
+
+# Not (yet) fields of the battery model: they act on the record before and after the simulation.
+CURRENT_DELAY = Effect(
+    "current_delay",
+    "the current is reported later than the voltage",
+    "installation",
+    (Quantity("delay_s", "s", 0.0, -8.0, 8.0, 0.0, 1.0),),
+)
+HYSTERESIS = Effect(
+    "hysteresis",
+    "voltage sinks once the direction of the current has turned from charge to discharge",
+    "cell",
+    (Quantity("hysteresis_V", "V", 0.0, 0.0, 0.1, 0.0, 0.01),),
+)
+INITIAL_CHARGE = Effect(
+    "initial_charge",
+    "flights do not start where a full pack or the rested voltage says",
+    "installation",
+    (Quantity("start_soc_shift", "1", 0.0, -0.7, 0.05, 0.0, 0.1),),
+)
+EVERY = (*CELL_EFFECTS, *INSTALLATION_EFFECTS, CURRENT_DELAY, HYSTERESIS, INITIAL_CHARGE)
+BY_NAME = {effect.name: effect for effect in EVERY}
+QUANTITIES = tuple(q for effect in EVERY for q in effect.quantities)
+INDEX = {q.name: i for i, q in enumerate(QUANTITIES)}
+UNITS = {q.name: q.unit for q in QUANTITIES}
+ALWAYS = ("temperature_lag", "polarisation", "slow_diffusion", "temperature_resistance")
+ONE_WAY = ("fade", "growth")  # packs age in one direction
+NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
+
+
+@dataclass(frozen=True, slots=True)
+class Freed:
+    """One quantity that a refit moves: index in QUANTITIES, start, scale of u, bounds of the value."""
+
+    index: int
+    start: float
+    scale: float
+    low: float
+    high: float
+    log: bool
+    nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
+    estimated: bool = True  # a nuisance that is not counts in the standard errors only
+
+    def value(self, u: Array) -> Array:
+        """The value at u, kept within the bounds."""
+        raw = self.start * np.exp(self.scale * u) if self.log else self.start + self.scale * u
+        kept: Array = np.clip(raw, self.low, self.high)
+        return kept
+
+    def bounds_u(self) -> tuple[float, float]:
+        """The bounds in u."""
+        if not self.log:
+            return (self.low - self.start) / self.scale, (self.high - self.start) / self.scale
+        return float(np.log(self.low / self.start) / self.scale), float(np.log(self.high / self.start) / self.scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One or several effects refitted together; `free_start` gives every record its own starting charge."""
+
+    names: tuple[str, ...]
+    freed: tuple[Freed, ...]
+    free_start: bool = False
+    last: int = 0  # quantities of the effect that was added last
+
+    @property
+    def name(self) -> str:
+        """The effect that was added last."""
+        return self.names[-1] if self.names else "none"
+
+    def plus(self, other: Candidate) -> Candidate:
+        """Both together."""
+        return Candidate(self.names + other.names, self.freed + other.freed, self.free_start or other.free_start, other.last)
+
+
+NOTHING = Candidate((), ())
+
+# What the battery file itself may be wrong by, the same for all records: a share of the scatter between packs that
+# the file states (it was fitted to packs like this one), and a reading of current and voltage that is not quite
+# simultaneous. Each of them looks like an effect; only what goes beyond is one.
+CAPACITY_SHARE, RESISTANCE_SHARE, DELAY_SD_S = 0.4, 0.25, 0.25
+
+
+def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
+    """Errors of the battery file that all records share, in u with sd 1."""
+    table = file.parameters
+    return (
+        _nuisance("fade", CAPACITY_SHARE * table.capacity_scale_sd),
+        _nuisance("growth", RESISTANCE_SHARE * table.resistance_scale_sd),
+        _nuisance("delay_s", DELAY_SD_S, estimated=True),
+    )
+
+
+def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:
+    return Freed(INDEX[name], 0.0, sd, -6.0 * sd, 6.0 * sd, log=False, nuisance=True, estimated=estimated)
+
+
+def base_values(cell: Parameters, installation: Installation) -> Array:
+    """Every quantity as the battery file has it."""
+    known = {**cell._asdict(), **installation._asdict()}
+    return np.array([float(known.get(q.name, 0.0)) for q in QUANTITIES])
+
+
+def candidates(file: BatteryFile, base: Array, *, has_temperature: bool, without: tuple[str, ...]) -> list[Candidate]:
+    """Every effect worth trying on a battery of this file."""
+    listed = {entry.name for entry in file.effects}
+    found = []
+    for effect in EVERY:
+        if effect.name in without or (effect.name in listed and effect.name not in ALWAYS):
+            continue
+        if effect.name in NEEDS_TEMPERATURE and not has_temperature:
+            continue
+        if effect is INITIAL_CHARGE:
+            found.append(Candidate((effect.name,), (), free_start=True))
+            continue
+        free = [q for q in effect.quantities if q.prior_sd > 0.0]
+        free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
+        freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
+        found.append(Candidate((effect.name,), freed, last=len(freed)))
+    return found
+
+
+def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
+    """From the file's value where the quantity has an "off"; else from its prior."""
+    listed = len(effect.quantities) == 1 or base != quantity.neutral
+    start = base if listed else quantity.prior
+    log = quantity.log and start > 0.0
+    scale = quantity.prior_sd if log or not quantity.log else max(quantity.prior, 1e-6)
+    low = max(quantity.low, 1e-3 * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
+    return Freed(INDEX[quantity.name], float(start), scale, low, quantity.high, log)

@@ -1,0 +1,256 @@
+"""From records and a battery file to a verdict: is an effect missing, which, how large, how sure.
+
+One effect at a time. A further one is sought only while the residual is larger than what the battery's model leaves on
+effect-free data; then the pairs are weighed as pairs, since two effects together can look like a third. What
+still stands above that floor, or a value that differs from record to record, ends as `undeclared_effect`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from uavbatt.battery.build import Pack, pack_of
+from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.model import SOC_GRID, Array
+from uavbatt.fitting.observed import Observed
+from uavbatt.loop import attribute, residual
+from uavbatt.loop.attribute import Finding
+from uavbatt.loop.candidates import NOTHING, UNITS, Candidate, base_values, candidates, nuisances
+from uavbatt.loop.candidates import QUANTITIES as EVERY_QUANTITY
+from uavbatt.loop.evidence import NOT_HELD_OUT, prepare
+from uavbatt.loop.refit import Problem, Refit, TableErrors, at_best, refit
+from uavbatt.loop.residual import Residual, Shape
+from uavbatt.loop.words import separating
+
+Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
+ABOVE_FLOOR = 1.35  # size of a residual against the discrepancy of the file
+LEAST_FLOOR_K = 0.4
+MOST_EFFECTS = 3
+COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
+SLOWEST_POLARISATION_S = 30.0
+RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A value with its 95 % interval."""
+
+    value: float
+    lo: float
+    hi: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class EffectClass:
+    """Effects that these records cannot tell apart, best first."""
+
+    members: tuple[str, ...]
+    probability: float
+    parameters: dict[str, Interval]
+    would_separate: str
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What was found, with the model before and after."""
+
+    verdict: Verdict
+    classes: tuple[EffectClass, ...]
+    reasons: tuple[str, ...]
+    problem: Problem
+    before: Refit
+    after: Refit
+    residual_before: list[Residual]
+    residual_after: list[Residual]
+    floor_V: float
+    floor_K: float
+    left: Shape
+    findings: tuple[Finding, ...] = field(default=())
+
+
+def problem_of(records: list[Observed], file: BatteryFile, pack: Pack) -> Problem:
+    """Records and battery file, ready for refits. Raises NotEnoughData with the reason."""
+    ocv_V = np.maximum.accumulate(pack.cell.ocv_V + 1e-6 * SOC_GRID)
+    evidence = prepare(records, file, (SOC_GRID, ocv_V))
+    base = base_values(pack.cell, pack.installation)
+    return Problem(pack, evidence, base, nuisances(file), table_errors(file))
+
+
+def pack_for(file: BatteryFile, cells: int, capacity_Ah: float) -> Pack:
+    """The file scaled to the records' pack; its cut-off scales with the cells."""
+    share = cells / file.battery.cells_series
+    cutoff_V = file.battery.cutoff_V * share
+    return pack_of(file, cells, capacity_Ah, cutoff_V, (file.battery.low_V or file.battery.cutoff_V) * share)
+
+
+def table_errors(file: BatteryFile) -> TableErrors:
+    """Standard errors of the file's tables: as stated, else what a fit usually leaves."""
+    table = file.parameters
+    ocv_sd = [table.standard_error.get(f"ocv_{z:g}", OCV_KNOT_SD_V) for z in table.ocv_soc]
+    knots = np.array(table.resistance_soc)
+    return TableErrors(np.array(table.ocv_soc), np.array(ocv_sd), knots, np.full(knots.size, RESISTANCE_KNOT_SD))
+
+
+def diagnose(
+    records: list[Observed],
+    file: BatteryFile,
+    pack: Pack,
+    without: tuple[str, ...] = (),
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Diagnose records of one pack. Raises NotEnoughData."""
+    tell = progress or (lambda _: None)
+    tell("open-loop simulation")
+    problem = problem_of(records, file, pack)
+    options = candidates(file, problem.base, has_temperature=problem.evidence.has_temperature, without=without)
+    nothing = refit(problem, [NOTHING])[0]
+    floor_V, floor_K = floors(file, problem)
+    best, findings = _search(problem, options, nothing, (floor_V, floor_K), tell)
+    tell("residual")
+    after = residual.residuals(problem.evidence, at_best(problem, best))
+    left = residual.shape(after)
+    reasons = _doubts(findings, after, floor_V, floor_K, left)
+    found = tuple(_class_of(problem, f, bool(reasons)) for f in findings)
+    verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
+    return Diagnosis(
+        verdict=verdict,
+        classes=found,
+        reasons=reasons,
+        problem=problem,
+        before=nothing,
+        after=best,
+        residual_before=residual.residuals(problem.evidence, at_best(problem, nothing)),
+        residual_after=after,
+        floor_V=floor_V,
+        floor_K=floor_K,
+        left=left,
+        findings=tuple(findings),
+    )
+
+
+def floors(file: BatteryFile, problem: Problem) -> tuple[float, float]:
+    """Size of residual that the battery's own model leaves: voltage of this pack [V], temperature [K]."""
+    left = file.discrepancy
+    strict = 1.0 if left.held_out else NOT_HELD_OUT
+    share = problem.pack.installation.cells / file.battery.cells_series
+    least_V = 0.005 * problem.pack.installation.cells
+    return max(left.voltage_rmse_V * share, least_V), max(left.temperature_rmse_K * strict, LEAST_FLOOR_K)
+
+
+def _search(
+    problem: Problem,
+    options: list[Candidate],
+    nothing: Refit,
+    floor: tuple[float, float],
+    tell: Callable[[str], None],
+) -> tuple[Refit, list[Finding]]:
+    """Add effects while the residual stands above the floor and each earns its place."""
+    tell(f"{len(options)} candidate effects")
+    step = attribute.find(problem, [nothing], options)
+    if step is None:
+        return nothing, []
+    findings = [step]
+    best = step.members[0]
+    while len(findings) < MOST_EFFECTS and _above(problem, best, floor):
+        tell(f"a further effect beside {', '.join(best.candidate.names)}")
+        further = attribute.find(problem, _rivals(findings[-1]), options)
+        if further is None or further.gain < attribute.INSIGHT * sum(f.gain for f in findings) / 3.0:
+            break
+        best = further.members[0]
+        findings = _reweighed(problem, best, options) or [further]
+    return best, findings
+
+
+def _rivals(finding: Finding) -> list[Refit]:
+    """The best models of the round, beyond the class: with a second effect a worse first may turn out better."""
+    return list(finding.fits[: attribute.RIVALS])
+
+
+def _reweighed(problem: Problem, best: Refit, options: list[Candidate]) -> list[Finding]:
+    """For every effect of the model: which others could stand in its place, the rest kept; most evidence first."""
+    by_name = {o.name: o for o in options}
+    found = []
+    for name in best.candidate.names:
+        others = NOTHING
+        for kept in best.candidate.names:
+            if kept != name:
+                others = others.plus(by_name[kept])
+        rest = refit(problem, [others])[0]
+        again = attribute.find(problem, [rest], options)
+        if again is not None:
+            found.append(again)
+    return sorted(found, key=lambda f: -f.gain)
+
+
+def _above(problem: Problem, fit: Refit, floor: tuple[float, float]) -> bool:
+    left = residual.residuals(problem.evidence, at_best(problem, fit))
+    return residual.size_V(left) > ABOVE_FLOOR * floor[0] or residual.size_K(left) > ABOVE_FLOOR * floor[1]
+
+
+def _doubts(
+    findings: list[Finding], after: list[Residual], floor_V: float, floor_K: float, left: Shape
+) -> tuple[str, ...]:
+    """Why the model after all is not believed to be complete; empty when it is."""
+    doubts = []
+    size_V, size_K = residual.size_V(after), residual.size_K(after)
+    if size_V > ABOVE_FLOOR * floor_V:
+        doubts.append(
+            f"the voltage residual is still {1000 * size_V:.0f} mV where the battery's model leaves "
+            f"{1000 * floor_V:.0f} mV; it goes with {left.variable} ({left.share:.0%} of it) and lasts about "
+            f"{left.time_scale_s:.0f} s"
+        )
+    if size_K > ABOVE_FLOOR * floor_K:
+        doubts.append(f"the temperature residual is still {size_K:.1f} K where the model leaves {floor_K:.1f} K")
+    for finding in findings:
+        steady = finding.constancy
+        if steady is not None and steady.spread > attribute.UNSTEADY and steady.q > 3.0 * len(steady.values):
+            name = finding.members[0].candidate.name
+            doubts.append(f"{name} is not the same in all records (they differ by {steady.spread:.0%} of it)")
+    return tuple(doubts)
+
+
+def _class_of(problem: Problem, finding: Finding, doubted: bool) -> EffectClass:
+    members = _named(problem, tuple(m.candidate.name for m in finding.members))
+    parameters: dict[str, Interval] = {}
+    for fit in finding.members:
+        parameters.update(intervals(problem, fit))
+    outside = next((f.candidate.name for f in finding.fits if f.candidate.name not in members), None)
+    sure = finding.probability * (0.5 if doubted else 0.97)
+    return EffectClass(members, round(sure, 3), parameters, separating(members, outside))
+
+
+def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
+    """A lag of a minute is the fast end of diffusion as much as the slow end of polarisation: both are named."""
+    if "polarisation" in members and "slow_diffusion" not in members:
+        if float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S:
+            at = members.index("polarisation") + 1
+            members = (*members[:at], "slow_diffusion", *members[at:])
+    return members[: attribute.LARGEST_CLASS]
+
+
+def intervals(problem: Problem, fit: Refit) -> dict[str, Interval]:
+    """Values of the effect that was added last, with 95 % intervals that allow for errors of the battery file."""
+    if not fit.candidate.last:
+        shift = fit.v[:, 0] * np.maximum(problem.evidence.start_sd, 0.2)
+        mean, half = float(np.mean(shift)), float(0.01 + 2.0 * np.std(shift) / np.sqrt(len(shift)))
+        return {"start_soc_shift": Interval(mean, mean - half, mean + half, "1")}
+    out = {}
+    values, errors = fit.values()[0], fit.errors()
+    for k in range(len(fit.candidate.freed) - fit.candidate.last, len(fit.candidate.freed)):
+        freed = fit.candidate.freed[k]
+        name = EVERY_QUANTITY[freed.index].name
+        value, half = float(values[k]), COVERAGE * float(errors[k])
+        lo, hi = max(value - half, freed.low), min(value + half, freed.high)
+        out[name] = Interval(value, lo, hi, UNITS[name])
+    return out
+
+
+def values_of(fit: Refit) -> dict[str, float]:
+    """Every quantity that the model frees, by name."""
+    values: Array = fit.values()[0]
+    return {EVERY_QUANTITY[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}

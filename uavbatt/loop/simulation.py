@@ -1,0 +1,122 @@
+"""Open-loop simulation of records through sensors and wiring: [variants × records] side by side in one pass.
+
+Current in as metered, voltage and temperature out as metered; the state is never corrected on the way. The time loop
+only steps the states; voltages of all rows and columns follow in one set of array operations.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery import model, pack
+from uavbatt.battery.build import Pack
+from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.pack import Installation
+from uavbatt.loop.candidates import INDEX, QUANTITIES
+from uavbatt.loop.evidence import SHIFTS_S, Evidence
+
+HYSTERESIS_CHARGE = 0.03  # share of the charge after which the voltage is on its discharge branch
+
+
+class Own(NamedTuple):
+    """What each record has of its own, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
+
+    soc: Array
+    start_K: Array
+    ambient_K: Array
+
+
+class Shown(NamedTuple):
+    """What the sensors should show: [rows, variants, records]; soc for reports."""
+
+    voltage_V: Array
+    temp_C: Array
+    soc: Array
+
+
+def _cell_of(base: Parameters, x: Array) -> Parameters:
+    fields = {q.name: x[..., i] for i, q in enumerate(QUANTITIES) if q.name in Parameters._fields}
+    return base._replace(**fields)
+
+
+def _installation_of(base: Pack, evidence: Evidence, x: Array) -> Installation:
+    records = len(evidence.names)
+    variants = x.shape[0] // records
+    fields = {q.name: x[..., i] for i, q in enumerate(QUANTITIES) if q.name in Installation._fields}
+    capacity = np.tile(evidence.stack.capacity_Ah, variants)
+    return Installation(cells=base.installation.cells, capacity_Ah=capacity, **fields)
+
+
+def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
+    """The metered current [rows, columns] read `delay_s` [columns] later."""
+    current = np.tile(evidence.stack.current_A, (1, variants))
+    moved = np.flatnonzero(delay_s)
+    if moved.size:
+        records = len(evidence.names)
+        position = np.clip((delay_s[moved] - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 0, len(SHIFTS_S) - 1.001)
+        left = position.astype(int)
+        share = position - left
+        table = evidence.shifted_A[:, :, moved % records]
+        k = np.arange(moved.size)
+        at_zero = np.searchsorted(SHIFTS_S, 0.0)
+        change = table[left, :, k] * (1 - share)[:, None] + table[left + 1, :, k] * share[:, None] - table[at_zero, :, k]
+        current[:, moved] += change.T
+    return current
+
+
+def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
+    """Run quantities x [variants, records, quantities] with the records' own values."""
+    stack = evidence.stack
+    variants, records = own.soc.shape
+    flat = x.reshape(variants * records, -1)
+    cell = _cell_of(base.cell, flat)
+    installation = _installation_of(base, evidence, flat)
+    cell = pack.grown(cell, installation)
+    metered_A = metered_current(evidence, flat[:, INDEX["delay_s"]], variants)
+    current_A = pack.true_current(installation, metered_A, np.tile(stack.voltage_V, (1, variants)))
+    rate = pack.c_rate(installation, current_A)
+    start_C = np.tile(stack.start_temp_C, variants) - installation.offset_K + own.start_K.ravel()
+    ambient_C = np.where(np.tile(evidence.known_ambient, variants), np.tile(stack.ambient_C, variants), start_C)
+    ambient_C = ambient_C + own.ambient_K.ravel()
+    states = _states(cell, model.rested(own.soc.ravel(), start_C), rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
+    true_V = _voltages(cell, installation, states, rate, current_A)
+    true_V -= installation.cells * flat[:, INDEX["hysteresis_V"]] * -np.expm1(
+        -(own.soc.ravel() - states.soc) / HYSTERESIS_CHARGE
+    )
+    shape = (*stack.time_s.shape[:1], variants, records)
+    return Shown(
+        pack.metered_voltage(installation, true_V).reshape(shape),
+        (states.sensor_C + installation.offset_K).reshape(shape),
+        states.soc.reshape(shape),
+    )
+
+
+def _states(cell: Parameters, start: State, rate: Array, dt_s: Array, ambient_C: Array) -> State:
+    """States at every row, [rows, columns] each; the current of a row has flowed since the row before."""
+    out = State(*(np.empty_like(rate) for _ in State._fields))
+    state = start
+    for k in range(rate.shape[0]):
+        if k:
+            state = model.step(cell, state, rate[k], ambient_C, dt_s[k])
+        for column, value in zip(out, state, strict=True):
+            column[k] = value
+    return out
+
+
+def _voltages(cell: Parameters, installation: Installation, states: State, rate: Array, current_A: Array) -> Array:
+    """True voltage at the sensor's place; the weak cell is worked out only where there is one."""
+    strong = model.cell_voltage(cell, states, rate)
+    out: Array = installation.cells * strong - current_A * installation.harness_ohm
+    weak = np.flatnonzero(np.asarray(installation.deficit))
+    if weak.size:
+        part = Parameters(**{k: (v[weak] if np.ndim(v) == 1 and len(v) == rate.shape[1] and k not in TABLES else v)
+                             for k, v in cell._asdict().items()})
+        few = State(*(column[:, weak] for column in states))
+        low = 1.0 - (1.0 - few.soc) / (1.0 - np.asarray(installation.deficit)[weak])
+        out[:, weak] += model.cell_voltage(part, few._replace(soc=low), rate[:, weak]) - strong[:, weak]
+    return out
+
+
+TABLES = ("ocv_V", "r0_ohmAh")

@@ -1,0 +1,56 @@
+"""What to do next, in a crew chief's words: what each effect means, and the reading that tells it from its rivals."""
+
+from __future__ import annotations
+
+CHECK = {
+    "current_gain": "compare the current sensor with a clamp meter in hover, or the consumed mAh with the charger's",
+    "current_offset": "read the current with the battery connected and nothing switched on: it should be zero",
+    "unmetered_load": "look for a payload wired past the current sensor; switch it off for one flight",
+    "capacity_fade": "charge the empty pack and read the mAh that the charger put in",
+    "weak_cell": "read the voltages of the single cells near the end of a flight",
+    "resistance_growth": "read the pack's internal resistance with a charger at room temperature",
+    "harness_resistance": "measure the voltage at the pack's own plug in hover and compare it with the log",
+    "voltage_gain": "compare the logged voltage with a multimeter at a full and at an empty pack",
+    "voltage_offset": "compare the logged voltage with a multimeter at one charge, motors off",
+    "temperature_offset": "compare the logged temperature with a thermometer after the pack has lain for an hour",
+    "temperature_lag": "warm the sensor with a finger and look how fast it follows",
+    "airflow_cooling": "measure the pack's skin by hand right after landing; look at how the pack is ventilated",
+    "rate_capacity": "discharge the pack slowly (C/2) once and compare the charge with a flight's",
+    "initial_charge": "let the pack rest after charging and read its voltage before arming",
+    "current_delay": "log voltage and current at 10 Hz through a step of throttle",
+    "hysteresis": "rest the pack ten minutes half-way, once after a charge and once after a discharge",
+    "polarisation": "log ten minutes of rest after landing: how fast the voltage comes back tells",
+    "slow_diffusion": "log an hour of rest after landing: how far the voltage comes back tells",
+    "temperature_resistance": "fly the same pack once cold and once warm",
+    "self_heating": "let the log run for half an hour after landing: how the pack cools tells",
+}
+MEANING = {
+    "current_gain": "the current sensor reads too much or too little in proportion",
+    "current_offset": "the current sensor adds a constant",
+    "unmetered_load": "something draws power that the current sensor does not see",
+    "capacity_fade": "the pack has lost capacity",
+    "weak_cell": "one cell holds less than the others",
+    "resistance_growth": "the pack's inner resistance has grown",
+    "harness_resistance": "leads or plugs drop voltage between pack and sensor",
+    "voltage_gain": "the voltage sensor reads too much or too little in proportion",
+    "voltage_offset": "the voltage sensor adds a constant",
+    "temperature_offset": "the temperature sensor adds a constant",
+    "temperature_lag": "the temperature sensor follows the pack differently than the file says",
+    "airflow_cooling": "the pack is cooled by more air in flight than on the bench",
+    "rate_capacity": "less charge comes out at a high load",
+    "initial_charge": "flights do not start with a full pack",
+    "current_delay": "current and voltage are not reported for the same instant",
+    "hysteresis": "the pack's voltage depends on whether it was charged or discharged last",
+    "polarisation": "the voltage gives way over seconds to a minute more than the file says",
+    "slow_diffusion": "the voltage gives way over minutes more than the file says",
+    "temperature_resistance": "resistance changes with temperature otherwise than the file says",
+    "self_heating": "the pack warms otherwise than the file says",
+}
+
+
+def separating(members: tuple[str, ...], outside: str | None) -> str:
+    """The readings that tell the members apart; for a lone member, the one that confirms it."""
+    if len(members) > 1:
+        return "; ".join(f"{name}: {CHECK[name]}" for name in members)
+    against = f" (against {outside})" if outside else ""
+    return f"{CHECK[members[0]]}{against}"
