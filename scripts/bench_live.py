@@ -1,0 +1,160 @@
+"""The companion process against its budgets, over real sockets and real time: `bench_live.py [--seconds 30]`.
+
+    daemon without page   RSS <= 130 MB, <= 3 % of one core at 10 Hz, ready in 2 s
+    proxy                 RSS <= 30 MB, <= 2 ms at the 99th percentile at 500 messages/s
+    ground station        a new estimate within 0.3 s of its telemetry at 10 Hz
+
+The proxy's time is from the vehicle's send to the ground station's receive, less nothing: it contains both sockets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from uavbatt.mavlink import framing
+from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
+from uavbatt.records import Sample
+
+VEHICLE, STATION = ("127.0.0.1", 24_651), ("127.0.0.1", 24_650)
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def rss_MB(pid: int) -> float:
+    """Resident memory of a process [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time a process has used [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+class Vehicle(threading.Thread):
+    """A 4S quad at a steady 12 A: BATTERY_STATUS at 10 Hz, a heartbeat at 1 Hz, ATTITUDE to fill up `rate` [1/s]."""
+
+    def __init__(self, rate: float) -> None:
+        super().__init__(daemon=True)
+        from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+        self.rate, self.sent_s, self.is_over = rate, {}, False
+        self._dialect: Any = dialect
+        self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    def run(self) -> None:
+        line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        start_s, k, drawn_Ah = time.monotonic(), 0, 0.0
+        every = max(round(self.rate / 10.0), 1)
+        while not self.is_over:
+            time.sleep(max(start_s + k / self.rate - time.monotonic(), 0.0))
+            if k % every == 0:
+                drawn_Ah += 12.0 * 0.1 / 3600.0
+                message = battery_status(Sample(0.0, 16.0 - drawn_Ah, 12.0, 25.0, drawn_Ah, armed=True), 0)
+            else:
+                message = self._dialect.MAVLink_attitude_message(k, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0)
+            self._send(line, message)
+            if k % (10 * every) == 0:
+                self._send(line, heartbeat(True))
+            k += 1
+
+    def _send(self, line: socket.socket, message: Any) -> None:
+        frame = bytes(message.pack(self._link))
+        self.sent_s[self._link.seq] = time.monotonic()
+        self._link.seq = (self._link.seq + 1) % 256
+        line.sendto(frame, VEHICLE)
+
+
+def ready(command: list[str], env: dict[str, str]) -> tuple[subprocess.Popen[bytes], float]:
+    """Start the daemon; (process, seconds until READY=1)."""
+    path = tempfile.mktemp(prefix="uavbatt-notify-")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(path)
+        manager.settimeout(20.0)
+        start_s = time.monotonic()
+        process = subprocess.Popen(command, env={**env, "NOTIFY_SOCKET": path}, stderr=subprocess.DEVNULL)
+        while b"READY=1" not in manager.recv(4096):
+            pass
+        took_s = time.monotonic() - start_s
+    os.unlink(path)
+    return process, took_s
+
+
+def measure(feed: str, rate: float, seconds: float) -> dict[str, float]:
+    """Run daemon, vehicle and ground station; what they took."""
+    station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    station.bind(STATION)
+    station.settimeout(1.0)
+    endpoints = ["udpin:{}:{}".format(*VEHICLE), "--gcs", "udpout:{}:{}".format(*STATION)]
+    program = [sys.executable, "-c", "from uavbatt.cli import main; main()"]
+    command = [*program, "live", *endpoints, "--feed", feed, "--capacity-ah", "5"]
+    process, ready_s = ready(command, dict(os.environ))
+    vehicle = Vehicle(rate)
+    vehicle.start()
+    delays: dict[str, list[float]] = {"frame": [], "named": []}
+    begin_s, cpu0_s = time.monotonic(), 0.0
+    warm_s = 5.0
+    while (now_s := time.monotonic()) < begin_s + warm_s + seconds:
+        if not cpu0_s and now_s > begin_s + warm_s:
+            cpu0_s = cpu_s(process.pid)
+        try:
+            frame = station.recv(2048)
+        except TimeoutError:
+            continue
+        got_s, head = time.monotonic(), framing.header(frame)
+        if got_s < begin_s + warm_s:
+            continue
+        if head.component == 1:
+            delays["frame"].append(got_s - vehicle.sent_s.get(frame[4], got_s))
+        elif head.message_id == 251 and b"REM_S" in frame:
+            delays["named"].append(got_s - max(vehicle.sent_s.values()))
+    found = {"ready_s": ready_s, "rss_MB": rss_MB(process.pid)}
+    found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - cpu0_s) / seconds
+    if feed == "proxy":
+        pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.feed.proxy.*24651"]).split()[0])
+        found["proxy_rss_MB"] = rss_MB(pid)
+        found["proxy_p50_ms"] = 1e3 * statistics.median(delays["frame"])
+        found["proxy_p99_ms"] = 1e3 * statistics.quantiles(delays["frame"], n=100)[98]
+        found["frames"] = len(delays["frame"])
+    elif delays["named"]:
+        found["named_values"] = len(delays["named"])
+        found["named_after_last_row_max_s"] = max(delays["named"])
+    vehicle.is_over = True
+    process.terminate()
+    process.wait(10.0)
+    station.close()
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--only", choices=("named", "proxy"))
+    args = parser.parse_args()
+    seconds = args.seconds
+    runs = [run for run in (("named", 10.0), ("proxy", 500.0)) if args.only in (None, run[0])]
+    missed = []
+    budgets = {"ready_s": 2.0, "rss_MB": 130.0, "cpu_percent": 3.0, "proxy_rss_MB": 30.0, "proxy_p99_ms": 2.0}
+    for feed, rate in runs:
+        found = measure(feed, rate, seconds)
+        for name, value in found.items():
+            limit = budgets.get(name) if not (feed == "proxy" and name == "cpu_percent") else None
+            print(f"{feed:6} {rate:4.0f}/s  {name:28} {value:8.2f}" + (f"  (budget {limit:g})" if limit else ""))
+            if limit is not None and value > limit:
+                missed.append(name)
+    print("missed: " + ", ".join(missed) if missed else "all budgets held")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
