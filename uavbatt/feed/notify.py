@@ -13,6 +13,7 @@ def notify(message: str) -> None:
         return
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as manager:
+            manager.setblocking(False)
             manager.connect("\0" + address[1:] if address.startswith("@") else address)
             manager.send(message.encode())
     except OSError:
