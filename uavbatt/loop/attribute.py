@@ -20,7 +20,19 @@ INSIGHT = 0.09
 LEAST_SIGMAS = 2.5  # beyond what errors of the battery file alone would feign
 LARGEST_CLASS = 3
 UNSTEADY = 0.35  # spread between records, relative to the value
-RIVALS = 5  # models that a further effect is tried on
+FIRST_TURNS, FURTHER_TURNS = 14, 8
+FURTHER_SHARE = 0.04  # of what all effects explain, for each of several
+FURTHER_GAIN = 30.0  # of BIC, for an effect beside others
+RIVALS = 3  # models that a further effect is tried on
+# Effects of one family are hardly told apart, so that two of them together only cancel each other.
+FAMILIES = (
+    {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
+    {"current_offset", "unmetered_load"},
+    {"voltage_gain", "voltage_offset"},
+    {"polarisation", "slow_diffusion", "hysteresis"},
+    {"resistance_growth", "harness_resistance"},
+    {"temperature_offset", "temperature_lag"},
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,20 +78,42 @@ def sigmas(fit: Refit, problem: Problem) -> float:
     return float(np.max(np.abs(away))) if last else float("inf")
 
 
+def related(new: tuple[str, ...], old: tuple[str, ...]) -> bool:
+    """Whether an effect is in the model already, or one that it could not be told from."""
+    own = set(new).union(*(family for family in FAMILIES if family & set(new)))
+    return bool(own & set(old))
+
+
+def at_bound(fit: Refit) -> bool:
+    """Whether a quantity ran into the end of what is physical: then it stands for something else."""
+    values = fit.values()[0]
+    for value, freed in zip(values, fit.candidate.freed, strict=True):
+        span = 1e-3 * (freed.high - freed.low)
+        if value > freed.high - span or (value < freed.low + span and abs(freed.low - freed.start) > span):
+            return True
+    return False
+
+
+def _is_sound(fit: Refit, problem: Problem) -> bool:
+    """More than errors of the battery file could feign, and within what is physical."""
+    return sigmas(fit, problem) > LEAST_SIGMAS and not at_bound(fit)
+
+
 def find(problem: Problem, known: list[Refit], options: list[Candidate], *, constant: bool = True) -> Finding | None:
     """The best effect to add to each of the `known` models; None when none earns its place."""
     tried, starts = [], []
     for model in known:
         for option in options:
-            if not set(option.names) & set(model.candidate.names):
+            if not related(option.names, model.candidate.names):
                 tried.append(model.candidate.plus(option))
                 starts.append(model)
     if not tried:
         return None
-    fits = sorted(refit(problem, tried, start=starts, iterations=14), key=lambda f: bic(f, problem))
+    turns = FIRST_TURNS if known == [model] and not model.candidate.names else FURTHER_TURNS
+    fits = sorted(refit(problem, tried, start=starts, iterations=turns), key=lambda f: bic(f, problem))
     before = min(known, key=lambda f: bic(f, problem))
     floor = bic(before, problem)
-    earned = [f for f in fits if floor - bic(f, problem) > LEAST_GAIN and sigmas(f, problem) > LEAST_SIGMAS]
+    earned = [f for f in fits if floor - bic(f, problem) > LEAST_GAIN and _is_sound(f, problem)]
     if not earned:
         return None
     best = earned[0]
@@ -88,7 +122,8 @@ def find(problem: Problem, known: list[Refit], options: list[Candidate], *, cons
     behind = np.array([bic(f, problem) - bic(best, problem) for f in earned])
     members = _distinct([f for f, d in zip(earned, behind, strict=True) if d <= tolerance])
     steady = constancy(problem, best, before) if constant else None
-    return Finding(members, before, gain, sigmas(best, problem), steady, tuple(earned), _weight(earned, members, behind / tolerance))
+    probability = _weight(earned, members, behind / tolerance)
+    return Finding(members, before, gain, sigmas(best, problem), steady, tuple(earned), probability)
 
 
 def _weight(fits: list[Refit], members: tuple[Refit, ...], behind: Array) -> float:
@@ -109,7 +144,7 @@ def _distinct(fits: list[Refit]) -> tuple[Refit, ...]:
 
 def constancy(problem: Problem, fit: Refit, before: Refit) -> Constancy | None:
     """Refit every record by itself, the errors of the file held; None for a single record or a bare start."""
-    if not fit.candidate.freed or len(problem.evidence.names) < 2:
+    if not fit.candidate.last or len(problem.evidence.names) < 2:
         return None
     own = refit(problem, [fit.candidate], own=True, start=[fit], iterations=8)[0]
     first = len(fit.columns) - len(fit.candidate.freed)
@@ -125,7 +160,20 @@ def constancy(problem: Problem, fit: Refit, before: Refit) -> Constancy | None:
     between = max(q - (len(u) - 1), 0.0) / max(np.sum(precision) - np.sum(precision**2) / np.sum(precision), 1e-12)
     freed = fit.columns[k]
     change = freed.value(np.array([mean + np.sqrt(between), mean])) - problem.base[freed.index]
-    return Constancy(own.values(), q, float(abs(change[0] - change[1]) / max(abs(change[1]), 1e-12)), before.chi2 - loss)
+    spread = float(abs(change[0] - change[1]) / max(abs(change[1]), 1e-12))
+    return Constancy(own.values(), q, spread, before.chi2 - loss)
+
+
+def left_out(problem: Problem, fit: Refit) -> list[Array]:
+    """Per record, the values of the quantities that the other records give."""
+    own = refit(problem, [fit.candidate], own=True, start=[fit], iterations=8)[0]
+    first, size = len(fit.columns) - len(fit.candidate.freed), len(fit.candidate.freed)
+    u, weight = own.u[:, first:], own.information[:, first : first + size, first : first + size]
+    found = []
+    for j in range(len(u)):
+        best = _others(u, weight, j)
+        found.append(np.array([f.value(best[k : k + 1])[0] for k, f in enumerate(fit.candidate.freed)]))
+    return found
 
 
 def _others(u: Array, weight: Array, j: int) -> Array:

@@ -67,6 +67,10 @@ class Freed:
         kept: Array = np.clip(raw, self.low, self.high)
         return kept
 
+    def at(self, value: float) -> float:
+        """The u of a value."""
+        return float(np.log(value / self.start) if self.log else value - self.start) / self.scale
+
     def bounds_u(self) -> tuple[float, float]:
         """The bounds in u."""
         if not self.log:
@@ -90,7 +94,8 @@ class Candidate:
 
     def plus(self, other: Candidate) -> Candidate:
         """Both together."""
-        return Candidate(self.names + other.names, self.freed + other.freed, self.free_start or other.free_start, other.last)
+        free_start = self.free_start or other.free_start
+        return Candidate(self.names + other.names, self.freed + other.freed, free_start, other.last)
 
 
 NOTHING = Candidate((), ())

@@ -28,6 +28,7 @@ from uavbatt.loop.words import separating
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 ABOVE_FLOOR = 1.35  # size of a residual against the discrepancy of the file
+STRUCTURED = 1.12  # see residual.structure; effect-free flights show 0.96 to 1.07
 LEAST_FLOOR_K = 0.4
 MOST_EFFECTS = 3
 COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
@@ -114,7 +115,8 @@ def diagnose(
     tell("residual")
     after = residual.residuals(problem.evidence, at_best(problem, best))
     left = residual.shape(after)
-    reasons = _doubts(findings, after, floor_V, floor_K, left)
+    hangs = residual.structure(problem.evidence, best.residual)
+    reasons = _doubts(findings, after, (floor_V, floor_K), (left, hangs), {e.name for e in file.effects})
     found = tuple(_class_of(problem, f, bool(reasons)) for f in findings)
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
     return Diagnosis(
@@ -159,7 +161,8 @@ def _search(
     while len(findings) < MOST_EFFECTS and _above(problem, best, floor):
         tell(f"a further effect beside {', '.join(best.candidate.names)}")
         further = attribute.find(problem, _rivals(findings[-1]), options)
-        if further is None or further.gain < attribute.INSIGHT * sum(f.gain for f in findings) / 3.0:
+        explained = nothing.total - best.total
+        if further is None or further.gain < max(attribute.FURTHER_GAIN, attribute.FURTHER_SHARE * explained):
             break
         best = further.members[0]
         findings = _reweighed(problem, best, options) or [further]
@@ -168,7 +171,11 @@ def _search(
 
 def _rivals(finding: Finding) -> list[Refit]:
     """The best models of the round, beyond the class: with a second effect a worse first may turn out better."""
-    return list(finding.fits[: attribute.RIVALS])
+    kept: list[Refit] = []
+    for fit in finding.fits:
+        if not any(attribute.related(fit.candidate.names[-1:], k.candidate.names[-1:]) for k in kept):
+            kept.append(fit)
+    return kept[: attribute.RIVALS]
 
 
 def _reweighed(problem: Problem, best: Refit, options: list[Candidate]) -> list[Finding]:
@@ -189,20 +196,32 @@ def _reweighed(problem: Problem, best: Refit, options: list[Candidate]) -> list[
 
 def _above(problem: Problem, fit: Refit, floor: tuple[float, float]) -> bool:
     left = residual.residuals(problem.evidence, at_best(problem, fit))
+    if residual.structure(problem.evidence, fit.residual) > STRUCTURED:
+        return True
     return residual.size_V(left) > ABOVE_FLOOR * floor[0] or residual.size_K(left) > ABOVE_FLOOR * floor[1]
 
 
 def _doubts(
-    findings: list[Finding], after: list[Residual], floor_V: float, floor_K: float, left: Shape
+    findings: list[Finding],
+    after: list[Residual],
+    floor: tuple[float, float],
+    shape: tuple[Shape, float],
+    listed: set[str],
 ) -> tuple[str, ...]:
     """Why the model after all is not believed to be complete; empty when it is."""
     doubts = []
+    (floor_V, floor_K), (left, hangs) = floor, shape
     size_V, size_K = residual.size_V(after), residual.size_K(after)
     if size_V > ABOVE_FLOOR * floor_V:
         doubts.append(
             f"the voltage residual is still {1000 * size_V:.0f} mV where the battery's model leaves "
             f"{1000 * floor_V:.0f} mV; it goes with {left.variable} ({left.share:.0%} of it) and lasts about "
             f"{left.time_scale_s:.0f} s"
+        )
+    elif hangs > STRUCTURED:
+        doubts.append(
+            f"the voltage residual of {1000 * size_V:.0f} mV still hangs together from row to row ({hangs:.2f}, 1 is "
+            f"chance); it goes with {left.variable} and lasts about {left.time_scale_s:.0f} s"
         )
     if size_K > ABOVE_FLOOR * floor_K:
         doubts.append(f"the temperature residual is still {size_K:.1f} K where the model leaves {floor_K:.1f} K")
@@ -211,6 +230,9 @@ def _doubts(
         if steady is not None and steady.spread > attribute.UNSTEADY and steady.q > 3.0 * len(steady.values):
             name = finding.members[0].candidate.name
             doubts.append(f"{name} is not the same in all records (they differ by {steady.spread:.0%} of it)")
+        if {m.candidate.name for m in finding.members} <= listed - {"temperature_lag"}:
+            name = finding.members[0].candidate.name
+            doubts.append(f"no new effect explains it, only another size of {name}, which the file already has")
     return tuple(doubts)
 
 
@@ -226,10 +248,10 @@ def _class_of(problem: Problem, finding: Finding, doubted: bool) -> EffectClass:
 
 def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
     """A lag of a minute is the fast end of diffusion as much as the slow end of polarisation: both are named."""
-    if "polarisation" in members and "slow_diffusion" not in members:
-        if float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S:
-            at = members.index("polarisation") + 1
-            members = (*members[:at], "slow_diffusion", *members[at:])
+    slow = float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S
+    if slow and "polarisation" in members and "slow_diffusion" not in members:
+        at = members.index("polarisation") + 1
+        members = (*members[:at], "slow_diffusion", *members[at:])
     return members[: attribute.LARGEST_CLASS]
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from uavbatt.battery.file import BatteryFile
@@ -34,11 +35,14 @@ LEAST_CHANGE = 0.04  # of the current, relative, over the records
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 
 
+Rows = NDArray[np.intp]
+
+
 @dataclass(frozen=True, slots=True)
 class Whitener:
     """Rows of one record that count, and the inverse factor of their covariance."""
 
-    rows: Array
+    rows: Rows
     inverse: Array
 
 
@@ -79,8 +83,8 @@ def check(records: list[Observed]) -> None:
     useful = [r for r in records if _long_enough(r)]
     if len(useful) < LEAST_RECORDS and (not useful or not np.isfinite(useful[0].ambient_C)):
         raise NotEnoughData(
-            f"{len(useful)} of {len(records)} records last {SHORTEST_S:.0f} s and draw {LEAST_DRAWN:.0%} of the charge: "
-            f"expected at least {LEAST_RECORDS}, or a parameter cannot be shown to be constant"
+            f"{len(useful)} of {len(records)} records last {SHORTEST_S:.0f} s and draw {LEAST_DRAWN:.0%} of the "
+            f"charge: expected at least {LEAST_RECORDS}, to show that what is found is the same in each"
         )
     if _change(useful) < LEAST_CHANGE:
         raise NotEnoughData("the load is constant: expected changes of current, or nothing can be told apart")
@@ -161,7 +165,7 @@ def _temperature_whitener(stack: Stack, j: int, sd_K: float) -> Whitener | None:
     return _whitener(rows, kernel, WHITE_K)
 
 
-def _whitener(rows: Array, kernel: Array, white: float) -> Whitener:
+def _whitener(rows: Rows, kernel: Array, white: float) -> Whitener:
     factor = cholesky(kernel + white**2 * np.eye(len(kernel)), lower=True)
     return Whitener(rows, solve_triangular(factor, np.eye(len(kernel)), lower=True))
 
@@ -176,10 +180,11 @@ def _shifted(records: list[Observed], stack: Stack) -> Array:
         )
         for i, shift_s in enumerate(SHIFTS_S):
             at_s = stack.time_s[:, j] + shift_s
-            if bin_s:
-                edges = np.interp(np.stack([at_s - bin_s / 2, at_s + bin_s / 2]), record.time_s, charge)
-                width = np.diff(np.clip(np.stack([at_s - bin_s / 2, at_s + bin_s / 2]), *record.time_s[[0, -1]]), axis=0)
-                out[i, :, j] = np.where(width[0] > 0.5, (edges[1] - edges[0]) / np.maximum(width[0], 0.5), 0.0)
-            else:
+            if not bin_s:
                 out[i, :, j] = np.interp(at_s, record.time_s, record.current_A)
+                continue
+            ends_s = np.clip(np.stack([at_s - bin_s / 2, at_s + bin_s / 2]), *record.time_s[[0, -1]])
+            width_s = np.diff(ends_s, axis=0)[0]
+            drawn = np.diff(np.interp(ends_s, record.time_s, charge), axis=0)[0]
+            out[i, :, j] = np.where(width_s > 0.5, drawn / np.maximum(width_s, 0.5), 0.0)
     return out

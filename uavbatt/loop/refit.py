@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.build import Pack
 from uavbatt.battery.equations import REFERENCE_TEMP_C
@@ -88,7 +89,7 @@ class Refit:
     knots: Array  # [records, knots]: errors of the file's tables in standard deviations
     v: Array
     chi2: Array  # per record, priors of the nuisances included
-    moves: Array  # which of columns and knots the fit moves
+    moves: NDArray[np.bool_]  # which of columns and knots the fit moves
     information: Array  # [records, columns and knots, same], nuisances eliminated
     residual: Array  # whitened, [records, numbers]
 
@@ -182,9 +183,8 @@ class _Batch:
         """Simulate; the variants are variants × candidates."""
         x, own = self.settings(u, v)
         flat = (-1, self.records)
-        return simulate(
-            self.problem.pack, self.problem.evidence, x.reshape(*flat, x.shape[-1]), Own(*(o.reshape(flat) for o in own))
-        )
+        owns = Own(*(o.reshape(flat) for o in own))
+        return simulate(self.problem.pack, self.problem.evidence, x.reshape(*flat, x.shape[-1]), owns)
 
     def residuals(self, us: Array, vs: Array) -> tuple[Array, Array]:
         """Whitened [variants, C, records, numbers], and the slopes of the first variant on the knots [C, .., knots]."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.loop.evidence import Evidence
@@ -29,7 +30,7 @@ class Residual:
     current_A: Array
     soc: Array
     temp_C: Array
-    rest: Array
+    rest: NDArray[np.bool_]
 
     @property
     def voltage_rmse_V(self) -> float:
@@ -83,6 +84,20 @@ def size_K(found: list[Residual]) -> float:
     """Size of the temperature residual over all records [K]; NaN when none was measured."""
     sizes = np.array([r.temp_rmse_K for r in found])
     return float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else float("nan")
+
+
+def structure(evidence: Evidence, whitened: Array) -> float:
+    """How much of the whitened voltage residual [records, numbers] hangs together from row to row.
+
+    Mean square over half the mean squared successive difference (the inverse of von Neumann's ratio, 1941): 1 for
+    what is independent whatever its size, more where the model follows the wrong shape.
+    """
+    squares, steps = 0.0, 0.0
+    for volts, row in zip(evidence.volts, whitened, strict=True):
+        numbers = row[: volts.rows.size]
+        squares += float(np.mean(numbers**2))
+        steps += float(np.mean(np.diff(numbers) ** 2)) / 2.0
+    return squares / max(steps, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,8 @@ def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
         table = evidence.shifted_A[:, :, moved % records]
         k = np.arange(moved.size)
         at_zero = np.searchsorted(SHIFTS_S, 0.0)
-        change = table[left, :, k] * (1 - share)[:, None] + table[left + 1, :, k] * share[:, None] - table[at_zero, :, k]
+        between = table[left, :, k] * (1 - share)[:, None] + table[left + 1, :, k] * share[:, None]
+        change = between - table[at_zero, :, k]
         current[:, moved] += change.T
     return current
 
@@ -82,9 +83,8 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
     ambient_C = ambient_C + own.ambient_K.ravel()
     states = _states(cell, model.rested(own.soc.ravel(), start_C), rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
     true_V = _voltages(cell, installation, states, rate, current_A)
-    true_V -= installation.cells * flat[:, INDEX["hysteresis_V"]] * -np.expm1(
-        -(own.soc.ravel() - states.soc) / HYSTERESIS_CHARGE
-    )
+    turned = -np.expm1(-(own.soc.ravel() - states.soc) / HYSTERESIS_CHARGE)
+    true_V -= installation.cells * flat[:, INDEX["hysteresis_V"]] * turned
     shape = (*stack.time_s.shape[:1], variants, records)
     return Shown(
         pack.metered_voltage(installation, true_V).reshape(shape),
@@ -111,8 +111,8 @@ def _voltages(cell: Parameters, installation: Installation, states: State, rate:
     out: Array = installation.cells * strong - current_A * installation.harness_ohm
     weak = np.flatnonzero(np.asarray(installation.deficit))
     if weak.size:
-        part = Parameters(**{k: (v[weak] if np.ndim(v) == 1 and len(v) == rate.shape[1] and k not in TABLES else v)
-                             for k, v in cell._asdict().items()})
+        columns = {k: v for k, v in cell._asdict().items() if k not in TABLES and np.ndim(v) == 1}
+        part = cell._replace(**{k: v[weak] for k, v in columns.items()})
         few = State(*(column[:, weak] for column in states))
         low = 1.0 - (1.0 - few.soc) / (1.0 - np.asarray(installation.deficit)[weak])
         out[:, weak] += model.cell_voltage(part, few._replace(soc=low), rate[:, weak]) - strong[:, weak]

@@ -1,0 +1,254 @@
+"""`uavbatt diagnose`: which effect the battery file lacks, how large it is, what else it could be."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from uavbatt.cli.options import (
+    CapacityOption,
+    CellsOption,
+    CutoffOption,
+    UncertifiedOption,
+    check_writable,
+    known,
+)
+from uavbatt.errors import NotEnoughData, UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.battery.file import BatteryFile, Verdict
+    from uavbatt.dataset import DataSet
+    from uavbatt.fitting.observed import Observed
+    from uavbatt.loop.close import Closed
+    from uavbatt.loop.diagnosis import Diagnosis
+    from uavbatt.records import Flight
+
+
+def diagnose(
+    sources: Annotated[list[Path], typer.Argument(metavar="LOG|DATASET...", help="Flight logs and data-set folders.")],
+    battery: Annotated[str, typer.Option("--battery", help="Packaged battery by name, or a battery file.")],
+    cells: CellsOption = None,
+    capacity_ah: CapacityOption = None,
+    cutoff_voltage: CutoffOption = None,
+    allow_uncertified: UncertifiedOption = False,
+    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
+    without: Annotated[list[str] | None, typer.Option("--without", help="Effect to leave out; repeatable.")] = None,
+    gate: Annotated[Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests to gate with.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
+) -> None:
+    """Trace what the battery file explains badly to the effect that it lacks; error before and after.
+
+    Exit code 4 when the records cannot tell (the reason is in the JSON, too).
+    """
+    from uavbatt import dataset as data
+    from uavbatt.battery import file
+    from uavbatt.loop.candidates import BY_NAME
+    from uavbatt.telemetry import read_log
+
+    check_writable(json_file, report, output)
+    unknown = [name for name in without or [] if name not in BY_NAME]
+    if unknown:
+        raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(BY_NAME)}")
+    content = file.read(battery, allow_uncertified=allow_uncertified)
+    stated = (cells, known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
+    datasets = [data.load(p) for p in sources if p.is_dir()]
+    flights = _distinct([read_log(p, instance) for p in sources if not p.is_dir()])
+    try:
+        found, closed, new = _run(content, datasets, flights, stated, tuple(without or ()), gate)
+    except NotEnoughData as error:
+        if json_file is not None:
+            _write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
+        raise
+    path = str(file.write(new, output)) if output is not None else None
+    for line in _lines(found, closed):
+        typer.echo(line)
+    if json_file is not None:
+        _write_json(json_file, _as_json(found, closed, path))
+    if report is not None:
+        from uavbatt.loop.page import inputs
+        from uavbatt.report import diagnosis as page
+
+        page.write(report, inputs(found, closed, content, new))
+        typer.echo(f"report: {report}")
+    if path is not None:
+        typer.echo(f"{path}: {new.certificate.status}")
+
+
+def _run(
+    content: BatteryFile,
+    datasets: list[DataSet],
+    flights: list[Flight],
+    stated: tuple[int | None, float, float],
+    without: tuple[str, ...],
+    gate: Path | None,
+) -> tuple[Diagnosis, Closed, BatteryFile]:
+    from uavbatt.fitting import observed
+    from uavbatt.loop import close
+    from uavbatt.loop.diagnosis import diagnose as find
+    from uavbatt.loop.diagnosis import pack_for
+    from uavbatt.pipeline import PackOptions
+
+    verdicts = _gated(gate) if gate is not None else None
+    sizes = {_size(f.source, f, content, stated) for f in flights} | {_size_of(d, content, stated) for d in datasets}
+    if len(sizes) > 1:
+        listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
+        raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
+    series, capacity_Ah, cutoff_V = next(iter(sizes))
+    records: list[Observed] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
+    records += [_observed(f, series, capacity_Ah) for f in flights]
+    pack = pack_for(content, series, capacity_Ah)._replace(cutoff_V=cutoff_V)
+    with _Progress() as tell:
+        found = find(records, content, pack, without, tell)
+        options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
+        closed = close.judge(found, content, flights, options, tell)
+    return found, closed, close.extended(content, found, verdicts)
+
+
+def _observed(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
+    from uavbatt.fitting import observed
+
+    if not any(math.isfinite(s.current_A) for s in flight.samples):
+        raise NotEnoughData(f"{flight.source}: no row has a current: nothing can be traced without it")
+    return observed.from_flight(flight, cells, capacity_Ah)
+
+
+def _distinct(flights: list[Flight]) -> list[Flight]:
+    """UsageError when a log is named twice: it would count as two pieces of evidence."""
+    seen: dict[object, str] = {}
+    for flight in flights:
+        key = (len(flight.samples), flight.samples[0], flight.samples[-1])
+        if repr(key) in seen:
+            raise UsageError(f"{flight.source}: the same log as {seen[repr(key)]}: expected different flights")
+        seen[repr(key)] = flight.source
+    return flights
+
+
+def _size(
+    name: str, flight: Flight, content: BatteryFile, stated: tuple[int | None, float, float]
+) -> tuple[int, float, float]:
+    """Cells, capacity [Ah], cut-off [V]: stated, else the vehicle's, else the battery file's."""
+    facts = flight.facts_at(math.inf)
+    typed = content.battery
+    volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
+    guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
+    series = stated[0] or facts.cells_series or guess
+    return series, *_rest(name, series, facts.capacity_Ah, facts.critical_voltage_V, content, stated)
+
+
+def _size_of(
+    dataset: DataSet, content: BatteryFile, stated: tuple[int | None, float, float]
+) -> tuple[int, float, float]:
+    series = stated[0] or dataset.cells_series
+    return series, *_rest(dataset.path, series, dataset.capacity_Ah or math.nan, dataset.cutoff_V, content, stated)
+
+
+def _rest(
+    name: str,
+    series: int,
+    capacity_Ah: float,
+    cutoff_V: float,
+    content: BatteryFile,
+    stated: tuple[int | None, float, float],
+) -> tuple[float, float]:
+    typed = content.battery
+    capacities = (stated[1], capacity_Ah, typed.capacity_Ah if typed.capacity_Ah else math.nan)
+    capacity = next((q for q in capacities if math.isfinite(q)), None)
+    if capacity is None:
+        raise UsageError(f"{name}: capacity: neither the vehicle nor the battery file states it: give --capacity-ah")
+    cutoffs = (stated[2], cutoff_V, typed.cutoff_V * series / typed.cells_series)
+    return round(capacity, 4), round(next(v for v in cutoffs if math.isfinite(v)), 3)
+
+
+def _gated(path: Path) -> list[Verdict]:
+    """The gate's verdicts on the bench tests; the effects of an aircraft change nothing of them."""
+    from uavbatt import dataset as data
+    from uavbatt.battery.file import Verdict as Entry
+    from uavbatt.validation.validate import validate as judge
+
+    print(f"gating with {path} ...", file=sys.stderr)
+    result = judge(data.load(path), close_loop=False)
+    gating = [c for c in result.claims if c.gates]
+    return [Entry(claim=c.claim, verdict=c.verdict, ambient_C=c.ambient_C, reason=c.reason) for c in gating]
+
+
+class _Progress:
+    """The step at hand on stderr when it is a terminal."""
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __call__(self, step: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\033[K{step} ...", end="", file=sys.stderr, flush=True)
+
+    def __exit__(self, *_: object) -> None:
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def _lines(found: Diagnosis, closed: Closed) -> list[str]:
+    from uavbatt.loop.words import MEANING
+
+    said = {
+        "no_missing_effect": "nothing is missing: the residual is what this battery's model leaves anyway",
+        "effect_found": "an effect is missing",
+        "undeclared_effect": "something is missing that no candidate explains",
+    }
+    lines = [f"{found.verdict}: {said[found.verdict]}"]
+    for one in found.classes:
+        lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")
+        for name, i in one.parameters.items():
+            unit = "" if i.unit == "1" else f" {i.unit}"
+            lines.append(f"    {name} = {i.value:.4g} [{i.lo:.4g}, {i.hi:.4g}]{unit}")
+        lines.append(f"    check: {one.would_separate}")
+    lines += [f"  doubt: {reason}" for reason in found.reasons]
+    if not found.problem.evidence.has_temperature:
+        lines.append("  no temperature: effects that show in it only are not among the candidates")
+    b, a = closed.before, closed.after
+    lines.append(
+        f"  held out: voltage RMSE {1000 * b.voltage_rmse_V:.0f} -> {1000 * a.voltage_rmse_V:.0f} mV, remaining time "
+        f"MAE {_number(b.remaining_mae_s)} -> {_number(a.remaining_mae_s)} s"
+    )
+    return lines
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if math.isfinite(value) else "unknown"
+
+
+def _as_json(found: Diagnosis, closed: Closed, path: str | None) -> dict[str, Any]:
+    """DESIGN's diagnosis output: NaN as null."""
+    from dataclasses import asdict
+
+    return {
+        "verdict": found.verdict,
+        "classes": [asdict(c) for c in found.classes],
+        "reasons": list(found.reasons),
+        "before": asdict(closed.before),
+        "after": asdict(closed.after),
+        "held_out": list(closed.held_out),
+        "left": asdict(found.left),
+        "battery_file": path,
+    }
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    from uavbatt.aside import written_aside
+
+    with written_aside(path, "w") as stream:
+        stream.write(json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
