@@ -22,7 +22,7 @@ from uavbatt.config import Config
 from uavbatt.errors import UavbattError
 from uavbatt.feed import state
 from uavbatt.feed.notify import notify
-from uavbatt.feed.now import STALE_AFTER_S, Report
+from uavbatt.feed.now import STALE_AFTER_S, Report, Trend
 from uavbatt.feed.proxy_client import ProxyClient
 from uavbatt.feed.recorder import Recorder
 from uavbatt.mavlink import fields, framing
@@ -46,6 +46,7 @@ class Board:
     reports: tuple[Report, ...] = ()
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
+    trend: Trend = field(default_factory=Trend)
 
 
 class Daemon:
@@ -192,7 +193,9 @@ class Daemon:
     def _look_after(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
         notes = [self._note, self._state_problem, self._recorder.problem if self._recorder is not None else ""]
-        self.board = Board(tuple(in_order(self._reports)), tuple(n for n in notes if n), dict(self._counts))
+        reports, trend = tuple(in_order(self._reports)), self.board.trend
+        trend.look(now_s, reports)
+        self.board = Board(reports, tuple(n for n in notes if n), dict(self._counts), trend)
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:

@@ -7,12 +7,14 @@ a known time is counted down by the age of the row that it was made for.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from uavbatt.feed.sinks import Line, line, rounded
 from uavbatt.records import NAN, Estimate, Remaining, Status
 
 STALE_AFTER_S = 3.0
+TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,4 +94,34 @@ class Report:
             "cell_voltage_V": round(volts / self.cells, 3) if known and isinstance(volts, float) else None,
             "battery": self.battery,
             "certificate": self.certificate,
+        }
+
+
+class Trend:
+    """What was shown of each battery over the last ten minutes, a point every five seconds."""
+
+    def __init__(self) -> None:
+        self._points: dict[int, tuple[tuple[float, Shown], ...]] = {}
+        self._next_s = -math.inf
+
+    def look(self, now_s: float, reports: Sequence[Report]) -> None:
+        """Take a point when one is due."""
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + TREND_PERIOD_S
+        for report in reports:
+            kept = tuple(p for p in self._points.get(report.instance, ()) if now_s - p[0] <= TREND_S)
+            self._points[report.instance] = (*kept, (now_s, report.at(now_s)))
+
+    def lines(self, now_s: float) -> dict[int, list[list[float | None]]]:
+        """For each battery: [age, median, 5 %, 95 %] [s], oldest first; None is unknown."""
+        return {
+            instance: [
+                [
+                    rounded(now_s - at_s, 1),
+                    *(rounded(v, 1) for v in (shown.remaining_s, shown.remaining_lo_s, shown.remaining_hi_s)),
+                ]
+                for at_s, shown in points
+            ]
+            for instance, points in list(self._points.items())
         }

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 from uavbatt import __version__
 from uavbatt.config import HttpSection, address
 from uavbatt.errors import MissingExtra, UsageError
-from uavbatt.feed.now import STALE_AFTER_S, Report
+from uavbatt.feed.now import STALE_AFTER_S, Report, Trend
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
@@ -43,6 +43,10 @@ class BoardLike(Protocol):
     @property
     def counts(self) -> Any:
         """Counters since the start."""
+
+    @property
+    def trend(self) -> Trend:
+        """The last ten minutes."""
 
 
 ReadBoard = Callable[[], BoardLike]
@@ -101,6 +105,12 @@ def metrics(board: BoardLike, now_s: float) -> bytes:
     return bytes(generate_latest(registry))
 
 
+def filled(page: str, board: BoardLike, now_s: float) -> str:
+    """The page with what is known now in it, so that it shows something before the first event."""
+    first = json.dumps({"now": content(board, now_s), "trend": board.trend.lines(now_s)}, allow_nan=False)
+    return page.replace('id="first">null<', 'id="first">' + first.replace("<", "\\u003c") + "<", 1)
+
+
 def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
@@ -145,7 +155,7 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
     prometheus = "text/plain; version=0.0.4; charset=utf-8"
     return Starlette(
         routes=[
-            Route("/", guarded(lambda r: HTMLResponse(page))),
+            Route("/", guarded(lambda r: HTMLResponse(filled(page, board(), clock_s())))),
             Route("/now.json", guarded(lambda r: JSONResponse(content(board(), clock_s())))),
             Route("/metrics", guarded(lambda r: Response(metrics(board(), clock_s()), media_type=prometheus))),
             Route("/events", guarded(lambda r: EventSourceResponse(stream()))),
