@@ -94,11 +94,6 @@ def at_bound(fit: Refit) -> bool:
     return False
 
 
-def _is_sound(fit: Refit, problem: Problem) -> bool:
-    """More than errors of the battery file could feign, and within what is physical."""
-    return sigmas(fit, problem) > LEAST_SIGMAS and not at_bound(fit)
-
-
 def find(problem: Problem, known: list[Refit], options: list[Candidate], *, constant: bool = True) -> Finding | None:
     """The best effect to add to each of the `known` models; None when none earns its place."""
     tried, starts = [], []
@@ -113,8 +108,8 @@ def find(problem: Problem, known: list[Refit], options: list[Candidate], *, cons
     fits = sorted(refit(problem, tried, start=starts, iterations=turns), key=lambda f: bic(f, problem))
     before = min(known, key=lambda f: bic(f, problem))
     floor = bic(before, problem)
-    earned = [f for f in fits if floor - bic(f, problem) > LEAST_GAIN and _is_sound(f, problem)]
-    if not earned:
+    earned = [f for f in fits if floor - bic(f, problem) > LEAST_GAIN and not at_bound(f)]
+    if not earned or sigmas(earned[0], problem) < LEAST_SIGMAS:  # what errors of the file alone could feign
         return None
     best = earned[0]
     gain = floor - bic(best, problem)

@@ -30,6 +30,7 @@ NUISANCES = 3
 START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
 FREE_START_SD = 0.2
 ITERATIONS = 12
+SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
 HELD = 1e4
 CONVERGED = 0.05  # change of chi-square below which a candidate is done
 
@@ -245,6 +246,8 @@ def refit(
     damping = np.full((count, records) if own else (count, 1), 1e-2)
     held = HELD if own else 1.0 / records  # a shared error has one prior; in the test of constancy it stays put
     batch.hold(u if own else np.zeros_like(u), held)
+    if not own:
+        u = _scanned(batch, u, v)
     state = _linearised(batch, u, v)
     for _ in range(iterations):
         du, dv = _step(state, u, v, damping, own)
@@ -263,6 +266,18 @@ def refit(
         if np.all((np.abs(gain) < CONVERGED) | (damping > 1e4)):
             break
     return [_refit_of(batch, state, u, v, i) for i in range(count)]
+
+
+def _scanned(batch: _Batch, u: Array, v: Array) -> Array:
+    """The best of a few sizes of the quantity added last: a large effect has no slope that leads there from zero."""
+    us = np.repeat(u[None], len(SCAN), axis=0)
+    for i, c in enumerate(batch.candidates):
+        if c.last:
+            k = len(batch.columns[i]) - c.last
+            us[:, i, :, k] = np.clip(np.array(SCAN)[:, None] + u[i, :, k], batch.low[i, k], batch.high[i, k])
+    values, _ = batch.residuals(us, np.repeat(v[None], len(SCAN), axis=0))
+    best = np.argmin(np.sum(values**2, axis=(2, 3)), axis=0)
+    return us[best, np.arange(len(batch.candidates))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,7 +155,7 @@ def _panel(d: DiagnosisPage, title: str, field: str, scale: float, unit: str) ->
         axes.set_ylim(-limit, limit)
 
     alt = f"{title}: measured minus modelled against time, {len(d.tracks)} records"
-    return figure(title, plot.panel(draw, alt, x="minutes", y=unit))
+    return figure(plot.panel(draw, alt, x="minutes", y=unit), title)
 
 
 def _changes(d: DiagnosisPage) -> Html:
