@@ -1,0 +1,176 @@
+"""What people use as ground stations, against `uavbatt live`: MAVSDK-Python, MAVProxy, Chromium.
+
+They are no dependencies of the project: $UAVBATT_GCS_PYTHON names an interpreter that has `mavsdk` and MAVProxy,
+else this one is asked; a test without its program is skipped with the reason.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
+from uavbatt.records import Sample
+
+PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
+GCS_PYTHON = os.environ.get("UAVBATT_GCS_PYTHON", sys.executable)
+SEEN_BY_MAVSDK = """
+import asyncio, math, sys
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+async def main(port, wanted):
+    sdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+    await sdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+    drone = await sdk.first_autopilot(timeout_s=10)
+    async for battery in TelemetryAsync(drone).subscribe_battery():
+        if battery.id == wanted and math.isfinite(battery.time_remaining_s):
+            print("SEEN", battery.time_remaining_s, flush=True)
+            return
+asyncio.run(asyncio.wait_for(main(int(sys.argv[1]), int(sys.argv[2])), 25))
+"""
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Autopilot(threading.Thread):
+    """Heartbeat and BATTERY_STATUS at 10 Hz to `port`; keeps and answers parameters."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(daemon=True)
+        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.line.setblocking(False)
+        self.to, self.is_over = ("127.0.0.1", port), False
+        self.parameters = {"BATT_CAPACITY": 5200.0, "BATT_MONITOR": 4.0}
+        self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._parser: Any = dialect.MAVLink(None)
+
+    def run(self) -> None:
+        k = 0
+        while not self.is_over:
+            if k % 10 == 0:
+                self.send(heartbeat(True))
+            self.send(battery_status(Sample(0.0, 16.0 - k * 1e-4, 12.0, 25.0, k / 3000, 0.9, True), 0))
+            k += 1
+            time.sleep(0.1)
+            self.answer()
+
+    def send(self, message: Any) -> None:
+        self.line.sendto(message.pack(self._link), self.to)
+        self._link.seq = (self._link.seq + 1) % 256
+
+    def answer(self) -> None:
+        while True:
+            try:
+                data = self.line.recv(4096)
+            except (BlockingIOError, ConnectionRefusedError):
+                return
+            for message in self._parser.parse_buffer(data) or []:
+                kind, names = message.get_type(), []
+                if kind == "PARAM_REQUEST_LIST":
+                    names = list(self.parameters)
+                elif kind == "PARAM_REQUEST_READ":
+                    names = [message.param_id or list(self.parameters)[message.param_index]]
+                elif kind == "PARAM_SET":
+                    self.parameters[message.param_id] = message.param_value
+                    names = [message.param_id]
+                for name in names:
+                    at, count = list(self.parameters).index(name), len(self.parameters)
+                    value = self.parameters[name]
+                    self.send(dialect.MAVLink_param_value_message(name.encode(), value, 9, count, at))
+
+
+@pytest.fixture
+def ports() -> Iterator[tuple[int, int]]:
+    vehicle, station = free_port(), free_port()
+    autopilot = Autopilot(vehicle)
+    autopilot.start()
+    yield vehicle, station
+    autopilot.is_over = True
+    autopilot.join(2.0)
+
+
+def start(ports: tuple[int, int], folder: Path, *more: str) -> subprocess.Popen[bytes]:
+    arguments = [f"udpin:127.0.0.1:{ports[0]}", "--gcs", f"udpout:127.0.0.1:{ports[1]}", "--capacity-ah", "5", *more]
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "RUNTIME_DIRECTORY": str(folder)}
+    return subprocess.Popen([*PROGRAM, *arguments], env=env, stderr=subprocess.DEVNULL)
+
+
+def needs(module: str) -> None:
+    if subprocess.run([GCS_PYTHON, "-c", f"import {module}"], capture_output=True).returncode:
+        pytest.skip(f"`{module}` is not here: name an interpreter that has it with UAVBATT_GCS_PYTHON")
+
+
+@pytest.mark.parametrize(("feed", "battery_id"), [("proxy", 0), ("battery", 8)])
+def test_mavsdk_sees_the_time(ports: tuple[int, int], tmp_path: Path, feed: str, battery_id: int) -> None:
+    needs("mavsdk")
+    companion = start(ports, tmp_path, "--feed", feed)
+    # In battery mode the autopilot's own messages reach the station by another way: here, a heartbeat is enough.
+    other = Autopilot(ports[1])
+    if feed == "battery":
+        other.start()
+    try:
+        command = [GCS_PYTHON, "-c", SEEN_BY_MAVSDK, str(ports[1]), str(battery_id)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=40)
+    finally:
+        other.is_over = True
+        companion.terminate()
+        companion.wait(8.0)
+    assert "SEEN" in done.stdout, done.stdout[-500:] + done.stderr[-500:]
+
+
+def test_mavproxy_works_behind_the_proxy(ports: tuple[int, int], tmp_path: Path) -> None:
+    needs("MAVProxy")
+    script = Path(GCS_PYTHON).with_name("mavproxy.py")
+    companion = start(ports, tmp_path, "--feed", "proxy")
+    modules = "--default-modules=link,param,wp,cmdlong,arm,mode,battery,misc"
+    command = [GCS_PYTHON, str(script), f"--master=udpin:127.0.0.1:{ports[1]}", "--mav20", "--no-state", modules]
+    console = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path
+    )
+    assert console.stdin is not None
+    try:
+        for pause_s, line in ((12.0, "param set BATT_CAPACITY 4800"), (2.0, "param show BATT_CAPACITY"),
+                              (1.0, "status BATTERY_STATUS"), (1.0, "")):  # fmt: skip
+            time.sleep(pause_s)
+            console.stdin.write(line + "\n")
+            console.stdin.flush()
+        time.sleep(0.5)
+    finally:
+        console.terminate()
+        said = console.communicate(timeout=10)[0]
+        companion.terminate()
+        companion.wait(8.0)
+    assert "4800" in said, said[-2000:]
+    status = next(line for line in said.splitlines() if "BATTERY_STATUS {" in line)
+    assert "time_remaining : 0," not in status, status
+
+
+def test_chromium_shows_the_time(ports: tuple[int, int], tmp_path: Path) -> None:
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    companion = start(ports, tmp_path, "--http", f"127.0.0.1:{ports[1]}")
+    time.sleep(8.0)
+    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--timeout=2000", "--dump-dom"]
+    try:
+        done = subprocess.run([*command, f"http://127.0.0.1:{ports[1]}/"], capture_output=True, text=True, timeout=40)
+    finally:
+        companion.terminate()
+        companion.wait(8.0)
+    assert 'class="state ok"' in done.stdout or 'class="state converging"' in done.stdout
+    assert "<small>min</small>" in done.stdout
