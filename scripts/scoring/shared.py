@@ -42,7 +42,7 @@ def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
             row, error = _row(path, battery)
         except UavbattError as problem:
             row, error = (_name(path), "refused", "", "", "", ""), (math.nan, math.nan)
-            refused.append(f"{_name(path)}: {problem}")
+            refused.append(f"{_name(path)}: {problem}".replace(str(path), path.name))
         rows.append(row)
         if "m100" in path.name:
             errors.append(error)

@@ -89,6 +89,7 @@ def _table(
 ) -> Table:
     head = ("flight", "flown [s]", "load", "half time [s]", "half time", "2 min before [s]", "soc RMSE", "inside")
     rows: list[tuple[str, ...]] = []
+    together: dict[str, list[Judged]] = {"log": [], "recent": []}
     for name in sets:
         means: dict[str, list[Judged]] = {"log": [], "recent": []}
         for number, (flight, answer) in enumerate(flights[name], 1):
@@ -97,9 +98,12 @@ def _table(
                 options = PackOptions(load=known, forecast_period_s=PERIOD_S)  # cells, capacity, cut-off: the vehicle's
                 judged = _judge(replayed(flight, battery, options), answer)
                 means[load].append(judged)
+                together[load].append(judged)
                 label = f"{name} {number}, {answer.ambient_C:.0f} °C"
                 rows.append((label, figure(answer.end_s - answer.start_s), load, *_cells(judged)))
         rows += [(f"{name}, mean |error|", "", load, *_mean_cells(every)) for load, every in means.items()]
+    if len(sets) > 1:
+        rows += [("all flights, mean |error|", "", load, *_mean_cells(every)) for load, every in together.items()]
     note = (
         "Positive: too optimistic. End of flight: 5 s mean of the true voltage below 13.2 V. soc RMSE over all rows up "
         "to the end, against the true charge of the pack. Inside: of the 90 % interval at the two instants."
