@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import random
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -235,3 +236,24 @@ def test_nan_and_refusal_are_never_zero_seconds() -> None:
     assert math.isnan(bench.named()["REM_S"])
     assert [m.time_remaining for m in bench.to_gcs() if m.get_type() == "BATTERY_STATUS"][-1] == 0  # not provided
     assert "capacity" in content(bench.daemon.board, bench.now_s)["reason"]
+
+
+def test_damaged_frames_neither_crash_nor_forge_an_estimate() -> None:
+    """20 000 chunks of noise, cut frames and flipped bits: every row that counts was sent whole by somebody."""
+    bench, dice = Bench(), random.Random(3)
+    bench.fly(2.0)
+    good = bytes(battery_status(Sample(0.0, 16.0, 12.0, 25.0, 0.1), 0).pack(bench._out))
+    for k in range(20_000):
+        bad = bytearray(good)
+        bad[dice.randrange(1, len(bad))] ^= 1 << dice.randrange(8)
+        piece = (bytes(bad), good[: dice.randrange(len(good))], dice.randbytes(dice.randrange(80)))[k % 3]
+        bench.link.incoming.append((piece, dice.randrange(3)))
+        if k % 10 == 0:
+            bench.daemon.turn()
+            bench.now_s += 0.001
+    assert bench.daemon.board.counts["rows"] <= 10 + 20  # a cut frame may be made whole by the piece behind it
+    estimate = bench.daemon.board.reports[0].estimate
+    assert (estimate.voltage_V, estimate.current_A) == (pytest.approx(16.0, abs=0.01), 12.0)
+    bench.now_s += 1.0
+    bench.fly(4.0)
+    assert bench.daemon.board.reports[0].estimate.status != "refused"
