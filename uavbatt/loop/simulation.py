@@ -94,12 +94,17 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
 
 
 def _states(cell: Parameters, start: State, rate: Array, dt_s: Array, ambient_C: Array) -> State:
-    """States at every row, [rows, columns] each; the current of a row has flowed since the row before."""
+    """States at every row, [rows, columns] each.
+
+    A row is the mean around its time, so that between two rows flows the mean of both.
+    """
+    between = rate.copy()
+    between[1:] = 0.5 * (rate[1:] + rate[:-1])
     out = State(*(np.empty_like(rate) for _ in State._fields))
     state = start
     for k in range(rate.shape[0]):
         if k:
-            state = model.step(cell, state, rate[k], ambient_C, dt_s[k])
+            state = model.step(cell, state, between[k], ambient_C, dt_s[k])
         for column, value in zip(out, state, strict=True):
             column[k] = value
     return out
