@@ -60,8 +60,8 @@ def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> Observe
         shown += (core - shown) / fields["sensor_lag_s"]
         metered = (amps - say("unmetered_W", 0.0) / volts) * say("gain", 1.0) + say("offset_A", 0.0)
         noise = random.standard_normal(3) * np.array([0.02, 0.15, 0.1])
-        seen = volts + say("offset_V", 0.0)
-        rows.append((float(second), seen + noise[0], max(metered + noise[1], 0.0), shown + say("offset_K", 0.0) + noise[2]))
+        seen, felt = volts + say("offset_V", 0.0), shown + say("offset_K", 0.0)
+        rows.append((float(second), seen + noise[0], max(metered + noise[1], 0.0), felt + noise[2]))
         under_s = under_s + 1 if volts < CUTOFF_V else 0
         if under_s > 10:
             break
