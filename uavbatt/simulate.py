@@ -76,18 +76,24 @@ def fly(pack: Pack, mission: Mission) -> list[Sample]:
         flying = time_s >= IDLE_S
         kick = GUST_SD * np.sqrt(-np.expm1(-2.0 * dt_s / GUST_TAU_S)) * random.standard_normal()
         gust = float(eq.relax(gust, 0.0, dt_s, GUST_TAU_S)) + float(kick)
-        power_W = mission.power_W * (np.exp(gust) if flying else IDLE_SHARE)
+        power_W = mission.power_W * (np.exp(gust) if flying else IDLE_SHARE) + installation.unmetered_W
         resistance = model.resistance(cell, state.soc, state.core_C)
         rate = eq.current_at_power(model.electromotive_force(cell, state), resistance, power_W / size)
         current_A = float(rate[0] * installation.present_capacity_Ah)
         state = model.step(cell, state, rate, mission.ambient_C, dt_s)
         true_V = float(terminal_voltage(installation, cell, state, current_A)[0])
-        drawn_Ah += current_A * dt_s / 3600.0
+        drawn_Ah += max(_metered(installation, current_A, true_V), 0.0) * dt_s / 3600.0
         samples.append(_row(pack, time_s, true_V, current_A, float(state.sensor_C[0]), drawn_Ah, flying, random))
         low_since_s = min(low_since_s, time_s) if true_V < pack.cutoff_V else np.inf
         if time_s - low_since_s > AFTER_END_S:
             break
     return samples
+
+
+def _metered(installation: Installation, current_A: float, true_V: float) -> float:
+    """What the current sensor sees [A] of a true current: the inverse of `pack.true_current`."""
+    seen_A = (current_A - installation.unmetered_W / true_V) * installation.gain_I + installation.offset_A
+    return float(seen_A)
 
 
 def _row(
@@ -102,7 +108,7 @@ def _row(
 ) -> Sample:
     installation = pack.installation
     noise: Array = random.standard_normal(3) * np.array(SENSOR_SD) * np.array([installation.cells, 1.0, 1.0])
-    metered_A = (current_A - installation.unmetered_W / true_V) * installation.gain_I + installation.offset_A
+    metered_A = _metered(installation, current_A, true_V)
     return Sample(
         time_s=time_s,
         voltage_V=float(metered_voltage(installation, true_V)) + float(noise[0]),

@@ -38,11 +38,14 @@ class Pack(NamedTuple):
 # Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
 # row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
 ROW_SHARE = 0.12
+COLLAPSE_V = 4.0  # volts per unit of charge
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25}
 
 
 def dense(knots_soc: Array, values: Array) -> Array:
     """Knots to a table on SOC_GRID by a monotone cubic (Fritsch-Carlson), straight beyond the outer knots.
+
+    Below the lowest knot it falls at least as fast as COLLAPSE_V: an emptied cell has no plateau.
 
     values [..., knots] -> [..., grid].
     """
@@ -52,7 +55,7 @@ def dense(knots_soc: Array, values: Array) -> Array:
     slope = np.diff(values, axis=-1) / np.diff(knots_soc)
     below = np.minimum(SOC_GRID - knots_soc[0], 0.0)
     above = np.maximum(SOC_GRID - knots_soc[-1], 0.0)
-    table += slope[..., :1] * below + slope[..., -1:] * above
+    table += np.maximum(slope[..., :1], COLLAPSE_V) * below + slope[..., -1:] * above
     return table
 
 

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Iterator
 from datetime import date
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -204,6 +207,11 @@ def _check_values(file: BatteryFile, origin: str) -> None:
         soc, column = getattr(table, axis), getattr(table, values)
         if len(soc) != len(column) or len(soc) < 2 or sorted(set(soc)) != soc:
             raise BadInput(origin, f"parameters.{axis}", f"ascending knots, as many as in {values}")
+    for place, numbers in _numbers(msgspec.to_builtins(file)):
+        if not math.isfinite(numbers):
+            raise BadInput(origin, place, f"a finite number, got {numbers}")
+    if any(b <= a for a, b in pairwise(table.ocv_V)):
+        raise BadInput(origin, "parameters.ocv_V", "a voltage that rises with the charge")
     if min(table.resistance_ohmAh) <= 0.0:
         raise BadInput(origin, "parameters.resistance_ohmAh", "positive resistances")
     if file.battery.cells_series < 1 or file.battery.cutoff_V <= 0.0:
@@ -218,6 +226,18 @@ def _check_values(file: BatteryFile, origin: str) -> None:
                 raise BadInput(origin, f"effects: {entry.name}.{name}", f"one of {', '.join(bounds)}")
             if not bounds[name][0] <= value <= bounds[name][1]:
                 raise BadInput(origin, f"effects: {entry.name}.{name}", f"a value in {bounds[name]}, got {value}")
+
+
+def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Every float of the content with the place it stands at."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _numbers(inner, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _numbers(inner, place)
+    elif isinstance(value, float):
+        yield place, value
 
 
 def _one_line(error: Exception) -> str:

@@ -118,14 +118,20 @@ class SocFilter:
         dt_s = sample.time_s - self._time_s
         if dt_s < 0.0:
             return self._estimate(sample, NAN, NAN, NAN, refusal="time went backwards")
+        if dt_s > BLOCK_S and 0.0 < self._block.duration_s:
+            self._close(sample)  # rows before a gap belong to the time before it
         self._block = self._block.after(sample, current_A, dt_s, self._current_A)
         self._time_s, self._current_A = sample.time_s, current_A
         block = self._block
         if block.duration_s < BLOCK_S:
             return self._between(sample, current_A, block)
+        return self._close(sample)
+
+    def _close(self, sample: Sample) -> Estimate:
+        """Take the rows of the block in."""
+        block, self._block = self._block, Block()
         self._predict(block.charge_As / block.duration_s, block.duration_s)
-        step_A = block.current_A - self._block_A
-        self._block, self._block_A = Block(), block.current_A
+        step_A, self._block_A = block.current_A - self._block_A, block.current_A
         return self._update(sample, block, step_A)
 
     def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:

@@ -20,6 +20,9 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
+OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
+DISORDER_SD_V = 0.003
+
 RESISTANCE_SOC = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 # 5.6 mohm a cell of 5 Ah at once; what lags comes on top. Packs differ by a factor of 1.6 either way: 0.04 ohm·Ah in
 # all for a racing pack, 0.06 in the study, 0.1 for packs built for energy.
@@ -69,6 +72,19 @@ def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
     first = at[f"r0_{RESISTANCE_SOC[0]:g}"]
     shape = x[..., first : first + RESISTANCE_SOC.size]
     return ocv_V, x[..., at["r0_ohmAh"], None] * shape
+
+
+def disorder(slots: tuple[Slot, ...], x: Array) -> Array:
+    """Residuals [..., knots - 1] that a fit is charged where its OCV does not rise with the charge by OCV_SLOPE_V."""
+    ocv_V, _ = knots(slots, x)
+    short_V = OCV_SLOPE_V * np.diff(OCV_SOC) - np.diff(ocv_V, axis=-1)
+    return np.asarray(np.maximum(short_V, 0.0) / DISORDER_SD_V)
+
+
+def rising(ocv_V: Array) -> Array:
+    """The OCV at its knots without the last millivolts of disorder that a fit may leave."""
+    least_V = OCV_SLOPE_V * OCV_SOC
+    return np.asarray(np.maximum.accumulate(ocv_V - least_V) + least_V)
 
 
 def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFECTS) -> Parameters:

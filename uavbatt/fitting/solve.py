@@ -104,7 +104,10 @@ def fit(
         return residuals(stack, run(stack, slots, effects, x, own), v.shape[0])
 
     def objective(v: Array) -> Array:
-        return np.concatenate([evaluate(v[None])[0].ravel(), v])
+        return np.concatenate([evaluate(v[None])[0].ravel(), disordered(v[None])[0], v])
+
+    def disordered(v: Array) -> Array:
+        return prior.disorder(slots, prior.values(slots, v[:, :shared]))
 
     def jacobian(v: Array) -> Array:
         nudges = np.zeros((shared + len(OWN), v.size))
@@ -120,7 +123,10 @@ def fit(
                 block[:, r, shared + r * len(OWN) + k] = slopes[shared + k, :, r]
         if progress is not None:
             progress(1)
-        return np.vstack([block.reshape(-1, v.size), np.eye(v.size)])
+        order = disordered(np.vstack([v, v + nudges]))
+        order_slopes = np.zeros((order.shape[1], v.size))
+        order_slopes[:, :shared] = ((order[1 : shared + 1] - order[0]) / NUDGE).T
+        return np.vstack([block.reshape(-1, v.size), order_slopes, np.eye(v.size)])
 
     start = np.zeros(shared + records * len(OWN))
     if start_u is not None:

@@ -20,7 +20,7 @@ from uavbatt.fitting.prior import Posterior, Slot
 
 STEP_S = 5.0
 LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
-SURFACE_SD_K = 0.5
+SURFACE_SD_K = 0.25
 NUDGE = 1e-4
 
 LOAD_SLOTS = (
@@ -33,7 +33,7 @@ LOAD_SLOTS = (
 
 @dataclass(frozen=True, slots=True)
 class MeanTest:
-    """What is fitted: mean voltage [V] and surface temperature [°C] of the tests at their instants [s]."""
+    """What is fitted: mean voltage [V] with its standard error, and mean surface temperature [°C], at instants [s]."""
 
     time_s: Array
     voltage_V: Array
@@ -88,10 +88,11 @@ def fit(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Poster
     sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
 
     def evaluate(u: Array) -> Array:
-        volts, surface = predict(slots, effects, prior.values(slots, u), test, test.time_s)
+        x = prior.values(slots, u)
+        volts, surface = predict(slots, effects, x, test, test.time_s)
         misfit_V = (volts - test.voltage_V[:, None]) / sigma_V[:, None]
         misfit_K = np.nan_to_num(surface - test.surface_C[:, None]) / SURFACE_SD_K
-        return np.concatenate([misfit_V, misfit_K, u.T])
+        return np.concatenate([misfit_V, misfit_K, prior.disorder(slots, x).T, u.T])
 
     def objective(u: Array) -> Array:
         return evaluate(u[None])[:, 0]

@@ -92,10 +92,11 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
     volts = np.array([np.interp(grid, r.time_s, r.voltage_V) for r in runs])
     surfaces = np.array([np.interp(grid, r.time_s, r.surface_C) for r in runs])
     known = surfaces[np.isfinite(surfaces).all(axis=1)]
+    occasions = len({r.run for r in runs})  # runs of one occasion are not independent
     return MeanTest(
         time_s=grid,
         voltage_V=volts.mean(axis=0),
-        voltage_sd_V=volts.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(grid.size),
+        voltage_sd_V=volts.std(axis=0, ddof=1) / np.sqrt(occasions) if len(runs) > 1 else np.zeros(grid.size),
         surface_C=known.mean(axis=0) if len(known) else np.full(grid.size, np.nan),
         cells=dataset.cells_series,
         ambient_C=ambient_C,
