@@ -44,6 +44,17 @@ class Constancy:
     spread: float  # between-record sd of the first quantity, relative to its change
     held_out_gain: Array  # [records]: chi-square saved on a record by the value that the others give
 
+    @property
+    def steady(self) -> bool:
+        """Whether the records agree on the value."""
+        return self.spread <= UNSTEADY or self.q <= 3.0 * len(self.values)
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the others' value helps most of the records, and all of them together."""
+        gain = self.held_out_gain
+        return bool(np.sum(gain) > 0.0 and np.mean(gain > 0.0) > 0.5)
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -94,7 +105,7 @@ def at_bound(fit: Refit) -> bool:
     return False
 
 
-def find(problem: Problem, known: list[Refit], options: list[Candidate], *, constant: bool = True) -> Finding | None:
+def find(problem: Problem, known: list[Refit], options: list[Candidate]) -> Finding | None:
     """The best effect to add to each of the `known` models; None when none earns its place."""
     tried, starts = [], []
     for model in known:
@@ -116,7 +127,9 @@ def find(problem: Problem, known: list[Refit], options: list[Candidate], *, cons
     tolerance = max(LEAST_GAIN, INSIGHT * gain)
     behind = np.array([bic(f, problem) - bic(best, problem) for f in earned])
     members = _distinct([f for f, d in zip(earned, behind, strict=True) if d <= tolerance])
-    steady = constancy(problem, best, before) if constant else None
+    steady = constancy(problem, best, before)
+    if steady is not None and not steady.predicts:
+        return None
     probability = _weight(earned, members, behind / tolerance)
     return Finding(members, before, gain, sigmas(best, problem), steady, tuple(earned), probability)
 

@@ -2,7 +2,8 @@
 
 One effect at a time. A further one is sought only while the residual is larger than what the battery's model leaves on
 effect-free data; then the pairs are weighed as pairs, since two effects together can look like a third. What
-still stands above that floor, or a value that differs from record to record, ends as `undeclared_effect`.
+still stands above that floor, or a value that differs from record to record, ends as `undeclared_effect`; such a
+value is named as a suspect and does not enter the model.
 """
 
 from __future__ import annotations
@@ -156,6 +157,8 @@ def _search(
     step = attribute.find(problem, [nothing], options)
     if step is None:
         return nothing, []
+    if step.constancy is not None and not step.constancy.steady:
+        return nothing, [step]  # a suspect, but no value that could stand in a battery file
     findings = [step]
     best = step.members[0]
     while len(findings) < MOST_EFFECTS and _above(problem, best, floor):
@@ -163,6 +166,8 @@ def _search(
         further = attribute.find(problem, _rivals(findings[-1]), options)
         explained = nothing.total - best.total
         if further is None or further.gain < max(attribute.FURTHER_GAIN, attribute.FURTHER_SHARE * explained):
+            break
+        if further.constancy is not None and not further.constancy.steady:
             break
         best = further.members[0]
         findings = _reweighed(problem, best, options) or [further]
@@ -227,7 +232,7 @@ def _doubts(
         doubts.append(f"the temperature residual is still {size_K:.1f} K where the model leaves {floor_K:.1f} K")
     for finding in findings:
         steady = finding.constancy
-        if steady is not None and steady.spread > attribute.UNSTEADY and steady.q > 3.0 * len(steady.values):
+        if steady is not None and not steady.steady:
             name = finding.members[0].candidate.name
             doubts.append(f"{name} is not the same in all records (they differ by {steady.spread:.0%} of it)")
         if {m.candidate.name for m in finding.members} <= listed - {"temperature_lag"}:

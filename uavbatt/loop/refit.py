@@ -277,7 +277,8 @@ def _scanned(batch: _Batch, u: Array, v: Array) -> Array:
             us[:, i, :, k] = np.clip(np.array(SCAN)[:, None] + u[i, :, k], batch.low[i, k], batch.high[i, k])
     values, _ = batch.residuals(us, np.repeat(v[None], len(SCAN), axis=0))
     best = np.argmin(np.sum(values**2, axis=(2, 3)), axis=0)
-    return us[best, np.arange(len(batch.candidates))]
+    chosen: Array = us[best, np.arange(len(batch.candidates))]
+    return chosen
 
 
 @dataclass(frozen=True, slots=True)
