@@ -118,7 +118,7 @@ class SocFilter:
         dt_s = sample.time_s - self._time_s
         if dt_s < 0.0:
             return self._estimate(sample, NAN, NAN, NAN, refusal="time went backwards")
-        if dt_s > BLOCK_S and 0.0 < self._block.duration_s:
+        if dt_s > BLOCK_S and self._block.duration_s > 0.0:
             self._close(sample)  # rows before a gap belong to the time before it
         self._block = self._block.after(sample, current_A, dt_s, self._current_A)
         self._time_s, self._current_A = sample.time_s, current_A

@@ -90,7 +90,7 @@ def time_to_end(
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
-    """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the mean's lag."""
+    """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the lag."""
     below = margin < 0.0
     first = np.argmax(below, axis=0)
     columns = np.arange(margin.shape[1])
