@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import signal
+import os
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli.live_process import CONFIG_VARIABLE
 from uavbatt.cli.options import known
-from uavbatt.errors import BadInput, UsageError
+from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from uavbatt.config import Config, PackSection
-    from uavbatt.mavlink.endpoint import Link
-    from uavbatt.pipeline import PackOptions
+    from uavbatt.config import Config
 
 
 def live(
@@ -39,9 +35,7 @@ def live(
     load: Annotated[str | None, typer.Option("--load", help="learned, recent or watts.")] = None,
     record: Annotated[str | None, typer.Option("--record", metavar="DIR", help="Record into this folder.")] = None,
     state: Annotated[str | None, typer.Option("--state", metavar="FILE", help="State that survives a crash.")] = None,
-    request: Annotated[
-        bool | None, typer.Option("--request", help="Ask the autopilot for rate, parameters.")
-    ] = None,
+    request: Annotated[bool | None, typer.Option("--request", help="Ask the autopilot for rate, parameters.")] = None,
     system: Annotated[int | None, typer.Option("--system", min=1, max=255, help="Only this vehicle.")] = None,
     component: Annotated[int | None, typer.Option("--component", min=1, max=255)] = None,
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
@@ -65,7 +59,7 @@ def live(
     for kind in feed or []:
         if kind not in ("proxy", "battery", "named"):
             raise UsageError(f"--feed {kind}: expected proxy, battery or named")
-    _run(checked(_overridden(read(config), given)))
+    _become(checked(_overridden(read(config), given)))
 
 
 def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
@@ -79,72 +73,10 @@ def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
     return replace(config, **sections)
 
 
-def _run(config: Config) -> None:
-    from uavbatt.battery import file
-    from uavbatt.daemon import Daemon
+def _become(config: Config) -> None:
+    """Go on as `live_process` in this very process: what reads a command line is not carried along in flight."""
+    import msgspec
 
-    content = file.read(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
-    options = pack_options(config.pack)
-    link, stations = _links(config)
-    stopped: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda signum, frame: stopped.append(signum))
-    daemon = Daemon(config, content, options, link, stations)
-    if config.http.listen:
-        from uavbatt.feed.web import serve
-
-        serve(config.http, lambda: daemon.board, time.monotonic)
-    print(f"uavbatt: listening on {config.link.endpoint}; {_feeds(config)}", file=sys.stderr, flush=True)
-    daemon.run(lambda: bool(stopped))
-
-
-def _feeds(config: Config) -> str:
-    words = [f"feed {', '.join(config.feed.kinds)} to {', '.join(config.link.gcs)}" if config.link.gcs else ""]
-    words.append(f"page on http://{config.http.listen}/" if config.http.listen else "")
-    words.append(f"recording to {config.record.folder}" if config.record.folder else "")
-    return "; ".join(word for word in words if word) or "no ground station (--gcs), no page (--http), no recording"
-
-
-def _links(config: Config) -> tuple[Link, Sequence[Link]]:
-    """The way to the autopilot and to the ground stations; behind the proxy both are its business."""
-    from uavbatt.mavlink.endpoint import parse
-    from uavbatt.mavlink.links import open_link
-
-    for text in (config.link.endpoint, *config.link.gcs):
-        parse(text)
-    if "proxy" not in config.feed.kinds:
-        return open_link(config.link.endpoint), [open_link(text) for text in config.link.gcs]
-    from uavbatt.feed.proxy import Settings
-    from uavbatt.feed.proxy_client import ProxyClient, control_path
-
-    link, feed = config.link, config.feed
-    control = feed.proxy_control or control_path(link.endpoint)
-    return ProxyClient(Settings(link.endpoint, link.gcs, control, link.request, feed.proxy_soc)), ()
-
-
-def pack_options(pack: PackSection) -> PackOptions:
-    """What the configuration states of the pack, for the estimator."""
-    from uavbatt.battery import vehicle as vehicle_file
-    from uavbatt.cli.loads import stated_load
-    from uavbatt.pipeline import PackOptions
-    from uavbatt.records import NAN, Flight
-
-    if pack.load == "log":
-        raise UsageError("--load log: expected learned, recent or watts; in flight no log knows what is to come")
-    flown = vehicle_file.read(Path(pack.vehicle)) if pack.vehicle else None
-    chosen = stated_load(pack.load, Flight("live", "live", ()), flown)
-    if pack.forecast_period_s is not None and pack.forecast_period_s < 0.2:
-        raise BadInput("uavbatt.toml", "key pack.forecast_period_s", "0.2 s or more")
-    options = PackOptions(
-        cells=pack.cells,
-        capacity_Ah=pack.capacity_Ah or NAN,
-        cutoff_V=pack.cutoff_voltage_V or NAN,
-        reserve_soc=pack.reserve_soc,
-        ambient_C=NAN if pack.ambient_C is None else pack.ambient_C,
-        load=chosen,
-    )
-    if pack.forecast_period_s is None:
-        return options
-    from dataclasses import replace
-
-    return replace(options, forecast_period_s=pack.forecast_period_s)
+    os.environ[CONFIG_VARIABLE] = msgspec.json.encode(config).decode()
+    sys.stderr.flush()
+    os.execv(sys.executable, [sys.executable, "-m", "uavbatt.cli.live_process"])

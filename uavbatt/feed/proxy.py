@@ -23,6 +23,7 @@ import socket
 import struct
 import sys
 import time
+from contextlib import suppress
 from typing import NamedTuple
 
 from uavbatt.errors import UavbattError
@@ -262,6 +263,8 @@ def main() -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: stopped.append(signum))
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    with suppress(OSError):  # frames go before everything else, where that is allowed
+        os.nice(-10 - os.nice(0))
     try:
         proxy = Proxy(Settings(**json.loads(sys.argv[1])))
     except (UavbattError, OSError) as error:

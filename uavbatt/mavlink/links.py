@@ -232,7 +232,8 @@ class TcpServer:
         return found
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Send to every client."""
+        """Send to every client, the one that has just come as well."""
+        self._accept()
         for client in list(self._clients):
             if not client.write(data):
                 self._drop(client)

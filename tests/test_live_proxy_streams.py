@@ -1,0 +1,124 @@
+"""The proxy on streams: partial frames are held 20 ms at most, a client that does not read is dropped."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.feed import proxy
+from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
+from uavbatt.records import Sample
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def framed(message: Any) -> bytes:
+    return bytes(message.pack(dialect.MAVLink(None, srcSystem=1, srcComponent=1)))
+
+
+BATTERY = framed(battery_status(Sample(0.0, 16.0, 12.0, 25.0, 0.1), 0))
+BEAT = framed(heartbeat(True))
+
+
+class Around:
+    """A proxy between two TCP streams, and the estimator's control line."""
+
+    def __init__(self, folder: Path) -> None:
+        fc, gcs, control = free_port(), free_port(), str(folder / "control.sock")
+        settings = proxy.Settings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], control)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "uavbatt.feed.proxy", proxy.json.dumps(settings._asdict())]
+        )
+        self.vehicle, self.station = self._connected(fc), self._connected(gcs)
+        self.gcs_port = gcs
+        self.control = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.control.connect(control)
+        self.control.settimeout(5.0)
+        self.station.sendall(b"hello")
+        assert self.vehicle.recv(100) == b"hello"  # both are in
+
+    def _connected(self, port: int) -> socket.socket:
+        for _ in range(100):
+            try:
+                made = socket.create_connection(("127.0.0.1", port), 5.0)
+                made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                return made
+            except ConnectionRefusedError:
+                time.sleep(0.05)
+        raise AssertionError("the proxy does not listen")
+
+    def tell(self, remaining_s: float) -> None:
+        body = proxy.struct.pack(proxy.ESTIMATE_LAYOUT, 1, 1, 0, proxy.OK, remaining_s, 0.5, time.monotonic())
+        self.control.sendall(proxy.message(proxy.ESTIMATE, body))
+        time.sleep(0.1)
+
+    def seen(self, size: int) -> bytes:
+        data = b""
+        while len(data) < size:
+            data += self.station.recv(size - len(data))
+        return data
+
+
+@pytest.fixture
+def around(tmp_path: Path) -> Iterator[Around]:
+    made = Around(tmp_path)
+    yield made
+    made.process.terminate()
+    made.process.wait(5.0)
+
+
+def test_a_frame_in_two_parts_is_rewritten_and_a_lonely_part_is_not_held(around: Around) -> None:
+    around.tell(321.5)
+    around.vehicle.sendall(BATTERY[:15])
+    time.sleep(0.002)
+    around.vehicle.sendall(BATTERY[15:] + BEAT)
+    frame = around.seen(12 + 38)  # 321 s: 38 bytes of payload, the zeros behind it trimmed
+    assert dialect.MAVLink(None).decode(bytearray(frame)).time_remaining == 321
+    assert around.seen(len(BEAT)) == BEAT
+    start_s = time.monotonic()
+    around.vehicle.sendall(BATTERY[:15])
+    assert around.seen(15) == BATTERY[:15]
+    assert time.monotonic() - start_s < 0.2  # 20 ms, and what a busy test machine adds
+    around.vehicle.sendall(BATTERY[15:] + BEAT)
+    assert around.seen(len(BATTERY) - 15 + len(BEAT)) == BATTERY[15:] + BEAT
+
+
+def test_the_estimator_hears_the_original_and_cannot_speak_to_the_autopilot(around: Around) -> None:
+    around.tell(100.0)
+    around.vehicle.sendall(BATTERY)
+    messages, told = proxy.Messages(), []
+    while not told:
+        told = messages.feed(around.control.recv(4096))
+    assert told == [(proxy.TELEMETRY, BATTERY)]
+    around.control.sendall(proxy.message(proxy.TO_AUTOPILOT, BEAT) + proxy.message(proxy.TO_GCS, BEAT))
+    assert around.seen(12 + 37)[0] == 0xFD and around.seen(len(BEAT)) == BEAT
+    around.vehicle.settimeout(0.3)
+    with pytest.raises(TimeoutError):
+        around.vehicle.recv(10)
+
+
+def test_a_client_that_does_not_read_is_dropped_and_nobody_waits(around: Around) -> None:
+    slow = socket.create_connection(("127.0.0.1", around.gcs_port))
+    slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    time.sleep(0.3)
+    block = bytes(10_000)  # no frame at all passes as well
+    for _ in range(900):
+        around.vehicle.sendall(block)
+        assert around.seen(len(block)) == block
+    slow.settimeout(5.0)
+    received = 0
+    while data := slow.recv(1 << 20):
+        received += len(data)
+    assert received < 900 * len(block)
