@@ -13,7 +13,8 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.loop.candidates import Candidate
-from uavbatt.loop.refit import Problem, Refit, refit
+from uavbatt.loop.problem import Problem, Refit
+from uavbatt.loop.refit import refit
 
 LEAST_GAIN = 10.0  # of BIC: "very strong" (Kass & Raftery 1995)
 INSIGHT = 0.09

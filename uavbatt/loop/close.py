@@ -22,7 +22,8 @@ from uavbatt.fitting.assemble import rounded
 from uavbatt.loop import attribute, residual
 from uavbatt.loop.candidates import BY_NAME, QUANTITIES
 from uavbatt.loop.diagnosis import Diagnosis
-from uavbatt.loop.refit import Problem, Refit, at_best
+from uavbatt.loop.problem import Problem, Refit
+from uavbatt.loop.refit import at_best
 from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.prediction.score import end_of_flight

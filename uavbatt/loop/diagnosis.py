@@ -23,7 +23,8 @@ from uavbatt.loop.attribute import Finding
 from uavbatt.loop.candidates import NOTHING, UNITS, Candidate, base_values, candidates, nuisances
 from uavbatt.loop.candidates import QUANTITIES as EVERY_QUANTITY
 from uavbatt.loop.evidence import NOT_HELD_OUT, prepare
-from uavbatt.loop.refit import Problem, Refit, TableErrors, at_best, refit
+from uavbatt.loop.problem import Problem, Refit, TableErrors
+from uavbatt.loop.refit import at_best, refit
 from uavbatt.loop.residual import Residual, Shape
 from uavbatt.loop.words import separating
 
