@@ -111,14 +111,13 @@ def test_the_estimator_hears_the_original_and_cannot_speak_to_the_autopilot(arou
 
 def test_a_client_that_does_not_read_is_dropped_and_nobody_waits(around: Around) -> None:
     slow = socket.create_connection(("127.0.0.1", around.gcs_port))
-    slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     time.sleep(0.3)
     block = bytes(10_000)  # no frame at all passes as well
-    for _ in range(900):
+    for _ in range(1500):
         around.vehicle.sendall(block)
         assert around.seen(len(block)) == block
     slow.settimeout(5.0)
     received = 0
     while data := slow.recv(1 << 20):
         received += len(data)
-    assert received < 900 * len(block)
+    assert received < 1500 * len(block)

@@ -162,9 +162,10 @@ class Control:
         return self._messages.feed(data) if data else []
 
     def write(self, kind: bytes, body: bytes) -> None:
-        """Tell the estimator, if it listens."""
-        if self._client is not None and not self._client.write(message(kind, body)):
-            self.close_client()
+        """Tell the estimator, if it listens; a long body goes in parts."""
+        for at in range(0, max(len(body), 1), LONGEST_BODY):
+            if self._client is not None and not self._client.write(message(kind, body[at : at + LONGEST_BODY])):
+                self.close_client()
 
     def close_client(self) -> None:
         """Forget the estimator."""
@@ -210,7 +211,7 @@ class Proxy:
                 self._stream(data, sender, now_s)
             else:
                 self._to_stations(self.rewriter.datagram(data, now_s), now_s)
-                self.control.write(TELEMETRY, data[:LONGEST_BODY])
+                self.control.write(TELEMETRY, data)
         for splitter, since_s in self._splitters.values():
             if splitter.waiting and now_s - since_s >= HOLD_S:
                 self._pass(splitter.flush(), now_s)

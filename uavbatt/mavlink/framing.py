@@ -70,13 +70,19 @@ def header(frame: bytes) -> Header:
     return Header(frame[5], frame[6], frame[7] | frame[8] << 8 | frame[9] << 16)
 
 
+def _next_mark(data: bytes, position: int) -> int:
+    """The next byte that could begin a frame; the end of the data if there is none."""
+    found = [at for mark in (b"\xfe", b"\xfd") if (at := data.find(mark, position)) >= 0]
+    return min(found, default=len(data))
+
+
 def pieces(data: bytes, start: int = 0) -> Iterator[tuple[int, int, bool]]:
     """(from, to, is a whole frame) over all of `data`; the last piece may be a frame cut short."""
     garbage_from, position = start, start
     while position < len(data):
         length = frame_length(data, position)
         if length == 0:
-            position += 1
+            position = _next_mark(data, position + 1)
             continue
         if garbage_from < position:
             yield garbage_from, position, False
@@ -173,7 +179,7 @@ class Frames:
         while position < len(self._data):
             length = frame_length(self._data, position)
             if length == 0:
-                position = self._next_mark(position + 1)
+                position = _next_mark(self._data, position + 1)
                 continue
             if length < 0 or position + length > len(self._data):
                 break
@@ -185,7 +191,3 @@ class Frames:
     def reject(self) -> None:
         """The frame handed out last was none."""
         self._last = (self._last[0], self._last[0])
-
-    def _next_mark(self, position: int) -> int:
-        found = [at for mark in (b"\xfe", b"\xfd") if (at := self._data.find(mark, position)) >= 0]
-        return min(found, default=len(self._data))
