@@ -28,7 +28,7 @@ LEVELS = 3
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-PRIOR_SPREAD = 0.12
+PRIOR_SPREAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class UnknownAircraft:
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Levels x surge factors x where in the rest of the flight the surge begins."""
-        spread = float(np.hypot(PRIOR_SPREAD, now.recent.spread / 2.0))
+        spread = float(np.hypot(PRIOR_SPREAD, now.recent.spread))
         levels = self.typical_W(now) * equal_levels(spread, LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
         surging = share[:, None] >= SURGE_BEGINS
