@@ -100,18 +100,23 @@ class Candidate:
 
 NOTHING = Candidate((), ())
 
-# What the battery file itself may be wrong by, the same for all records: a share of the scatter between packs that
-# the file states (it was fitted to packs like this one), and a reading of current and voltage that is not quite
-# simultaneous. Each of them looks like an effect; only what goes beyond is one.
-CAPACITY_SHARE, RESISTANCE_SHARE, DELAY_SD_S = 0.4, 0.25, 0.25
+# What the battery file itself may be wrong by, the same for all records, and a reading of current and voltage that is
+# not quite simultaneous. Each of them looks like an effect; only what goes beyond is one. A file fitted to metered
+# records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
+CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
+CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
 
 
 def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
     """Errors of the battery file that all records share, in u with sd 1."""
     table = file.parameters
+    capacity_sd = CAPACITY_SHARE * table.capacity_scale_sd
+    resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
+    if file.status != "generic" and table.c_rate is None:
+        capacity_sd, resistance_sd = min(capacity_sd, CAPACITY_SD), min(resistance_sd, RESISTANCE_SD)
     return (
-        _nuisance("fade", CAPACITY_SHARE * table.capacity_scale_sd),
-        _nuisance("growth", RESISTANCE_SHARE * table.resistance_scale_sd),
+        _nuisance("fade", capacity_sd),
+        _nuisance("growth", resistance_sd),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
     )
 
