@@ -76,7 +76,8 @@ def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source:
         bias.append(float(np.mean(error)))
         squares.append(float(np.mean(error[:-1] * error[1:])))  # lag one: without the white part
         lagged.append(_correlation_time(error, stack.time_s[rows, j]))
-        temps.append(float(np.nanmean((trajectory.sensor_C[rows, j] - stack.temp_C[rows, j]) ** 2)))
+        gap_K = trajectory.sensor_C[rows, j] - stack.temp_C[rows, j]
+        temps.append(float(np.nanmean(gap_K**2)) if np.isfinite(gap_K).any() else np.nan)
     temperature = float(np.sqrt(np.nanmean(temps))) if np.isfinite(temps).any() else 2.0
     return Discrepancy(
         voltage_bias_V=rounded(float(np.mean(bias))),
