@@ -82,15 +82,20 @@ def cell_parameters(file: BatteryFile) -> Parameters:
     )
 
 
-def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, low_V: float) -> Pack:
-    """The file scaled to `cells` in series of `capacity_Ah`, with the voltages that end the flight [V]."""
+def installation_of(file: BatteryFile, cells: int, capacity_Ah: float) -> Installation:
+    """Wiring and sensors as the file's effects have them, for `cells` in series of `capacity_Ah`."""
     fields = {
         name: value
         for entry in file.effects
         if EFFECTS[entry.name].acts_on == "installation"
         for name, value in entry.parameters.items()
     }
-    installation = Installation(cells=cells, capacity_Ah=capacity_Ah, **fields)
+    return Installation(cells=cells, capacity_Ah=capacity_Ah, **fields)
+
+
+def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, low_V: float) -> Pack:
+    """The file scaled to `cells` in series of `capacity_Ah`, with the voltages that end the flight [V]."""
+    installation = installation_of(file, cells, capacity_Ah)
     widening = WIDENING[file.status]
     left = file.discrepancy
     return Pack(

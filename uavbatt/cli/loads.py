@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 
+from uavbatt.battery.build import installation_of
+from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.pack import Installation, true_current
 from uavbatt.battery.vehicle import VehicleFile
 from uavbatt.errors import UsageError
 from uavbatt.prediction.learned import UnknownAircraft, learned_load
@@ -13,8 +16,10 @@ from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, Load, LoggedLoa
 from uavbatt.records import Flight
 
 
-def stated_load(text: str, flight: Flight, vehicle: VehicleFile | None = None) -> Load:
-    """The load that `--load TEXT` means for a flight."""
+def stated_load(
+    text: str, flight: Flight, vehicle: VehicleFile | None = None, battery: BatteryFile | None = None
+) -> Load:
+    """The load that `--load TEXT` means for a flight; the battery file's sensor effects correct the logged power."""
     if text == "learned":
         return UnknownAircraft() if vehicle is None else learned_load(vehicle)
     if text == "recent":
@@ -23,9 +28,10 @@ def stated_load(text: str, flight: Flight, vehicle: VehicleFile | None = None) -
         rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
         if len(rows) < 2:
             raise UsageError(f"{flight.source}: --load log: expected rows with voltage and current")
-        return LoggedLoad(
-            np.array([s.time_s for s in rows]), np.array([max(s.voltage_V * s.current_A, 0.0) for s in rows])
-        )
+        sensors = Installation(1, 1.0) if battery is None else installation_of(battery, 1, 1.0)
+        volts = np.array([s.voltage_V for s in rows])
+        amps = true_current(sensors, np.array([s.current_A for s in rows]), volts)
+        return LoggedLoad(np.array([s.time_s for s in rows]), np.maximum(volts * amps, 0.0))
     try:
         watts = float(text)
     except ValueError:

@@ -99,7 +99,7 @@ def _one(
     from uavbatt.telemetry import read_log
 
     flight = read_log(log, instance)
-    estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1])))
+    estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1], content)))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(sinks.json_lines(jsonl))] if jsonl is not None else []
