@@ -46,8 +46,9 @@ def loop(result: Validation) -> None:
     print("\nclosing the loop over temperature")
     for gain in result.temperatures.gains:
         print(
-            f"  {gain.question}, {gain.group}: fitted {1e3 * gain.fitted_before_V:.0f} -> {1e3 * gain.fitted_after_V:.0f} "
-            f"mV, held out {1e3 * gain.before_V:.0f} -> {1e3 * gain.after_V:.0f} mV, p = {gain.p_value:.3g}, "
+            f"  {gain.question}, {gain.group}: "
+            f"fitted {1e3 * gain.fitted_before_V:.0f} -> {1e3 * gain.fitted_after_V:.0f} mV, "
+            f"held out {1e3 * gain.before_V:.0f} -> {1e3 * gain.after_V:.0f} mV, p = {gain.p_value:.3g}, "
             f"{'holds' if gain.holds else 'does not hold'}"
         )
 
