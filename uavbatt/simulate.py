@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uavbatt.aside import written_aside
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.build import Pack
@@ -18,7 +19,6 @@ from uavbatt.battery.effects import EFFECTS, effect_named
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
 from uavbatt.errors import UsageError
-from uavbatt.feed.sinks import text_aside
 from uavbatt.mavlink.dataflash_writer import write_dataflash
 from uavbatt.mavlink.tlog_writer import write_tlog
 from uavbatt.records import Sample
@@ -135,7 +135,7 @@ def write(path: Path, samples: list[Sample], pack: Pack) -> None:
     elif kind == ".bin":
         write_dataflash(path, samples, parameters)
     elif kind == ".csv":
-        with text_aside(path) as stream:
+        with written_aside(path) as stream:
             stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
             for s in samples:
                 stream.write(

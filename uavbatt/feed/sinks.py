@@ -114,8 +114,6 @@ def in_order(line: Line) -> Line:
     return {key: line[key] for key in COLUMNS}
 
 
-text_aside = written_aside
-
 
 @contextmanager
 def _opened(path: str | Path, kind: Callable[[TextIO], Sink]) -> Iterator[Sink]:
