@@ -173,7 +173,7 @@ class Estimator:
         capacity_Ah, capacity_from = _first(
             (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
         )
-        if capacity_Ah is None:
+        if not math.isfinite(capacity_Ah):
             raise UsageError(
                 f"capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah"
             )
@@ -233,11 +233,11 @@ def _unknown(sample: Sample) -> tuple[Estimate, Remaining]:
 
 
 def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
-    """The first candidate that is known, with its source; the last one as it is when none is."""
+    """The first candidate that is known, with its source; NaN and the last source when none is."""
     for value, source in candidates:
         if value is not None and math.isfinite(value):
             return value, source
-    return candidates[-1][0], candidates[-1][1]  # type: ignore[return-value]
+    return NAN, candidates[-1][1]
 
 
 def _cells_from_voltage(voltage_V: float, typical: int) -> int:

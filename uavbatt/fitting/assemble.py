@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy, EffectEntry, ParameterTable
+from uavbatt.battery.file import Discrepancy, EffectEntry, ParameterTable
 from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
 from uavbatt.fitting import prior
@@ -97,16 +97,3 @@ def _correlation_time(error: Array, time_s: Array) -> float:
     below = np.flatnonzero(correlation < correlation[1] / np.e)
     lag = int(below[0]) if below.size else len(centred) - 1
     return float(lag * np.median(np.diff(time_s)))
-
-
-def battery_file(
-    battery: Battery,
-    table: ParameterTable,
-    effects: list[EffectEntry],
-    left: Discrepancy,
-    certificate: Certificate,
-) -> BatteryFile:
-    """The file, not yet sealed."""
-    return BatteryFile(
-        battery=battery, parameters=table, effects=effects, discrepancy=left, certificate=certificate
-    )

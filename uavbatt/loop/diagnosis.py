@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
-from uavbatt.battery.model import SOC_GRID, Array
+from uavbatt.battery.model import SOC_GRID
 from uavbatt.fitting.observed import Observed
 from uavbatt.loop import attribute, residual
 from uavbatt.loop.attribute import Finding
@@ -276,9 +276,3 @@ def intervals(problem: Problem, fit: Refit) -> dict[str, Interval]:
         lo, hi = max(value - half, freed.low), min(value + half, freed.high)
         out[name] = Interval(value, lo, hi, UNITS[name])
     return out
-
-
-def values_of(fit: Refit) -> dict[str, float]:
-    """Every quantity that the model frees, by name."""
-    values: Array = fit.values()[0]
-    return {EVERY_QUANTITY[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}

@@ -18,7 +18,6 @@ from uavbatt.validation.cells import Array
 
 LIMIT_FACTOR = 2.8
 DRIFT_LIMIT = 0.2
-PAIR_LIMIT = 0.05
 
 
 def eq1_differences(x: Array) -> Array:
