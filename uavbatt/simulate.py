@@ -6,7 +6,7 @@ of the model that made it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,8 @@ def fly(pack: Pack, mission: Mission) -> list[Sample]:
     installation = pack.installation
     cell = grown(pack.cell, installation)
     size = installation.cells * installation.present_capacity_Ah
-    state = model.rested(np.array([mission.start_soc]), np.array([mission.ambient_C]))
+    start_soc = mission.start_soc + float(installation.start_soc_shift)
+    state = model.rested(np.array([start_soc]), np.array([mission.ambient_C]))
     samples: list[Sample] = []
     gust, drawn_Ah, low_since_s = 0.0, 0.0, np.inf
     for k in range(int(LONGEST_S * mission.rate_Hz)):
@@ -87,7 +88,16 @@ def fly(pack: Pack, mission: Mission) -> list[Sample]:
         low_since_s = min(low_since_s, time_s) if true_V < pack.cutoff_V else np.inf
         if time_s - low_since_s > AFTER_END_S:
             break
-    return samples
+    return _delayed(samples, float(installation.delay_s))
+
+
+def _delayed(samples: list[Sample], delay_s: float) -> list[Sample]:
+    """The rows with their current of `delay_s` ago."""
+    if delay_s == 0.0:
+        return samples
+    time_s = np.array([s.time_s for s in samples])
+    late_A = np.interp(time_s - delay_s, time_s, np.array([s.current_A for s in samples]))
+    return [replace(s, current_A=float(a)) for s, a in zip(samples, late_A, strict=True)]
 
 
 def _metered(installation: Installation, current_A: float, true_V: float) -> float:

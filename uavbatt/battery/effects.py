@@ -96,6 +96,12 @@ CELL_EFFECTS = (
         "cell",
         (Quantity("sensor_lag_s", "s", 1.0, 0.5, 300.0, 20.0, 1.0, log=True),),
     ),
+    Effect(
+        "hysteresis",
+        "voltage sinks once the direction of the current has turned from charge to discharge",
+        "cell",
+        (Quantity("hysteresis_V", "V", 0.0, 0.0, 0.1, 0.0, 0.01),),
+    ),
 )
 
 INSTALLATION_EFFECTS = (
@@ -158,6 +164,18 @@ INSTALLATION_EFFECTS = (
         "the temperature sensor adds a constant",
         "installation",
         (Quantity("offset_K", "K", 0.0, -40.0, 40.0, 0.0, 5.0),),
+    ),
+    Effect(
+        "current_delay",
+        "the current is reported later than the voltage",
+        "installation",
+        (Quantity("delay_s", "s", 0.0, -8.0, 8.0, 0.0, 1.0),),
+    ),
+    Effect(
+        "initial_charge",
+        "packs start with another charge than is believed of them",
+        "installation",
+        (Quantity("start_soc_shift", "1", 0.0, -0.7, 0.05, 0.0, 0.1),),
     ),
 )
 

@@ -51,6 +51,14 @@ def heat_step(
     return relax(temp_C, settled_C, dt_s, capacity_JpK / cooling_WpK)
 
 
+def turned_share(drawn: Number, charge: Number) -> Number:
+    """Share of the way from the charge to the discharge branch after `drawn` of the charge, `charge` to 1/e.
+
+    Plett's one-state hysteresis (2015, eq. 2.33) for a current that never turns back: h' = (1 - h) / charge.
+    """
+    return -np.expm1(-np.maximum(drawn, 0.0) / charge)
+
+
 def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> Number:
     """Current that draws `power_W` from a source with inner resistance: the smaller root of (E - R I) I = P.
 

@@ -5,8 +5,10 @@
     v_f'  = (c R k_f - v_f)/tau_f                        polarisation (seconds)
     v_s'  = (c R k_s - v_s)/tau_s                        slow diffusion (minutes)
     T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
-    V     = OCV(soc) - v_f - v_s - c R
+    V     = OCV(soc) - h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c R
 
+h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
+drawn since is 1 - soc. That holds its memory without a state of its own; a pack charged in part is not told apart.
 k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect
 that is off leaves its parameters at the neutral default of `Parameters`: one model, no second code path.
 """
@@ -25,6 +27,7 @@ Array = NDArray[np.float64]
 
 SOC_GRID = np.linspace(-0.05, 1.05, 221)  # tables are dense and uniform so that a look-up is an index
 GRID_STEP = float(SOC_GRID[1] - SOC_GRID[0])
+TURN_CHARGE = 0.03  # share of the charge after which the voltage is two thirds of the way to its discharge branch
 LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
 
 
@@ -47,6 +50,7 @@ class Parameters(NamedTuple):
     charge_gain: Number = 1.0  # charge taken per charge counted: capacity fade, rate capacity
     rate_gain_h: Number = 0.0
     sensor_lag_s: Number = 1.0
+    hysteresis_V: Number = 0.0  # from the charge branch, which the table of the OCV then is, to the discharge branch
 
 
 class State(NamedTuple):
@@ -66,8 +70,11 @@ def rested(soc: Number, temp_C: Number) -> State:
 
 
 def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
-    """OCV(soc) [V] of one cell; straight beyond the ends of its table."""
-    return eq.lookup(p.ocv_V, (soc - SOC_GRID[0]) / GRID_STEP)
+    """OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
+    charged_V = eq.lookup(p.ocv_V, (soc - SOC_GRID[0]) / GRID_STEP)
+    if not np.any(p.hysteresis_V):
+        return charged_V
+    return charged_V - p.hysteresis_V * eq.turned_share(1.0 - soc, TURN_CHARGE)
 
 
 def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:

@@ -34,6 +34,8 @@ class Installation(NamedTuple):
     gain_V: Number = 1.0
     offset_V: Number = 0.0
     offset_K: Number = 0.0
+    delay_s: Number = 0.0  # the current is reported this much later than the voltage
+    start_soc_shift: Number = 0.0  # true charge at the start less the one believed
 
     @property
     def present_capacity_Ah(self) -> Number:

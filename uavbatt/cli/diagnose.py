@@ -49,13 +49,13 @@ def diagnose(
     """
     from uavbatt import dataset as data
     from uavbatt.battery import file
-    from uavbatt.loop.candidates import BY_NAME
+    from uavbatt.battery.effects import EFFECTS
     from uavbatt.telemetry import read_log
 
     check_writable(json_file, report, output)
-    unknown = [name for name in without or [] if name not in BY_NAME]
+    unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
-        raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(BY_NAME)}")
+        raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
     content = file.read(battery, allow_uncertified=allow_uncertified)
     stated = (cells, known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
     datasets = [data.load(p) for p in sources if p.is_dir()]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -23,6 +23,7 @@ from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.estimation import noise
+from uavbatt.estimation.skew import Skew
 from uavbatt.records import NAN, Estimate, Sample, Status
 
 # Steps of the difference quotients: far above rounding, far below any curvature of the model.
@@ -92,6 +93,7 @@ class SocFilter:
         self._current_A = self._block_A = NAN
         self._block = Block()
         self._ambient_C = ambient_C
+        self._skew = Skew(float(pack.installation.delay_s))
 
     @property
     def belief(self) -> Belief | None:
@@ -111,6 +113,15 @@ class SocFilter:
         if not math.isfinite(sample.voltage_V) or not math.isfinite(sample.current_A):
             missing = "voltage" if not math.isfinite(sample.voltage_V) else "current"
             return self._estimate(sample, NAN, NAN, NAN, refusal=f"no {missing} in this row")
+        paired = self._skew.paired(sample)
+        estimate = self._taken(paired)
+        if paired is sample:
+            return estimate
+        power_W = sample.voltage_V * sample.current_A
+        return replace(estimate, voltage_V=sample.voltage_V, current_A=sample.current_A, power_W=power_W)
+
+    def _taken(self, sample: Sample) -> Estimate:
+        """A sample whose voltage and current are of the same instant."""
         current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
         if self._kalman is None:
             self._start(sample, current_A)
@@ -152,6 +163,7 @@ class SocFilter:
         cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
         is_rested = abs(rate) < noise.RESTED_C_RATE
         soc, soc_sd = noise.soc_from_rest(pack, cell_V)
+        soc += float(pack.installation.start_soc_shift)
         overpotential_sd_V = 0.003
         for _ in range(0 if is_rested else 4):  # the drop depends on soc, which depends on the drop
             drop_V = rate * float(model.resistance(pack.cell, soc, temp_C)) * (1.0 + pack.cell.polarisation_ratio)

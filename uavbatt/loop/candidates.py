@@ -14,33 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.battery.effects import CELL_EFFECTS, INSTALLATION_EFFECTS, Effect, Quantity
+from uavbatt.battery.effects import EFFECTS, Effect, Quantity
 from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.pack import Installation
 
-# Not (yet) fields of the battery model: they act on the record before and after the simulation.
-CURRENT_DELAY = Effect(
-    "current_delay",
-    "the current is reported later than the voltage",
-    "installation",
-    (Quantity("delay_s", "s", 0.0, -8.0, 8.0, 0.0, 1.0),),
-)
-HYSTERESIS = Effect(
-    "hysteresis",
-    "voltage sinks once the direction of the current has turned from charge to discharge",
-    "cell",
-    (Quantity("hysteresis_V", "V", 0.0, 0.0, 0.1, 0.0, 0.01),),
-)
-INITIAL_CHARGE = Effect(
-    "initial_charge",
-    "flights do not start where a full pack or the rested voltage says",
-    "installation",
-    (Quantity("start_soc_shift", "1", 0.0, -0.7, 0.05, 0.0, 0.1),),
-)
-EVERY = (*CELL_EFFECTS, *INSTALLATION_EFFECTS, CURRENT_DELAY, HYSTERESIS, INITIAL_CHARGE)
-BY_NAME = {effect.name: effect for effect in EVERY}
-QUANTITIES = tuple(q for effect in EVERY for q in effect.quantities)
+QUANTITIES = tuple(q for effect in EFFECTS.values() for q in effect.quantities)
 INDEX = {q.name: i for i, q in enumerate(QUANTITIES)}
 UNITS = {q.name: q.unit for q in QUANTITIES}
 ALWAYS = ("temperature_lag", "polarisation", "slow_diffusion", "temperature_resistance")
@@ -135,12 +114,12 @@ def candidates(file: BatteryFile, base: Array, *, has_temperature: bool, without
     """Every effect worth trying on a battery of this file."""
     listed = {entry.name for entry in file.effects}
     found = []
-    for effect in EVERY:
+    for effect in EFFECTS.values():
         if effect.name in without or (effect.name in listed and effect.name not in ALWAYS):
             continue
         if effect.name in NEEDS_TEMPERATURE and not has_temperature:
             continue
-        if effect is INITIAL_CHARGE:
+        if effect.name == "initial_charge":  # each flight was charged by itself
             found.append(Candidate((effect.name,), (), free_start=True))
             continue
         free = [q for q in effect.quantities if q.prior_sd > 0.0]

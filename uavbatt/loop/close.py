@@ -20,7 +20,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_current
 from uavbatt.fitting.assemble import rounded
 from uavbatt.loop import attribute, residual
-from uavbatt.loop.candidates import BY_NAME, QUANTITIES
+from uavbatt.loop.candidates import QUANTITIES
 from uavbatt.loop.diagnosis import Diagnosis
 from uavbatt.loop.problem import Problem, Refit
 from uavbatt.loop.refit import at_best
@@ -56,16 +56,16 @@ def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
     """Effect -> quantity -> value for values [freed] of a refit."""
     known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
     return {
-        name: {q.name: known[q.name] for q in BY_NAME[name].quantities if q.name in known}
+        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known}
         for name in fit.candidate.names
     }
 
 
 def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors: dict[str, float]) -> BatteryFile:
-    """The file with effects added or resized; what a battery file cannot carry (a start, a delay) is left out."""
+    """The file with effects added or resized; an effect without a shared value (each flight's start) is left out."""
     entries = {entry.name: entry for entry in file.effects}
     for name, values in effects.items():
-        if name not in EFFECTS or not values:
+        if not values:
             continue
         old = entries.get(name)
         neutral = {q.name: q.prior if q.prior_sd == 0.0 else q.neutral for q in EFFECTS[name].quantities}
@@ -87,7 +87,8 @@ def extended(file: BatteryFile, found: Diagnosis, verdicts: list[Verdict] | None
     names = [QUANTITIES[f.index].name for f in fit.candidate.freed]
     errors = dict(zip(names, map(float, fit.errors()), strict=True)) if names else {}
     values = fit.values()[0] if names else np.zeros(0)
-    new = with_effects(file, values_by_name(fit, values), errors)
+    by_name = values_by_name(fit, values)
+    new = with_effects(file, by_name, errors)
     left = file.discrepancy
     if found.verdict == "undeclared_effect":  # what is not explained widens every interval
         share = file.battery.cells_series / float(found.problem.pack.installation.cells)
@@ -97,10 +98,10 @@ def extended(file: BatteryFile, found: Diagnosis, verdicts: list[Verdict] | None
             temperature_rmse_K=rounded(max(left.temperature_rmse_K, _known(residual.size_K(found.residual_after)))),
             source=f"{left.source}; widened by what diagnosis left unexplained",
         )
-    carried = [n for n in fit.candidate.names if n in EFFECTS and BY_NAME[n].quantities]
+    carried = [n for n in fit.candidate.names if by_name[n]]
     remark = f"diagnosed on {len(found.problem.evidence.names)} records: {', '.join(carried) or 'nothing to add'}"
-    lost = [n for n in fit.candidate.names if n not in EFFECTS]
-    remarks = [*file.battery.remarks, remark, *(f"found but no part of a battery file: {n}" for n in lost)]
+    lost = [n for n in fit.candidate.names if not by_name[n]]
+    remarks = [*file.battery.remarks, remark, *(f"found, but each flight has its own: {n}" for n in lost)]
     passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts or [])
     old = file.certificate
     return msgspec.structs.replace(

@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
-from uavbatt.battery.model import SOC_GRID
+from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.fitting.observed import Observed
 from uavbatt.loop import attribute, residual
 from uavbatt.loop.attribute import Finding
@@ -78,7 +78,7 @@ class Diagnosis:
 
 def problem_of(records: list[Observed], file: BatteryFile, pack: Pack) -> Problem:
     """Records and battery file, ready for refits. Raises NotEnoughData with the reason."""
-    ocv_V = np.maximum.accumulate(pack.cell.ocv_V + 1e-6 * SOC_GRID)
+    ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
     return Problem(pack, evidence, base, nuisances(file), table_errors(file))

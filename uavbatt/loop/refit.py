@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.loop.candidates import Candidate
+from uavbatt.loop.candidates import INDEX, Candidate
 from uavbatt.loop.evidence import Evidence
 from uavbatt.loop.problem import Problem, Refit
 from uavbatt.loop.simulation import Own, Shown, simulate
@@ -83,7 +83,8 @@ class _Batch:
                 value = f.value(u[:, i, :, k])
                 x[:, i, :, f.index] = x[:, i, :, f.index] + value if f.nuisance else value
         warm = np.where([t is None for t in evidence.temps], UNMEASURED_SD_K, START_SD_K)
-        soc = np.minimum(evidence.start_soc + self.start_sd * v[..., 0], 1.03)
+        believed = evidence.start_soc + x[..., INDEX["start_soc_shift"]]
+        soc = np.minimum(believed + self.start_sd * v[..., 0], 1.03)
         return x, Own(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
 
     def shown(self, u: Array, v: Array) -> Shown:

@@ -17,8 +17,6 @@ from uavbatt.battery.pack import Installation
 from uavbatt.loop.candidates import INDEX, QUANTITIES
 from uavbatt.loop.evidence import SHIFTS_S, Evidence
 
-HYSTERESIS_CHARGE = 0.03  # share of the charge after which the voltage is on its discharge branch
-
 
 class Own(NamedTuple):
     """What each record has of its own, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
@@ -83,8 +81,6 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
     ambient_C = ambient_C + own.ambient_K.ravel()
     states = _states(cell, model.rested(own.soc.ravel(), start_C), rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
     true_V = _voltages(cell, installation, states, rate, current_A)
-    turned = -np.expm1(-(own.soc.ravel() - states.soc) / HYSTERESIS_CHARGE)
-    true_V -= installation.cells * flat[:, INDEX["hysteresis_V"]] * turned
     shape = (*stack.time_s.shape[:1], variants, records)
     return Shown(
         pack.metered_voltage(installation, true_V).reshape(shape),

@@ -1,0 +1,38 @@
+"""Voltage and current of the same instant, out of telemetry that reports one of them later than the other.
+
+With the effect `current_delay` a row holds the voltage of now and the current of `delay_s` ago (negative: the other
+way round). The late one cannot be had earlier, so the early one is held back until its partner comes: nothing ever
+depends on what follows.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import replace
+
+from uavbatt.records import Sample
+
+
+class Skew:
+    """Samples in, samples out whose earlier quantity is the one that belongs to the later."""
+
+    def __init__(self, delay_s: float) -> None:
+        self.delay_s = delay_s
+        self._time_s: list[float] = []
+        self._held: list[float] = []
+
+    def paired(self, sample: Sample) -> Sample:
+        """The sample with its earlier quantity `delay_s` old, interpolated between the rows."""
+        if self.delay_s == 0.0 or (self._time_s and sample.time_s <= self._time_s[-1]):
+            return sample
+        current_is_late = self.delay_s > 0.0
+        self._time_s.append(sample.time_s)
+        self._held.append(sample.voltage_V if current_is_late else sample.current_A)
+        at_s = sample.time_s - abs(self.delay_s)
+        right = bisect_right(self._time_s, at_s)
+        held = self._held[0]
+        if right > 0:
+            self._time_s, self._held = self._time_s[right - 1 :], self._held[right - 1 :]
+            share = (at_s - self._time_s[0]) / (self._time_s[1] - self._time_s[0])
+            held = self._held[0] + share * (self._held[1] - self._held[0])
+        return replace(sample, voltage_V=held) if current_is_late else replace(sample, current_A=held)
