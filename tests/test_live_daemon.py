@@ -165,7 +165,7 @@ def test_a_crash_is_resumed_with_the_charge_drawn_meanwhile(tmp_path: Path) -> N
 
 def test_a_damaged_state_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "state.json"
-    for text in ("", "{", "[]", '{"version": 1}', '{"version": 1, "batteries": {"0": {"mean": [1]}}}'):
+    for text in ("", "{", "[]", '{"version": 2}', '{"version": 2, "batteries": {"0": {"mean": [1]}}}'):
         path.write_text(text)
         bench = Bench(state=StateSection(file=str(path)))
         bench.fly(3.0)

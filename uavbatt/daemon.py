@@ -157,7 +157,8 @@ class Daemon:
             self._sender.requests.begin_again()
         if instance not in self._tracked:
             saved = self._saved.get("batteries", {}).get(str(instance))
-            self._tracked[instance] = TrackedBattery(self._battery, self._options, saved)
+            limit_s = self.config.state.max_age_s
+            self._tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
         tracked = self._tracked[instance]
         gap_s = now_s - self._start_s + self._saved.get("age_s", 0.0)
         estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)

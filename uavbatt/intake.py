@@ -37,6 +37,15 @@ class Intake:
         now, current_A = now._with_current(sample)
         return now._with_cells(sample), replace(sample, temp_C=temp_C, current_A=current_A)
 
+    def moved(self, shift_s: float) -> Intake:
+        """The same memory on a clock that shows `shift_s` more."""
+        return replace(
+            self,
+            temp_s=self.temp_s + shift_s,
+            current_s=self.current_s + shift_s,
+            spread_s=self.spread_s + shift_s,
+        )
+
     def _with_temperature(self, sample: Sample) -> tuple[Intake, float]:
         temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
         if not math.isfinite(temp_C):

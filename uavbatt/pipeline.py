@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from uavbatt.battery import file as battery_file
 from uavbatt.battery.belief import Belief
@@ -20,7 +21,7 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UsageError
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
-from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import ConstantLoad, Load
 from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
@@ -59,6 +60,17 @@ class Resolved:
     cutoff_from: str
     low_V: float
     low_from: str
+
+
+class Past(NamedTuple):
+    """What an estimator remembers beside its belief: how the flight went, and what is known of the sensors."""
+
+    forecaster: Memory
+    intake: Intake
+
+    def moved(self, shift_s: float) -> Past:
+        """The same past on a clock that shows `shift_s` more."""
+        return Past(self.forecaster.moved(shift_s), self.intake.moved(shift_s))
 
 
 class Estimator:
@@ -112,12 +124,23 @@ class Estimator:
         if self._filter is not None and self._forecaster is not None:
             self._filter.pack = self._forecaster.pack = self._pack(now)
 
-    def restore(self, belief: Belief, resolved: Resolved, facts: PackFacts, current_A: float = 0.0) -> None:
+    @property
+    def past(self) -> Past | None:
+        """What belongs to the belief when it is saved; None before the first sample."""
+        return Past(self._forecaster.memory, self._intake) if self._forecaster is not None else None
+
+    def restore(
+        self, belief: Belief, resolved: Resolved, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
+    ) -> None:
         """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
         self._facts, self.resolved = facts, resolved
+        if past is not None:
+            self._intake = past.intake
         self._begin(self._pack(resolved))
-        assert self._filter is not None
+        assert self._filter is not None and self._forecaster is not None
         self._filter.restore(belief, current_A)
+        if past is not None:
+            self._forecaster.recall(past.forecaster)
 
     def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
         """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""

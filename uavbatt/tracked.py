@@ -1,34 +1,57 @@
 """One battery in flight: its estimator, and what of it survives a crash.
 
-Resuming: the saved belief is put at its own time, before the first row of the new process. The charge that was drawn
-meanwhile is the difference of the autopilot's counter where it has one; else the load is taken to have gone on.
+Resuming: the saved belief, and what the forecaster and the intake remember, are put at their own time, before the first
+row of the new process. The charge that was drawn meanwhile is the difference of the autopilot's counter where it has
+one; else the load is taken to have gone on.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from uavbatt.battery.belief import SIZE, Belief
 from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UavbattError
-from uavbatt.pipeline import Estimator, PackOptions, Resolved
+from uavbatt.pipeline import Estimator, PackOptions, Past, Resolved
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 
 COUNTER_SLACK_AH = 0.02
 
 
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """One battery in the saved state: the belief `since_row_s` before the last row, and what goes with it."""
+
+    since_row_s: float
+    mean: list[float]
+    covariance: list[list[float]]
+    ambient_C: float
+    resolved: Resolved
+    facts: PackFacts
+    consumed_Ah: float
+    current_A: float
+    past: Past
+
+
 class TrackedBattery:
     """Rows of one battery in, estimates out; never raises for what a vehicle may say."""
 
-    def __init__(self, battery: BatteryFile, options: PackOptions, saved: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        battery: BatteryFile,
+        options: PackOptions,
+        saved: Mapping[str, Any] | None = None,
+        max_age_s: float = math.inf,
+    ) -> None:
         self._battery, self._options = battery, options
         self.estimator = Estimator(battery, options)
-        self._saved = saved
+        self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
 
     def step(self, sample: Sample, facts: PackFacts, gap_s: float = NAN) -> tuple[Estimate, Remaining]:
@@ -47,37 +70,38 @@ class TrackedBattery:
     def saved(self, facts: PackFacts) -> dict[str, Any] | None:
         """What is worth saving; None before the first estimate."""
         belief, resolved, last = self.estimator.belief, self.estimator.resolved, self._last
-        if belief is None or resolved is None or last is None:
+        past = self.estimator.past
+        if belief is None or resolved is None or last is None or past is None:
             return None
-        return {
-            "since_row_s": last.time_s - belief.time_s,
-            "mean": belief.mean.tolist(),
-            "covariance": belief.covariance.tolist(),
-            "ambient_C": belief.ambient_C,
-            "resolved": asdict(resolved),
-            "facts": asdict(facts),
-            "consumed_Ah": last.consumed_Ah,
-            "current_A": last.current_A,
-        }
+        made = Saved(
+            since_row_s=last.time_s - belief.time_s,
+            mean=belief.mean.tolist(),
+            covariance=belief.covariance.tolist(),
+            ambient_C=belief.ambient_C,
+            resolved=resolved,
+            facts=facts,
+            consumed_Ah=last.consumed_Ah,
+            current_A=last.current_A,
+            past=past.moved(-belief.time_s),
+        )
+        content: dict[str, Any] = msgspec.to_builtins(made)
+        return content
 
     def _resume(self, saved: Mapping[str, Any], sample: Sample, gap_s: float) -> None:
-        """Start from the saved belief; a damaged one is left alone."""
+        """Start from the saved belief; one that is damaged, or too old by now, is left alone."""
+        if not 0.0 < gap_s <= self._max_age_s:
+            return
         try:
-            belief = Belief(
-                sample.time_s - gap_s - float(saved["since_row_s"]),
-                np.array(saved["mean"], dtype=float),
-                np.array(saved["covariance"], dtype=float),
-                float(saved["ambient_C"]),
-            )
+            was = msgspec.convert(saved, Saved)
+            at_s = sample.time_s - gap_s - was.since_row_s
+            belief = Belief(at_s, np.array(was.mean), np.array(was.covariance), was.ambient_C)
             if belief.mean.shape != (SIZE,) or belief.covariance.shape != (SIZE, SIZE):
                 return
-            if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all() and gap_s > 0.0):
+            if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
                 return
-            resolved, facts = Resolved(**saved["resolved"]), PackFacts(**saved["facts"])
-            drawn_Ah = sample.consumed_Ah - float(saved["consumed_Ah"])
-            before_A = _current_at_belief(float(saved["current_A"]), sample.current_A, drawn_Ah, gap_s)
-            self.estimator.restore(belief, resolved, facts, before_A)
-        except (KeyError, TypeError, ValueError, UavbattError):
+            before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
+            self.estimator.restore(belief, was.resolved, was.facts, before_A, was.past.moved(at_s))
+        except (msgspec.ValidationError, ValueError, UavbattError):
             self.estimator = Estimator(self._battery, self._options)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from uavbatt.aside import written_aside
 
-VERSION = 1
+VERSION = 2
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 Saved = dict[str, Any]

@@ -7,7 +7,7 @@ which counts down between two.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,30 @@ class Forecast(NamedTuple):
     ends_s: Array  # sorted
 
 
+class Memory(NamedTuple):
+    """What a forecaster knows of the past, as a value: saved with the belief, so that a restart goes on."""
+
+    load: RecentLoad
+    rate_c: float
+    flying_since_s: float
+    loaded_s: float
+    time_s: float
+    row_s: float
+    took_off_s: float
+    flown_s: float
+    flown_J: float
+
+    def moved(self, shift_s: float) -> Memory:
+        """The same past on a clock that shows `shift_s` more."""
+        return self._replace(
+            load=replace(self.load, time_s=self.load.time_s + shift_s),
+            flying_since_s=self.flying_since_s + shift_s,
+            loaded_s=self.loaded_s + shift_s,
+            time_s=self.time_s + shift_s,
+            took_off_s=self.took_off_s + shift_s,
+        )
+
+
 class Forecaster:
     """Turns estimates into remaining time; one instance follows one flight."""
 
@@ -69,6 +93,28 @@ class Forecaster:
         self._time_s = self._row_s = NAN
         self._took_off_s, self._flown_s, self._flown_J = NAN, 0.0, 0.0
         self._last: Forecast | None = None
+
+    @property
+    def memory(self) -> Memory:
+        """The past as far as forecasts need it."""
+        return Memory(
+            self._load,
+            self._rate_c,
+            self._flying_since_s,
+            self._loaded_s,
+            self._time_s,
+            self._row_s,
+            self._took_off_s,
+            self._flown_s,
+            self._flown_J,
+        )
+
+    def recall(self, memory: Memory) -> None:
+        """Go on from a past that was saved."""
+        self._load, self._rate_c = memory.load, memory.rate_c
+        self._flying_since_s, self._loaded_s = memory.flying_since_s, memory.loaded_s
+        self._time_s, self._row_s, self._took_off_s = memory.time_s, memory.row_s, memory.took_off_s
+        self._flown_s, self._flown_J = memory.flown_s, memory.flown_J
 
     def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
         """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
