@@ -191,9 +191,8 @@ def _scanned(batch: _Batch, u: Array, v: Array) -> Array:
 @dataclass(frozen=True, slots=True)
 class _Linearised:
     r: Array  # [C, R, M]
-    ju: Array  # [C, R, M, P]
-    jv: Array  # [C, R, M, 3]
     chi2: Array  # [C, R]
+    gram: Array  # [C, R, P+3+1, same]: products of all columns of [ju, jv, r]
     pull: Array  # [C, R, P]: towards the priors of the shared errors
     stiffness: Array  # [C, R, P]
 
@@ -215,16 +214,18 @@ def _linearised(batch: _Batch, u: Array, v: Array) -> _Linearised:
     away = u - batch.centre
     stiffness = np.broadcast_to(batch.stiffness[:, None], u.shape)
     chi2 = np.sum(r**2, axis=-1) + np.sum(v**2, axis=-1) + np.sum(stiffness * away**2, axis=-1)
-    return _Linearised(r, ju, jv, chi2, -stiffness * away, stiffness)
+    columns = np.concatenate([ju, jv, r[..., None]], axis=-1)
+    gram = np.swapaxes(columns, -1, -2) @ columns
+    return _Linearised(r, chi2, gram, -stiffness * away, stiffness)
 
 
 def _blocks(s: _Linearised, v: Array) -> tuple[Array, Array, Array, Array, Array]:
     """A_uu, A_uv, A_vv and the right-hand sides g_u, g_v."""
-    jut, jvt = np.swapaxes(s.ju, -1, -2), np.swapaxes(s.jv, -1, -2)
-    r = s.r[..., None]
-    a_uu = jut @ s.ju + s.stiffness[..., None] * np.eye(s.stiffness.shape[-1])
-    g_u, g_v = s.pull - (jut @ r)[..., 0], -(jvt @ r)[..., 0] - v
-    return a_uu, jut @ s.jv, jvt @ s.jv + np.eye(NUISANCES), g_u, g_v
+    own, gram = slice(-1 - NUISANCES, -1), s.gram
+    size = s.stiffness.shape[-1]
+    a_uu = gram[..., :size, :size] + s.stiffness[..., None] * np.eye(size)
+    g_u, g_v = s.pull - gram[..., :size, -1], -gram[..., own, -1] - v
+    return a_uu, gram[..., :size, own], gram[..., own, own] + np.eye(NUISANCES), g_u, g_v
 
 
 def _step(s: _Linearised, u: Array, v: Array, damping: Array, own: bool) -> tuple[Array, Array]:
@@ -253,7 +254,7 @@ def _merged(take: Array, new: _Linearised, old: _Linearised) -> _Linearised:
     def pick(a: Array, b: Array) -> Array:
         return np.where(take.reshape(take.shape + (1,) * (a.ndim - 2)), a, b)
 
-    names = ("r", "ju", "jv", "chi2", "pull", "stiffness")
+    names = ("r", "chi2", "gram", "pull", "stiffness")
     return _Linearised(*(pick(getattr(new, n), getattr(old, n)) for n in names))
 
 

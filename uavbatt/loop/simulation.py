@@ -49,19 +49,17 @@ def _installation_of(base: Pack, evidence: Evidence, x: Array) -> Installation:
 
 def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
     """The metered current [rows, columns] read `delay_s` [columns] later."""
+    records = len(evidence.names)
+    position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 0, len(SHIFTS_S) - 1.001)
+    left = position.astype(int)
+    column = np.arange(delay_s.size)
+    weights = np.zeros((len(SHIFTS_S), delay_s.size))  # of the shifted currents on either side
+    weights[left, column] = 1.0 - (position - left)
+    weights[left + 1, column] = position - left
+    weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # the change only: the record itself may be averaged otherwise
     current = np.tile(evidence.stack.current_A, (1, variants))
-    moved = np.flatnonzero(delay_s)
-    if moved.size:
-        records = len(evidence.names)
-        position = np.clip((delay_s[moved] - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 0, len(SHIFTS_S) - 1.001)
-        left = position.astype(int)
-        share = position - left
-        table = evidence.shifted_A[:, :, moved % records]
-        k = np.arange(moved.size)
-        at_zero = np.searchsorted(SHIFTS_S, 0.0)
-        between = table[left, :, k] * (1 - share)[:, None] + table[left + 1, :, k] * share[:, None]
-        change = between - table[at_zero, :, k]
-        current[:, moved] += change.T
+    for j in range(records):
+        current[:, j::records] += evidence.shifted_A[:, :, j].T @ weights[:, j::records]
     return current
 
 
