@@ -5,111 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
-import sys
-import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
-from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
-from uavbatt.records import Sample
-
-PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
-ROOT = Path(__file__).resolve().parents[1]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-class Vehicle(threading.Thread):
-    """A quad over UDP: heartbeat, BATTERY_STATUS at 10 Hz, answers to PARAM_REQUEST_READ; keeps what it was sent."""
-
-    def __init__(self, port: int) -> None:
-        super().__init__(daemon=True)
-        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.line.setblocking(False)
-        self.to = ("127.0.0.1", port)
-        self.is_over, self.heard = False, []
-        self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-        self._parser: Any = dialect.MAVLink(None)
-
-    def run(self) -> None:
-        k, drawn_Ah = 0, 0.0
-        while not self.is_over:
-            drawn_Ah += 12.0 * 0.1 / 3600.0
-            if k % 10 == 0:
-                self.send(heartbeat(True))
-            self.send(battery_status(Sample(0.0, 16.0 - drawn_Ah / 2, 12.0, 25.0, drawn_Ah, 0.9, True), 0))
-            k += 1
-            time.sleep(0.1)
-            self.listen()
-        self.line.close()
-
-    def send(self, message: Any) -> None:
-        self.line.sendto(message.pack(self._link), self.to)
-        self._link.seq = (self._link.seq + 1) % 256
-
-    def listen(self) -> None:
-        while True:
-            try:
-                data = self.line.recv(4096)
-            except (BlockingIOError, ConnectionRefusedError):
-                return
-            for message in self._parser.parse_buffer(data) or []:
-                self.heard.append(message)
-                if message.get_type() == "PARAM_REQUEST_READ" and message.param_id == "BATT_CAPACITY":
-                    self.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5200.0, 9, 1, 0))
-
-
-class Station:
-    """A ground station that listens on UDP."""
-
-    def __init__(self) -> None:
-        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.line.bind(("127.0.0.1", 0))
-        self.line.settimeout(0.2)
-        self.port = int(self.line.getsockname()[1])
-        self._parser: Any = dialect.MAVLink(None)
-        self.peer: Any = None
-
-    def until(self, wanted: Callable[[Any], bool], seconds: float = 12.0) -> Any:
-        """The first message that is wanted."""
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
-            try:
-                data, self.peer = self.line.recvfrom(4096)
-            except TimeoutError:
-                continue
-            for message in self._parser.parse_buffer(data) or []:
-                if wanted(message):
-                    return message
-        raise AssertionError(f"nothing of the kind in {seconds} s")
-
-
-@contextmanager
-def running(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **environment}
-    process = subprocess.Popen([*PROGRAM, *arguments], stderr=subprocess.PIPE, text=True, env=env)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        try:
-            process.wait(8.0)
-        finally:
-            process.kill()
+from live_rig import PROGRAM, Station, Vehicle, free_port, manager_at, running
 
 
 @pytest.fixture
@@ -157,25 +62,6 @@ def test_the_proxy_outlives_its_estimator(vehicle: Vehicle, tmp_path: Path) -> N
         assert vehicle.heard == []
         station.line.sendto(b"\xfe any bytes \xfd", station.peer)
     assert not list(tmp_path.glob("*.sock"))  # an orderly stop takes the proxy with it
-
-
-@contextmanager
-def manager_at(path: Path) -> Iterator[list[bytes]]:
-    """A service manager's socket; the list fills with what it is told."""
-    told: list[bytes] = []
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
-        line.bind(str(path))
-
-        def listen() -> None:
-            while not told or told[-1] != b"end":
-                told.append(line.recv(4096))
-
-        thread = threading.Thread(target=listen, daemon=True)
-        thread.start()
-        yield told
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
-            end.sendto(b"end", str(path))
-        thread.join(5.0)
 
 
 def test_requests_are_answered_and_the_page_shows_it(vehicle: Vehicle, tmp_path: Path) -> None:

@@ -1,0 +1,223 @@
+"""What the tests of the companion process share: a daemon with the test's clock, vehicles and stations on sockets."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.battery import file
+from uavbatt.config import Config, LinkSection
+from uavbatt.daemon import Daemon
+from uavbatt.mavlink.endpoint import Chunk
+from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
+from uavbatt.pipeline import PackOptions
+from uavbatt.records import Sample
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
+OPTIONS = PackOptions(capacity_Ah=5.0, cells=4)
+
+
+class FakeLink:
+    """A link whose other side is the test."""
+
+    is_stream = False
+
+    def __init__(self) -> None:
+        self.incoming: list[Chunk] = []
+        self.sent: list[bytes] = []
+
+    def filenos(self) -> Iterator[int]:
+        return iter(())
+
+    def read(self, now_s: float) -> list[Chunk]:
+        taken, self.incoming = self.incoming, []
+        return taken
+
+    def write(self, data: bytes, now_s: float) -> None:
+        self.sent.append(data)
+
+    def close(self) -> None:
+        pass
+
+
+class Bench:
+    """A daemon, its links and its clocks."""
+
+    def __init__(self, options: PackOptions = OPTIONS, start_s: float = 1000.0, **sections: Any) -> None:
+        self.now_s, self.wall_offset_s = start_s, 1.7e9
+        self.link, self.station = FakeLink(), FakeLink()
+        sections.setdefault("link", LinkSection(endpoint="udpin:127.0.0.1:1", gcs=["udpout:127.0.0.1:2"]))
+        self.daemon = Daemon(
+            Config(**sections), file.read("lipo-generic"), options, self.link, [self.station],
+            clock_s=lambda: self.now_s, wall_s=lambda: self.wall_offset_s + self.now_s,
+        )  # fmt: skip
+        self._out: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    def framed(self, message: Any, system: int = 1, component: int = 1) -> bytes:
+        self._out.srcSystem, self._out.srcComponent = system, component
+        frame = bytes(message.pack(self._out))
+        self._out.seq = (self._out.seq + 1) % 256
+        return frame
+
+    def send(self, message: Any, system: int = 1, component: int = 1, sender: object = "fc") -> None:
+        self.link.incoming.append((self.framed(message, system, component), sender))
+
+    def fly(self, seconds: float, volts: float = 16.0, used: float = 0.0) -> None:
+        """A flight at 12 A with telemetry at 5 Hz; `used` [Ah] was drawn before."""
+        rate_Hz, amps = 5.0, 12.0
+        for k in range(int(seconds * rate_Hz)):
+            if k % int(rate_Hz) == 0:
+                self.send(heartbeat(True))
+            drawn = amps * k / rate_Hz / 3600.0
+            self.send(battery_status(Sample(0.0, volts - 0.5 * drawn, amps, 25.0, used + drawn, armed=True), 0))
+            self.daemon.turn()
+            self.now_s += 1.0 / rate_Hz
+
+    def play(self, samples: Iterable[Sample]) -> None:
+        """Rows at their own times, a heartbeat before each."""
+        last_s: float | None = None
+        for sample in samples:
+            self.now_s += sample.time_s - last_s if last_s is not None else 0.0
+            last_s = sample.time_s
+            self.send(heartbeat(bool(sample.armed)))
+            self.send(battery_status(sample, 0))
+            self.daemon.turn()
+
+    def to_gcs(self) -> list[Any]:
+        return [dialect.MAVLink(None).decode(bytearray(data)) for data in self.station.sent]
+
+    def named(self) -> dict[str, float]:
+        return {m.name: m.value for m in self.to_gcs() if m.get_type() == "NAMED_VALUE_FLOAT"}
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Vehicle(threading.Thread):
+    """A quad over UDP: heartbeat, BATTERY_STATUS at 10 Hz, answers to PARAM_REQUEST_READ; keeps what it was sent."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(daemon=True)
+        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.line.setblocking(False)
+        self.to = ("127.0.0.1", port)
+        self.is_over, self.heard, self.raw = False, [], b""
+        self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._parser: Any = dialect.MAVLink(None)
+
+    def run(self) -> None:
+        k, drawn_Ah = 0, 0.0
+        while not self.is_over:
+            drawn_Ah += 12.0 * 0.1 / 3600.0
+            if k % 10 == 0:
+                self.send(heartbeat(True))
+            self.send(battery_status(Sample(0.0, 16.0 - drawn_Ah / 2, 12.0, 25.0, drawn_Ah, 0.9, True), 0))
+            k += 1
+            time.sleep(0.1)
+            self.listen()
+        self.line.close()
+
+    def send(self, message: Any) -> None:
+        self.write(bytes(message.pack(self._link)))
+        self._link.seq = (self._link.seq + 1) % 256
+
+    def write(self, data: bytes) -> None:
+        self.line.sendto(data, self.to)
+
+    def read(self) -> bytes:
+        """What has come in; empty when nothing."""
+        try:
+            return self.line.recv(4096)
+        except (BlockingIOError, ConnectionRefusedError):
+            return b""
+
+    def listen(self) -> None:
+        while data := self.read():
+            self.raw += data
+            for message in self._parser.parse_buffer(data) or []:
+                self.heard.append(message)
+                if message.get_type() == "PARAM_REQUEST_READ" and message.param_id == "BATT_CAPACITY":
+                    self.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5200.0, 9, 1, 0))
+
+
+class Station:
+    """A ground station that listens on UDP."""
+
+    def __init__(self) -> None:
+        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.line.bind(("127.0.0.1", 0))
+        self.line.settimeout(0.2)
+        self.port = int(self.line.getsockname()[1])
+        self._parser: Any = dialect.MAVLink(None)
+        self.peer: Any = None
+
+    def until(self, wanted: Callable[[Any], bool], seconds: float = 12.0) -> Any:
+        """The first message that is wanted."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            try:
+                data, self.peer = self.line.recvfrom(4096)
+            except TimeoutError:
+                continue
+            for message in self._parser.parse_buffer(data) or []:
+                if wanted(message):
+                    return message
+        raise AssertionError(f"nothing of the kind in {seconds} s")
+
+
+@contextmanager
+def running(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """`uavbatt live` with these arguments; ended with the block."""
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **environment}
+    process = subprocess.Popen([*PROGRAM, *arguments], stderr=subprocess.PIPE, text=True, env=env)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(8.0)
+        finally:
+            process.kill()
+
+
+@contextmanager
+def manager_at(path: Path) -> Iterator[list[bytes]]:
+    """A service manager's socket; the list fills with what it is told."""
+    told: list[bytes] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(path))
+
+        def listen() -> None:
+            while not told or told[-1] != b"end":
+                told.append(line.recv(4096))
+
+        thread = threading.Thread(target=listen, daemon=True)
+        thread.start()
+        yield told
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+            end.sendto(b"end", str(path))
+        thread.join(5.0)
+
+
+def until(condition: Callable[[], Any], seconds: float = 15.0) -> Any:
+    """The first true value of `condition`, asked every 50 ms."""
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        if value := condition():
+            return value
+        time.sleep(0.05)
+    raise AssertionError(f"not within {seconds} s")
