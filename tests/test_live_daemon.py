@@ -21,6 +21,7 @@ from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.records import Sample
 from uavbatt.replay import steps
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.recording import forecast_period_s
 
 
 def test_a_flight_reaches_every_feed() -> None:
@@ -69,7 +70,8 @@ def test_only_three_messages_travel_towards_the_autopilot() -> None:
 
 
 def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
-    bench = Bench(record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), options=PackOptions())
+    options = PackOptions(forecast_period_s=1.0)
+    bench = Bench(record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), options=options)
     bench.send(heartbeat(False))
     bench.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0))
     bench.fly(30.0, volts=16.2)
@@ -77,7 +79,9 @@ def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
     bench.fly(30.0, volts=16.0, used=0.13)
     bench.daemon.close()
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.battery0.jsonl")
-    replayed = [sinks.line(s.estimate, s.remaining) for s in steps(read_log(log), Estimator(file.read("lipo-generic")))]
+    assert forecast_period_s(log) == 1.0
+    estimator = Estimator(file.read("lipo-generic"), options)
+    replayed = [sinks.line(s.estimate, s.remaining) for s in steps(read_log(log), estimator)]
     assert [json.loads(text) for text in lines.read_text().splitlines()] == replayed
     assert len(replayed) == 300
 

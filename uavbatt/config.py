@@ -54,7 +54,7 @@ class PackSection(Section, frozen=True):
     ambient_C: Annotated[float, msgspec.Meta(ge=-60, le=80)] | None = None
     vehicle: str = ""
     load: str = "learned"
-    forecast_period_s: Positive | None = None
+    forecast_period_s: Annotated[float, msgspec.Meta(ge=0.1)] = 1.0
     allow_uncertified: bool = False
 
 

@@ -27,10 +27,12 @@ from uavbatt.feed.proxy_client import ProxyClient
 from uavbatt.feed.recorder import Recorder
 from uavbatt.mavlink import fields, framing
 from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.pipeline import PackOptions
 from uavbatt.records import PackFacts, Status
 from uavbatt.sender import Sender, in_order
 from uavbatt.telemetry.live import LiveReader, Row, checksum
+from uavbatt.telemetry.recording import PERIOD_NAME
 from uavbatt.tracked import TrackedBattery
 
 LONGEST_WAIT_S = 0.05
@@ -147,6 +149,10 @@ class Daemon:
                 name = frame[start + 8 : start + 24].split(b"\0")[0]
                 if name.startswith((b"BAT", b"FS_BATT")):
                     self._recorder.remember(name, frame)
+        if not self._recorder.remembers(PERIOD_NAME.encode()):
+            own = Outgoing(header.system, self.config.link.own_component)
+            period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
+            self._recorder.remember(PERIOD_NAME.encode(), period)
         self._recorder.frame(frame, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
     def _step(self, row: Row, now_s: float) -> None:

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uavbatt.errors import BadInput, UavbattError, UsageError
+from uavbatt.errors import UavbattError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -79,21 +79,15 @@ def pack_options(pack: PackSection) -> PackOptions:
         raise UsageError("--load log: expected learned, recent or watts; in flight no log knows what is to come")
     flown = vehicle_file.read(Path(pack.vehicle)) if pack.vehicle else None
     chosen = stated_load(pack.load, Flight("live", "live", ()), flown)
-    if pack.forecast_period_s is not None and pack.forecast_period_s < 0.2:
-        raise BadInput("uavbatt.toml", "key pack.forecast_period_s", "0.2 s or more")
-    options = PackOptions(
+    return PackOptions(
         cells=pack.cells,
         capacity_Ah=pack.capacity_Ah or NAN,
         cutoff_V=pack.cutoff_voltage_V or NAN,
         reserve_soc=pack.reserve_soc,
         ambient_C=NAN if pack.ambient_C is None else pack.ambient_C,
         load=chosen,
+        forecast_period_s=pack.forecast_period_s,
     )
-    if pack.forecast_period_s is None:
-        return options
-    from dataclasses import replace
-
-    return replace(options, forecast_period_s=pack.forecast_period_s)
 
 
 def main() -> int:

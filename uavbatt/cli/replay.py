@@ -97,8 +97,12 @@ def _one(
     from uavbatt.pipeline import Estimator
     from uavbatt.replay import outcome, steps
     from uavbatt.telemetry import read_log
+    from uavbatt.telemetry.recording import forecast_period_s
 
     flight = read_log(log, instance)
+    period_s = forecast_period_s(log)
+    if math.isfinite(period_s):
+        options = changed(options, forecast_period_s=period_s)
     estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1], content)))
     run = []
     with ExitStack() as stack:

@@ -45,6 +45,10 @@ class Recorder:
         """Keep a frame that every new recording shall begin with; the last one of a key stays."""
         self._prelude[key] = frame
 
+    def remembers(self, key: bytes) -> bool:
+        """Whether a frame of this key is kept."""
+        return key in self._prelude
+
     def frame(self, frame: bytes, stamp_us: int, time_s: float, now_s: float, armed: bool | None) -> None:
         """Record one frame. stamp_us since 1970; time_s on the reader's clock; now_s monotonic [s]."""
         if self._settings.when == "while-armed" and not armed:

@@ -60,6 +60,11 @@ class Outgoing:
             dialect.MAVLink_param_request_read_message(self.system, component, name.encode("ascii")[:16], -1)
         )
 
+    def parameter(self, name: str, value: float) -> bytes:
+        """PARAM_VALUE of our own; only a recording holds one."""
+        real = dialect.MAV_PARAM_TYPE_REAL32
+        return self.pack(dialect.MAVLink_param_value_message(name.encode("ascii")[:16], value, real, 1, 0))
+
     def named_value(self, name: str, value: float, boot_ms: int) -> bytes:
         """NAMED_VALUE_FLOAT; NaN stays NaN: unknown."""
         label = name.encode("ascii")[:LONGEST_NAME]
