@@ -28,6 +28,11 @@ REFERENCE_TEMP_C = 25.0
 SECONDS_PER_HOUR = 3600.0
 
 
+def acts(value: Number) -> bool:
+    """Whether a parameter whose neutral value is 0 does anything, in any column."""
+    return bool(value) if isinstance(value, float | int) else bool(np.any(value))
+
+
 def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:
     """Coulomb counting: soc' = -c/3600."""
     return soc - c_rate * dt_s / SECONDS_PER_HOUR
@@ -74,8 +79,8 @@ def lookup(table: NDArray[np.float64], position: Number) -> Number:
 
     `position` in grid steps. One table [G] serves any shape; tables [batch, G] need positions [batch].
     """
-    last = table.shape[-1] - 2
-    index = np.clip(np.floor(position), 0, last).astype(np.intp)
+    last = table.shape[-1] - 2.0
+    index = np.intp(np.minimum(np.maximum(position, 0.0), last))  # cut off, which is the floor of what is positive
     if table.ndim == 1:
         left, right = table[index], table[index + 1]
     else:

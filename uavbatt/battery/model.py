@@ -26,7 +26,8 @@ from uavbatt.battery.equations import Number
 Array = NDArray[np.float64]
 
 SOC_GRID = np.linspace(-0.05, 1.05, 221)  # tables are dense and uniform so that a look-up is an index
-GRID_STEP = float(SOC_GRID[1] - SOC_GRID[0])
+LOWEST_SOC, GRID_STEP = float(SOC_GRID[0]), float(SOC_GRID[1] - SOC_GRID[0])
+LAST_POSITION = SOC_GRID.size - 1.0
 TURN_CHARGE = 0.03  # share of the charge after which the voltage is two thirds of the way to its discharge branch
 LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
 
@@ -71,15 +72,15 @@ def rested(soc: Number, temp_C: Number) -> State:
 
 def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
     """OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
-    charged_V = eq.lookup(p.ocv_V, (soc - SOC_GRID[0]) / GRID_STEP)
-    if not np.any(p.hysteresis_V):
+    charged_V = eq.lookup(p.ocv_V, (soc - LOWEST_SOC) / GRID_STEP)
+    if not eq.acts(p.hysteresis_V):
         return charged_V
     return charged_V - p.hysteresis_V * eq.turned_share(1.0 - soc, TURN_CHARGE)
 
 
 def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
     """R0(soc, T) [ohm·Ah]."""
-    position = np.clip((soc - SOC_GRID[0]) / GRID_STEP, 0.0, SOC_GRID.size - 1.0)
+    position = np.minimum(np.maximum((soc - LOWEST_SOC) / GRID_STEP, 0.0), LAST_POSITION)
     return p.resistance_gain * eq.lookup(p.r0_ohmAh, position) * eq.arrhenius(core_C, p.activation_K)
 
 
@@ -95,7 +96,11 @@ def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
 
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
     """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
-    r_ohmAh = resistance(p, s.soc, s.core_C)
+    return step_against(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s)
+
+
+def step_against(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number) -> State:
+    """One step with the current held, where the state's resistance [ohm·Ah] is known already."""
     drop_V = c_rate * r_ohmAh
     sluggish = eq.arrhenius(s.core_C, p.diffusion_activation_K)
     heat_W = p.heat_gain * c_rate * (drop_V + s.polarisation_V + s.diffusion_V)

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
+from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Parameters, State
@@ -67,7 +66,7 @@ def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Num
     """True voltage at the sensor's place [V] under a true current [A]."""
     rate = c_rate(pack, current_A)
     strong = model.cell_voltage(p, s, rate)
-    if not np.any(pack.deficit):
+    if not eq.acts(pack.deficit):
         return pack.cells * strong - current_A * pack.harness_ohm
     weak = model.cell_voltage(p, s._replace(soc=weak_soc(pack, s.soc)), rate)
     return (pack.cells - 1) * strong + weak - current_A * pack.harness_ohm
