@@ -25,10 +25,10 @@ from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import ConstantLoad, Load
 from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.swap import SwapWatch
 
 FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
-RESTED_C_RATE, SWAP_CELL_V, SWAP_ROWS = 0.15, 0.12, 3
 ALARM_S = 120.0
 
 
@@ -85,7 +85,7 @@ class Estimator:
         self._forecaster: Forecaster | None = None
         power_W = self.options.load.power_W if isinstance(self.options.load, ConstantLoad) else NAN
         self._intake = Intake(stated_power_W=power_W)
-        self._fresh_rows = 0
+        self._swap = SwapWatch()
 
     @classmethod
     def from_battery(
@@ -139,6 +139,7 @@ class Estimator:
         self._begin(self._pack(resolved))
         assert self._filter is not None and self._forecaster is not None
         self._filter.restore(belief, current_A)
+        self._swap = SwapWatch(seen_s=belief.time_s)
         if past is not None:
             self._forecaster.recall(past.forecaster)
 
@@ -152,7 +153,8 @@ class Estimator:
             self._begin(self._pack(self.resolved))
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
         estimate = self._filter.step(sample)
-        if self._is_swapped(estimate):
+        self._swap = self._swap.after(estimate, self.resolved.cells, self.resolved.capacity_Ah)
+        if self._swap.is_another:
             self._begin(self._pack(self.resolved))
             estimate = self._filter.step(sample)
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
@@ -169,16 +171,7 @@ class Estimator:
         self._forecaster = Forecaster(
             pack, Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s)
         )
-        self._fresh_rows = 0
-
-    def _is_swapped(self, estimate: Estimate) -> bool:
-        """A rested pack that shows, row after row, far more voltage than the believed one can: another pack."""
-        assert self._filter is not None and self.resolved is not None
-        cells, capacity_Ah = self.resolved.cells, self.resolved.capacity_Ah
-        rested = abs(estimate.current_A) < RESTED_C_RATE * capacity_Ah
-        fresh = rested and estimate.innovation_V > SWAP_CELL_V * cells
-        self._fresh_rows = self._fresh_rows + 1 if fresh else 0
-        return self._fresh_rows >= SWAP_ROWS
+        self._swap = SwapWatch()
 
     def _pack(self, resolved: Resolved) -> Pack:
         pack = pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
