@@ -37,6 +37,11 @@ class LogBuilder:
     _raw_s: float = NAN
     _offset_s: float = NAN
 
+    @property
+    def offset_s(self) -> float:
+        """What is added to the log's own clock at present [s]; NaN before the first reading."""
+        return self._offset_s
+
     def time_s(self, raw_s: float) -> float:
         """Time since the first record [s] from the log's own clock [s]; moves `now_s` ahead."""
         if not math.isfinite(raw_s):

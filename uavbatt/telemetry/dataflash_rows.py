@@ -12,22 +12,24 @@ Temp 0 means that there is no sensor.
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.builder import LogBuilder, known
-from uavbatt.telemetry.parameters import is_voltage_only
+import numpy as np
+from numpy.typing import NDArray
 
-Value = float | int | str
+from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, add_rows, latest_before, times_s
+from uavbatt.telemetry.parameters import VOLTAGE_ONLY, monitor_parameter
 
 WANTED = re.compile(r"(CURR|CUR\d|BAT\d?|BCL\d?|PARM|ARM|EV)$")
 _BATTERY = re.compile(r"(CURR|CUR\d|BAT\d?)$")
 _CELL = re.compile(r"V\d+$")
 _TICKS_PER_S = {"TimeUS": 1e6, "TimeMS": 1e3}
-_EV_ARMED = {10: True, 11: False}
+_EV_ARMED, _EV_DISARMED = 10, 11
+_SAME_INSTANT_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,82 +49,209 @@ class Layout:
         return _TICKS_PER_S.get(self.labels[0], 0.0) if self.labels else 0.0
 
 
-Record = tuple[Layout, Sequence[Value]]
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Records of one layout as columns by label; `order` is their place in the log, whatever its unit."""
+
+    layout: Layout
+    order: Order
+    numbers: Mapping[str, Column]
+    texts: Mapping[str, Sequence[str]]
+
+    def column(self, label: str) -> Column:
+        """A column of numbers; NaN throughout if there is none of this label, NaN for what is infinite."""
+        found = self.numbers.get(label)
+        if found is None:
+            return np.full(len(self.order), np.nan)
+        return np.where(np.isfinite(found), found, np.nan)
 
 
-def fold(records: Iterable[Record], log: LogBuilder) -> None:
-    """Push every battery row, parameter and arming change of `records` into `log`, in order."""
-    parameters: dict[str, float] = {}
-    untimed: dict[int, int] = {}
-    for layout, values in records:
-        fields = dict(zip(layout.labels, values, strict=False))
-        ticks_per_s = layout.ticks_per_s
-        time_s = log.time_s(_number(values[0]) / ticks_per_s) if ticks_per_s else log.now_s
-        if _BATTERY.match(layout.name):
-            instance = _instance(layout.name, fields)
-            if not ticks_per_s:
-                time_s = float(untimed.setdefault(instance, 0))
-                untimed[instance] += 1
-                log.now_s = max(log.now_s, time_s)
-            log.add(instance, _sample(layout, fields, time_s, log.armed, is_voltage_only(parameters, instance)))
-        elif layout.name.startswith("BCL"):
-            _attach_cells(log, _instance(layout.name, fields), time_s, fields)
-        elif layout.name == "PARM" and "Name" in fields:
-            name, value = str(fields["Name"]), _number(fields.get("Value", NAN))
-            parameters[name] = value
-            log.add_parameter(time_s, name, value)
-        elif layout.name in ("ARM", "EV"):
-            log.armed = _armed(layout.name, fields, log.armed)
-    if untimed:
+class Moment(NamedTuple):
+    """A record that tells the time: its place in the log, and the log's own clock [s]."""
+
+    order: int
+    raw_s: float
+
+
+class _Timed(NamedTuple):
+    """A table with the time of each record [s]."""
+
+    table: Table
+    time_s: Column
+
+
+class _Change(NamedTuple):
+    """Something that holds from its place in the log on."""
+
+    order: Order
+    value: NDArray[np.float64]
+
+    def at(self, order: Order, before: float) -> NDArray[np.float64]:
+        """The value in force at each place, `before` where there was none yet."""
+        return np.append(self.value, before)[latest_before(order, self.order)]
+
+
+def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> None:
+    """Push every battery row, parameter and arming change of `tables` into `log`, in order.
+
+    first, last: of the records of any kind, wanted or not, that carry a time.
+    """
+    timed = _with_times(tables, first, last, log)
+    parameters = _named(timed, "PARM")
+    _add_parameters(parameters, log)
+    batteries = [t for t in timed if _BATTERY.match(t.table.layout.name)]
+    if not batteries:
+        return
+    order, time_s, instance, voltage_V, current_A, temp_C, consumed_Ah, reported_soc = _merged(
+        [(b.table.order, b.time_s, _instance(b.table), *_said(b.table)) for b in batteries]
+    )
+    instance = instance.astype(np.int64)
+    blind = _without_current(order, instance, parameters)
+    rows = Rows(
+        time_s=time_s,
+        voltage_V=voltage_V,
+        current_A=np.where(blind, np.nan, current_A),
+        temp_C=temp_C,
+        consumed_Ah=np.where(blind, np.nan, consumed_Ah),
+        reported_soc=reported_soc,
+        armed=_armed(timed).at(order, UNKNOWN).astype(np.int8),
+        cells_V=_cells(order, instance, time_s, _named(timed, "BCL")),
+    )
+    add_rows(log, instance, rows)
+    if any(not b.table.layout.ticks_per_s for b in batteries):
         log.notes.append("battery records carry no time: one second a record assumed")
 
 
-def _number(value: Value) -> float:
-    return NAN if isinstance(value, str) else known(float(value))
+def _named(timed: Sequence[_Timed], start: str) -> list[_Timed]:
+    return [t for t in timed if t.table.layout.name.startswith(start)]
 
 
-def _instance(name: str, fields: Mapping[str, Value]) -> int:
-    """Battery instance: the record's own field, else the number in its name (BAT2 is instance 1)."""
+def _merged(parts: Sequence[Sequence[Column | Order]]) -> list[NDArray[Any]]:
+    """Columns of several tables as one, in the order of the log, which is their first column."""
+    columns = [np.concatenate(same) for same in zip(*parts, strict=True)]
+    in_order = np.argsort(columns[0], kind="stable")
+    return [column[in_order] for column in columns]
+
+
+def _change(parts: Sequence[tuple[Order, NDArray[Any]]]) -> _Change:
+    """The changes that several tables tell of."""
+    return _Change(*_merged([(np.zeros(0, np.int64), np.zeros(0)), *parts]))
+
+
+def _with_times(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> list[_Timed]:
+    """Every table with its times; what carries no time is as late as the latest record before it."""
+    moments = [(np.array([m.order]), np.array([m.raw_s])) for m in (first, last) if m is not None]
+    clocks = [(t.order, t.column(t.layout.labels[0]) / t.layout.ticks_per_s) for t in tables if t.layout.ticks_per_s]
+    told = _change(moments + clocks)
+    told = told._replace(value=times_s(log, told.value))
+    counted = _counted([t for t in tables if _BATTERY.match(t.layout.name) and not t.layout.ticks_per_s])
+    log.now_s = max(log.now_s, float(counted.value.max(initial=0.0)))
+    both = _change([told, counted])
+    now = both._replace(value=np.maximum.accumulate(both.value))
+
+    def times(table: Table) -> Column:
+        if not table.layout.ticks_per_s and not _BATTERY.match(table.layout.name):
+            return now.at(table.order, 0.0)
+        own = told if table.layout.ticks_per_s else counted
+        return own.value[own.order.searchsorted(table.order)]
+
+    return [_Timed(t, times(t)) for t in tables]
+
+
+def _counted(tables: Sequence[Table]) -> _Change:
+    """Battery records without a time: one second a record of each battery."""
+    order, instance = _change([(t.order, _instance(t)) for t in tables])
+    count = np.zeros(len(order))
+    for number in np.unique(instance):
+        own = instance == number
+        count[own] = np.arange(np.count_nonzero(own))
+    return _Change(order, count)
+
+
+def _add_parameters(parameters: Sequence[_Timed], log: LogBuilder) -> None:
+    said: list[tuple[int, float, str, float]] = []
+    for t in parameters:
+        columns = (t.table.order.tolist(), t.time_s.tolist(), _names(t.table), t.table.column("Value").tolist())
+        said += zip(*columns, strict=True) if _names(t.table) else []
+    for _, at_s, name, value in sorted(said, key=lambda one: one[0]):
+        log.add_parameter(at_s, name, value)
+
+
+def _names(table: Table) -> Sequence[str]:
+    """Names of parameters; none where the log's own layout has none."""
+    return table.texts.get("Name", ())
+
+
+def _without_current(order: Order, instance: Order, parameters: Sequence[_Timed]) -> NDArray[np.bool_]:
+    """Rows of batteries whose monitor is known, by then, to measure no current."""
+    blind = np.zeros(len(order), np.bool_)
+    for number in np.unique(instance).tolist():
+        wanted = monitor_parameter(number)
+        parts = []
+        for t in parameters:
+            chosen = np.array([name == wanted for name in _names(t.table)], np.bool_)
+            if chosen.any():
+                parts.append((t.table.order[chosen], t.table.column("Value")[chosen]))
+        own = instance == number
+        blind[own] = _change(parts).at(order[own], np.nan) == VOLTAGE_ONLY
+    return blind
+
+
+def _instance(table: Table) -> Order:
+    """Battery instances: the records' own field, else the number in their name (BAT2 is instance 1)."""
     for label in ("Instance", "Inst"):
-        if label in fields:
-            number = _number(fields[label])
-            return int(number) if number == number else 0
-    return max(int(name[3:]) - 1, 0) if name[3:].isdigit() else 0
+        if label in table.numbers:
+            return np.nan_to_num(table.column(label)).astype(np.int64)
+    number = table.layout.name[3:]
+    return np.full(len(table.order), max(int(number) - 1, 0) if number.isdigit() else 0, np.int64)
 
 
-def _sample(
-    layout: Layout, fields: Mapping[str, Value], time_s: float, armed: bool | None, voltage_only: bool
-) -> Sample:
-    chars = dict(zip(layout.labels, layout.chars, strict=False))
+def _said(table: Table) -> tuple[Column, ...]:
+    """Voltage, current, temperature, charge and state of charge as the autopilot reports them."""
+    chars = dict(zip(table.layout.labels, table.layout.chars, strict=False))
 
-    def scaled(label: str) -> float:
-        value = _number(fields.get(label, NAN))
+    def scaled(label: str) -> Column:
+        value = table.column(label)
         return value / 100 if chars.get(label) in ("h", "H") else value
 
-    temp_C = _number(fields.get("Temp", NAN))
-    percent = _number(fields.get("RemPct", NAN))
-    return Sample(
-        time_s=time_s,
-        voltage_V=scaled("Volt"),
-        current_A=NAN if voltage_only else scaled("Curr"),
-        temp_C=NAN if temp_C == 0 else temp_C,
-        consumed_Ah=NAN if voltage_only else _number(fields.get("CurrTot", NAN)) / 1000,
-        reported_soc=percent / 100 if 0 <= percent <= 100 else NAN,
-        armed=armed,
+    temp_C, percent = table.column("Temp"), table.column("RemPct")
+    return (
+        scaled("Volt"),
+        scaled("Curr"),
+        np.where(temp_C == 0, np.nan, temp_C),
+        table.column("CurrTot") / 1000,
+        np.where((percent >= 0) & (percent <= 100), percent / 100, np.nan),
     )
 
 
-def _attach_cells(log: LogBuilder, instance: int, time_s: float, fields: Mapping[str, Value]) -> None:
-    """Give the cells to the row of the same instant; 0 (none) and 65535 are no cells."""
-    rows = log.rows.get(instance)
-    cells_mV = [_number(value) for label, value in fields.items() if _CELL.match(label)]
-    cells_V = tuple(mV / 1000 for mV in cells_mV if 1 < mV < 65535)
-    if rows and cells_V and math.isclose(rows[-1].time_s, time_s, abs_tol=1e-3):
-        rows[-1] = replace(rows[-1], cell_voltages_V=cells_V)
+def _armed(timed: Sequence[_Timed]) -> _Change:
+    """Armed or not, by the records that say so."""
+    parts = []
+    for t in _named(timed, "ARM"):
+        if "ArmState" in t.table.numbers:
+            parts.append((t.table.order, np.where(t.table.column("ArmState") == 0, 0.0, 1.0)))
+    for t in _named(timed, "EV"):
+        event = np.trunc(t.table.column("Id"))
+        says = (event == _EV_ARMED) | (event == _EV_DISARMED)
+        parts.append((t.table.order[says], np.where(event[says] == _EV_ARMED, 1.0, 0.0)))
+    return _change(parts)
 
 
-def _armed(name: str, fields: Mapping[str, Value], before: bool | None) -> bool | None:
-    if name == "ARM":
-        return bool(_number(fields["ArmState"])) if "ArmState" in fields else before
-    event = _number(fields.get("Id", NAN))
-    return _EV_ARMED.get(int(event), before) if event == event else before
+def _cells(order: Order, instance: Order, time_s: Column, cells: Sequence[_Timed]) -> NDArray[np.float64] | None:
+    """Cells of the rows of the same instant [V]; 0 (none) and 65535 are no cells. None if the log tells none."""
+    labels = [[label for label in t.table.layout.labels if _CELL.match(label)] for t in cells]
+    if not any(labels):
+        return None
+    found = np.full((len(order), max(map(len, labels))), np.nan)
+    for t, names in zip(cells, labels, strict=True):
+        cells_mV = np.column_stack([t.table.column(name) for name in names] or [np.zeros((len(t.time_s), 0))])
+        cells_V = np.where((cells_mV > 1) & (cells_mV < 65535), cells_mV / 1000, np.nan)
+        said_of = _instance(t.table)
+        for number in np.unique(said_of).tolist():
+            rows, own = np.flatnonzero(instance == number), np.flatnonzero(said_of == number)
+            before = latest_before(t.table.order[own], order[rows])
+            own, rows = own[before >= 0], rows[before[before >= 0]]
+            same = (np.abs(time_s[rows] - t.time_s[own]) <= _SAME_INSTANT_S) & np.isfinite(cells_V[own]).any(axis=1)
+            found[rows[same]] = np.nan
+            found[rows[same], : cells_V.shape[1]] = cells_V[own[same]]
+    return found

@@ -5,28 +5,35 @@ Values come printed: format characters with a built-in factor (`c`, `e`, `L`) ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from uavbatt.records import NAN
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.dataflash_rows import WANTED, Layout, Record, Value, fold
+from uavbatt.telemetry.dataflash_rows import WANTED, Layout, Moment, Table, fold
 
 _TEXT_CHARS = "nNZ"
+
+Value = float | str
+
+
+@dataclass(slots=True)
+class _Lines:
+    """Lines of one layout as they come; mutable, and never leaves the reading of one file."""
+
+    order: list[int] = field(default_factory=list)
+    values: list[list[Value]] = field(default_factory=list)
 
 
 def read(data: bytes) -> LogBuilder:
     """All batteries' rows and the parameters of a text DataFlash log."""
     log = LogBuilder()
-    fold(_records(data, log), log)
-    return log
-
-
-def _records(data: bytes, log: LogBuilder) -> Iterator[Record]:
-    """The wanted records, and the first and last of any kind that carry a time."""
     layouts: dict[str, Layout] = {}
-    started = False
-    last_timed: Record | None = None
-    for line in data.splitlines(keepends=True):
+    wanted: dict[Layout, _Lines] = {}
+    first: Moment | None = None
+    last: Moment | None = None
+    for place, line in enumerate(data.splitlines(keepends=True)):
         cells = [cell.strip() for cell in line.decode("latin-1").split(",")]
         if cells[0] == "FMT":
             _learn(cells, layouts)
@@ -34,23 +41,29 @@ def _records(data: bytes, log: LogBuilder) -> Iterator[Record]:
         layout = layouts.get(cells[0])
         if layout is None:
             continue
-        timed = layout.ticks_per_s > 0
-        wanted = WANTED.match(layout.name) is not None
-        if timed and not wanted and len(cells) > 1:
-            last_timed = (Layout("END", "Q", layout.labels[:1]), [_number(cells[1])])
-        if wanted:
+        if WANTED.match(layout.name):
             values = _values(layout, cells[1:], whole=line.endswith((b"\n", b"\r")))
             if values is None:
                 log.skipped_bytes += len(line)
                 continue
-            started = started or timed
-            last_timed = None  # the wanted record moves the clock itself
-            yield layout, values
-        elif timed and not started and last_timed is not None:
-            started = True
-            yield last_timed
-    if last_timed is not None:
-        yield last_timed
+            lines = wanted.setdefault(layout, _Lines())
+            lines.order.append(place)
+            lines.values.append(values)
+        if layout.ticks_per_s > 0 and len(cells) > 1:
+            last = Moment(place, _number(cells[1]) / layout.ticks_per_s)
+            first = first or last
+    fold([_table(layout, lines) for layout, lines in wanted.items()], first, last, log)
+    return log
+
+
+def _table(layout: Layout, lines: _Lines) -> Table:
+    numbers, texts = {}, {}
+    for label, char, column in zip(layout.labels, layout.chars, zip(*lines.values, strict=True), strict=True):
+        if char in _TEXT_CHARS:
+            texts[label] = [str(value) for value in column]
+        else:
+            numbers[label] = np.array(column, np.float64)
+    return Table(layout, np.array(lines.order, np.int64), numbers, texts)
 
 
 def _learn(cells: list[str], layouts: dict[str, Layout]) -> None:

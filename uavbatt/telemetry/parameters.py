@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from uavbatt.records import NAN, PackFacts
 
 _UNTOUCHED_CAPACITY_MAH = 3300.0
+VOLTAGE_ONLY = 3.0  # of BATT_MONITOR
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
 
@@ -55,9 +56,9 @@ def capacity_notes(parameters: Iterable[tuple[float, str, float]], instance: int
     return [f"{name} is 3300 mAh, ArduPilot's untouched default: it may not be this pack's"]
 
 
-def is_voltage_only(parameters: Mapping[str, float], instance: int) -> bool:
-    """True when the monitor measures no current (BATT_MONITOR 3): a logged 0 A is then no reading."""
-    return parameters.get(ardupilot_prefix(instance) + "MONITOR") == 3
+def monitor_parameter(instance: int) -> str:
+    """The parameter that says how an ArduPilot battery is measured; VOLTAGE_ONLY: a logged 0 A is no reading."""
+    return ardupilot_prefix(instance) + "MONITOR"
 
 
 def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> PackFacts:

@@ -7,15 +7,16 @@ from pathlib import Path
 
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.records import Flight
-from uavbatt.telemetry import csv_table, dataflash_binary, dataflash_text, tlog, ulog
+from uavbatt.telemetry import csv_table, ulog
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
-from uavbatt.telemetry.tlog_frames import looks_like_tlog
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
+_DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFlash log
+_ODD_IN_TEXT = bytes(byte for byte in range(32) if not 9 <= byte <= 13)
 
 
 def read_log(path: str | Path, instance: int | None = None) -> Flight:
@@ -55,7 +56,7 @@ def _kind(path: Path, data: bytes) -> str:
     head = data[:_HEAD_BYTES]
     if data.startswith(ulog.MAGIC):
         return "ulog"
-    if data.startswith(dataflash_binary.FMT_START):
+    if data.startswith(_DATAFLASH):
         return "dataflash-binary"
     if _is_text(head):
         if _FMT_LINE.search(head):
@@ -64,9 +65,11 @@ def _kind(path: Path, data: bytes) -> str:
             return "csv"
         raise BadInput(path, "", f"{KNOWN_KINDS}, found text of another kind")
     # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
+    from uavbatt.telemetry.tlog_frames import looks_like_tlog
+
     if looks_like_tlog(data):
         return "tlog"
-    if dataflash_binary.FMT_START in head:
+    if _DATAFLASH in head:
         return "dataflash-binary"
     if _FMT_LINE.search(head):
         return "dataflash-text"
@@ -75,7 +78,7 @@ def _kind(path: Path, data: bytes) -> str:
 
 def _is_text(head: bytes) -> bool:
     """No NUL, and hardly any byte that text does not have."""
-    odd = sum(byte < 9 or 13 < byte < 32 for byte in head)
+    odd = len(head) - len(head.translate(None, _ODD_IN_TEXT))
     return b"\0" not in head and odd <= len(head) // 1000 and b"%PDF" not in head[:8]
 
 
@@ -87,15 +90,14 @@ def _is_table(head: bytes) -> bool:
 
 
 def _read(kind: str, path: Path, data: bytes) -> LogBuilder:
-    if kind == "dataflash-binary":
-        return dataflash_binary.read(data)
-    if kind == "dataflash-text":
-        return dataflash_text.read(data)
-    if kind == "tlog":
-        return tlog.read(data)
     if kind == "ulog":
         return ulog.read(path, data)
-    return csv_table.read(path, data)
+    if kind == "csv":
+        return csv_table.read(path, data)
+    from uavbatt.telemetry import dataflash_binary, dataflash_text, tlog  # these load numpy
+
+    readers = {"dataflash-binary": dataflash_binary.read, "dataflash-text": dataflash_text.read, "tlog": tlog.read}
+    return readers[kind](data)
 
 
 def _flight(path: Path, kind: str, log: LogBuilder, instance: int | None) -> Flight:

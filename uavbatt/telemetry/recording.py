@@ -10,7 +10,8 @@ from pathlib import Path
 
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN
-from uavbatt.telemetry.tlog_frames import decoder, frames
+from uavbatt.telemetry.tlog_frames import frames
+from uavbatt.telemetry.tlog_payloads import PARAM_VALUE, parameters
 
 PERIOD_NAME = "UAVB_FORECAST_S"
 HEAD_BYTES = 16_384
@@ -22,9 +23,7 @@ def forecast_period_s(path: str | Path) -> float:
         head = file.read(HEAD_BYTES)
     if PERIOD_NAME.encode() not in head:
         return NAN
-    for _, frame in frames(head, frozenset((fields.PARAM_VALUE,)), decoder()):
-        if frame is not None and frame.message and frame.message_id == fields.PARAM_VALUE:
-            name, value = fields.parameter(frame.message, is_px4=False)
-            if name == PERIOD_NAME and value > 0.0:
-                return value
-    return NAN
+    said = frames(head).of(fields.PARAM_VALUE)
+    payloads = said.payloads(PARAM_VALUE.itemsize)
+    found = (value for name, value in parameters(payloads, [False] * len(payloads)) if name == PERIOD_NAME)
+    return next((value for value in found if value > 0.0), NAN)

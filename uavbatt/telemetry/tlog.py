@@ -8,98 +8,113 @@ had the id 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
-from uavbatt.records import Sample
+from uavbatt.telemetry import tlog_payloads
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.tlog_frames import Frame, decoder, frames
+from uavbatt.telemetry.chain import Mask
+from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, latest_before, times_s
+from uavbatt.telemetry.tlog_frames import Frames, frames
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
-_WANTED = frozenset((*_BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE))
 _AUTOPILOT_COMPONENT = 1
+_NOBODY = -1
 
-Source = tuple[int, int]  # system, component
+
+class _Beats(NamedTuple):
+    """Heartbeats of the chosen vehicle: which of its frames they are, and what they say."""
+
+    place: NDArray[np.int64]
+    armed: Mask
+    is_px4: Mask
 
 
 def read(data: bytes) -> LogBuilder:
     """All batteries' rows and the parameters of the first autopilot in a tlog."""
     log = LogBuilder()
-    wanted: list[Frame] = []
-    last: Frame | None = None
-    for skipped, frame in frames(data, _WANTED, decoder()):
-        log.skipped_bytes += skipped
-        if frame is None:
-            continue
-        if last is None:
-            log.time_s(frame.time_s)  # time counts from the first frame of any kind
-        if frame.message is not None and frame.message_id in _WANTED:
-            wanted.append(frame)
-        last = frame
-    source = _autopilot(wanted, log)
-    if source is not None:
-        _push([f for f in wanted if (f.system, f.component) == source], log)
-    if last is not None:
-        log.time_s(last.time_s)
+    found = frames(data)
+    log.skipped_bytes = found.skipped_bytes
+    if math.isnan(found.first_s):
+        return log
+    own = found.at(found.source == _autopilot(found, log))
+    # time counts from the first frame of any kind, and lasts until the last
+    time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
+    beats = _beats(own)
+    _add_parameters(own, time_s, beats, log)
+    _add_rows(own, time_s, beats, log)
     return log
 
 
-def _autopilot(wanted: Sequence[Frame], log: LogBuilder) -> Source | None:
-    """The source whose battery messages are read; component 1 goes before all others."""
-    beats: dict[Source, bool] = {}
-    senders: dict[Source, None] = {}
-    for frame in wanted:
-        source = (frame.system, frame.component)
-        if frame.message_id == fields.HEARTBEAT:
-            beats[source] = beats.get(source, False) or fields.is_autopilot(frame.message)
-        elif frame.message_id in _BATTERY_IDS:
-            senders.setdefault(source)
-    candidates = [s for s in senders if beats.get(s)]
+def _autopilot(found: Frames, log: LogBuilder) -> int:
+    """The source whose battery messages are read, _NOBODY if there is none; component 1 goes before all others."""
+    beating = found.of(fields.HEARTBEAT)
+    is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
+    beaters, autopilots = set(beating.source.tolist()), set(beating.source[is_autopilot].tolist())
+    senders, first = np.unique(found.source[np.isin(found.message_id, _BATTERY_IDS)], return_index=True)
+    in_order = senders[np.argsort(first)].tolist()
+    candidates = [s for s in in_order if s in autopilots]
     # A short or cut log may hold no heartbeat: then component 1 is believed to be the autopilot.
-    candidates = candidates or [s for s in senders if s not in beats and s[1] == _AUTOPILOT_COMPONENT]
+    candidates = candidates or [s for s in in_order if s not in beaters and s & 0xFF == _AUTOPILOT_COMPONENT]
     if not candidates:
-        return None
-    chosen = min(candidates, key=lambda s: s[1] != _AUTOPILOT_COMPONENT)
-    for system, component in senders:
-        if (system, component) != chosen:
-            log.notes.append(
-                f"battery messages of system {system} component {component} ignored"
-                f" (read: system {chosen[0]} component {chosen[1]})"
-            )
+        return _NOBODY
+    chosen: int = min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
+    for other in in_order:
+        if other != chosen:
+            log.notes.append(f"battery messages of {_named(other)} ignored (read: {_named(chosen)})")
+    of_chosen = set(np.unique(found.message_id[found.source == chosen]).tolist())
+    if fields.BATTERY_STATUS not in of_chosen and fields.SYS_STATUS in of_chosen:
+        log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
     return chosen
 
 
-def _push(messages: Sequence[Frame], log: LogBuilder) -> None:
-    """Push the rows, parameters and arming of one autopilot, in order."""
-    present = {f.message_id for f in messages}
-    ids = {f.message.id for f in messages if f.message_id == fields.BATTERY_STATUS}
-    is_px4 = False  # until a heartbeat says so: nothing is read ahead
-    if fields.BATTERY_STATUS not in present and fields.SYS_STATUS in present:
-        log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
-    for frame in messages:
-        time_s = log.time_s(frame.time_s)
-        if frame.message_id == fields.HEARTBEAT:
-            log.armed = fields.is_armed(frame.message)
-            is_px4 = frame.message.autopilot == fields.AUTOPILOT_PX4
-        elif frame.message_id == fields.PARAM_VALUE:
-            log.add_parameter(time_s, *fields.parameter(frame.message, is_px4))
-        elif frame.message_id == fields.BATTERY_STATUS:
-            _add(log, time_s, fields.battery_status(frame.message))
-        elif frame.message_id == fields.SYS_STATUS and not ids:
-            _add(log, time_s, fields.sys_status(frame.message))
-        elif frame.message_id == fields.BATTERY2 and 1 not in ids:
-            _add(log, time_s, fields.battery2(frame.message))
+def _named(source: int) -> str:
+    return f"system {source >> 8} component {source & 0xFF}"
 
 
-def _add(log: LogBuilder, time_s: float, battery: fields.BatteryFields) -> None:
-    sample = Sample(
-        time_s=time_s,
-        voltage_V=battery.voltage_V,
-        current_A=battery.current_A,
-        temp_C=battery.temp_C,
-        consumed_Ah=battery.consumed_Ah,
-        reported_soc=battery.reported_soc,
-        armed=log.armed,
-        cell_voltages_V=battery.cell_voltages_V,
-    )
-    log.add(battery.id, sample)
+def _beats(own: Frames) -> _Beats:
+    place = own.places(fields.HEARTBEAT)
+    payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
+    is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
+    return _Beats(place, tlog_payloads.heartbeats(payloads, fields.is_armed), is_px4)
+
+
+def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
+    place = own.places(fields.PARAM_VALUE)
+    # until a heartbeat says so it is no PX4: nothing is read ahead
+    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in latest_before(place, beats.place).tolist()]
+    payloads = own.at(place).payloads(tlog_payloads.PARAM_VALUE.itemsize)
+    for at_s, said in zip(time_s[place].tolist(), tlog_payloads.parameters(payloads, is_px4), strict=True):
+        log.add_parameter(at_s, *said)
+
+
+def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
+    """The rows of every battery message that counts, in order."""
+    places, parts = [], []
+    ids: set[int] = set()
+    for message_id, kind in tlog_payloads.KINDS.items():
+        place = own.places(message_id)
+        is_told = bool(ids) if message_id == fields.SYS_STATUS else message_id == fields.BATTERY2 and 1 in ids
+        if is_told or not len(place):
+            continue
+        said = kind.said(own.at(place).payloads(kind.layout.itemsize))
+        if message_id == fields.BATTERY_STATUS:
+            ids = set(np.unique(said.instance).tolist())
+        places.append(place)
+        parts.append(said)
+    if not parts:
+        return
+    place = np.concatenate(places)
+    order = np.argsort(place, kind="stable")
+    place, said = place[order], tlog_payloads.together(parts).at(order)
+    last = latest_before(place, beats.place)
+    armed = np.append(beats.armed.astype(np.int8), UNKNOWN)[last]  # index -1, no heartbeat yet: the appended one
+    rows = Rows(
+        time_s[place], said.voltage_V, said.current_A, said.temp_C, said.consumed_Ah, said.reported_soc,
+        armed.astype(np.int8), said.cells_V,
+    )  # fmt: skip
+    add_rows(log, said.instance, rows)

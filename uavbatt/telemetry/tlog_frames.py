@@ -2,34 +2,115 @@
 
     v1: FE len seq sys comp id payload crc16                                     8 + len bytes
     v2: FD len incompat compat seq sys comp id[3] payload crc16 (signature[13]) 12 + len bytes
-The CRC is checked on the wanted messages and wherever the chain of frames was broken; elsewhere it
-is enough that the next frame starts where this one ends (checking all would take 20 times longer).
+
+All places that could begin a frame are found at once and the chain of frames is walked over them. The checksum is
+worked out for the wanted messages and wherever the chain was broken; elsewhere it is enough that the next frame
+starts where this one ends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.mavlink import fields
+from uavbatt.telemetry.chain import Bytes, Chain, Mask, Places, gathered, windows
+from uavbatt.telemetry.checksum import checksums
+
+# The dialect's seed of each wanted message's checksum.
+SEEDS = {
+    fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
+    fields.BATTERY2: 174,
+}  # fmt: skip
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _STAMP = 8
 _LATEST_US = 4_102_444_800_000_000  # the year 2100; early times are real: a clock never set starts in 1970
+_DAY_US = 86_400_000_000
 _HEAD_BYTES = 65_536
+_NO_SEED = -1
 
 Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `False` if its type is unknown
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """One frame: reception time [s], who sent it, and the message if it was wanted."""
+class Frames:
+    """The frames of the wanted messages in file order, and what the whole file says of time and damage."""
 
-    time_s: float
-    system: int
-    component: int
-    message_id: int
-    message: Any = None
+    data: Bytes
+    start: Places  # of the stamp
+    payload: Places
+    length: NDArray[np.int64]  # of the payload, trailing zeros trimmed away by the sender
+    message_id: NDArray[np.int64]
+    source: NDArray[np.int64]  # 256 * system + component
+    first_s: float  # reception of the first and last frame of any kind; NaN without one
+    last_s: float
+    skipped_bytes: int
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Reception time of each frame [s]."""
+        return stamps_us(self.data, self.start) / 1e6
+
+    def payloads(self, width: int) -> Bytes:
+        """Payloads, `width` bytes each: trimmed zeros put back, later extensions left out."""
+        found = gathered(self.data, self.payload, width)
+        found[np.arange(width) >= self.length[:, None]] = 0
+        return found
+
+    def places(self, message_id: int) -> Places:
+        """Which of the frames are of this message."""
+        return np.flatnonzero(self.message_id == message_id)
+
+    def of(self, message_id: int) -> Frames:
+        """The frames of this message."""
+        return self.at(self.places(message_id))
+
+    def at(self, chosen: Any) -> Frames:
+        """Some of the frames."""
+        return replace(
+            self,
+            start=self.start[chosen],
+            payload=self.payload[chosen],
+            length=self.length[chosen],
+            message_id=self.message_id[chosen],
+            source=self.source[chosen],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidates:
+    """Places of one window where a frame could begin, whatever stands there."""
+
+    start: Places
+    end: Places
+    is_v2: Mask
+    length: NDArray[np.int64]
+
+    def at(self, chosen: Any) -> _Candidates:
+        return _Candidates(self.start[chosen], self.end[chosen], self.is_v2[chosen], self.length[chosen])
+
+    @property
+    def payload(self) -> Places:
+        return self.start + np.where(self.is_v2, _STAMP + 10, _STAMP + 6)
+
+    def message_id(self, data: Bytes) -> NDArray[np.int64]:
+        low = data[self.payload - np.where(self.is_v2, 3, 1)].astype(np.int64)
+        middle = data[self.payload - 2].astype(np.int64) << 8
+        high = data[self.payload - 1].astype(np.int64) << 16
+        return np.where(self.is_v2, low | middle | high, low)
+
+    def is_sound(self, data: Bytes, seed: NDArray[np.int64]) -> Mask:
+        """Whether the checksum is right."""
+        after = self.payload + self.length
+        sent = data[after].astype(np.int64) | data[after + 1].astype(np.int64) << 8
+        found = checksums(data, self.start + _STAMP + 1, after - self.start - _STAMP - 1, seed)
+        return np.asarray(found == sent, np.bool_)
 
 
 def decoder() -> Decode:
@@ -48,69 +129,129 @@ def decoder() -> Decode:
     return decode
 
 
-def frames(data: bytes, wanted: frozenset[int], decode: Decode) -> Iterator[tuple[int, Frame | None]]:
-    """(bytes skipped before it, frame) in file order; the last item is (bytes skipped, None)."""
-    position, skipped, in_chain = 0, 0, False
-    while position + _STAMP < len(data):
-        end = _frame_end(data, position)
-        frame = _checked(data, position, end, wanted, decode, in_chain) if end else None
-        if frame is None:
-            following = _next_candidate(data, position + 1)
-            skipped += following - position
-            position, in_chain = following, False
-            continue
-        yield skipped, frame
-        position, skipped, in_chain = end, 0, True
-    yield skipped + max(len(data) - position, 0), None
+def frames(raw: bytes) -> Frames:
+    """The wanted frames of a telemetry log. Damage is passed over and counted; noise alone gives no frame."""
+    data = np.frombuffer(raw, np.uint8)
+    chain = Chain()
+    kept: list[_Candidates] = []
+    first_us, last_us = -1, -1
+    for begin, end in windows(len(data)):
+        found = _candidates(data, begin, end)
+        ids = found.message_id(data)
+        wanted = np.isin(ids, list(SEEDS))
+        sound = np.ones(len(ids), np.bool_)
+        chosen = found.at(wanted)
+        sound[wanted] = chosen.is_sound(data, _seeds(ids[wanted]))
+        taken = chain.take(found.start, found.end, sound, _judge(data, found, ids, wanted, sound), end)
+        places = np.flatnonzero(taken)
+        if len(places):
+            ends_us = stamps_us(data, found.start[places[[0, -1]]])
+            first_us, last_us = int(ends_us[0]) if first_us < 0 else first_us, int(ends_us[1])
+        kept.append(found.at(taken & wanted))
+    return _frames(data, kept, first_us, last_us, chain.skipped)
 
 
-def looks_like_tlog(data: bytes) -> bool:
-    """True if the head of `data` holds at least one time-stamped frame with a good CRC."""
-    if len(data) <= _STAMP or not any(mark in data[:_HEAD_BYTES] for mark in (b"\xfe", b"\xfd")):
+def looks_like_tlog(raw: bytes) -> bool:
+    """True if the head of `raw` holds at least one time-stamped frame with a good checksum."""
+    data = np.frombuffer(raw[:_HEAD_BYTES], np.uint8)
+    found = _candidates(data, 0, len(data))
+    ids = found.message_id(data)
+    wanted = np.isin(ids, list(SEEDS))
+    if np.any(found.at(wanted).is_sound(data, _seeds(ids[wanted]))):
+        return True
+    seeds = np.array([_seed(int(number)) for number in ids], np.int64)
+    known = seeds != _NO_SEED
+    return bool(np.any(found.at(known).is_sound(data, seeds[known])))
+
+
+def stamps_us(data: Bytes, start: Places) -> NDArray[np.int64]:
+    """The stamps [us] at the given places."""
+    return gathered(data, start, _STAMP).view(">i8")[:, 0].astype(np.int64)
+
+
+def _candidates(data: Bytes, begin: int, end: int) -> _Candidates:
+    """Every place from `begin` to `end` where a frame could begin that ends inside the file."""
+    size = len(data)
+    mark = data[begin + _STAMP : end + _STAMP]
+    start = np.flatnonzero((mark == _V1) | (mark == _V2)) + begin
+    start = start[start + _STAMP + 6 < size]
+    # a stamp before 2100 has 0 in its first byte and at most 14 in its second
+    start = start[(data[start] == 0) & (data[start + 1] <= _LATEST_US >> 48)]
+    is_v2 = data[start + _STAMP] == _V2
+    flags = data[start + _STAMP + 2]
+    length = data[start + _STAMP + 1].astype(np.int64)
+    stop = start + _STAMP + length + np.where(is_v2, 12 + 13 * flags.astype(np.int64), 8)
+    possible = (stop <= size) & (~is_v2 | (flags <= _SIGNED))
+    late = np.flatnonzero(data[start + 1] == _LATEST_US >> 48)
+    possible[late] &= stamps_us(data, start[late]) <= _LATEST_US
+    return _Candidates(start, stop, is_v2, length).at(possible)
+
+
+def _judge(
+    data: Bytes, found: _Candidates, ids: NDArray[np.int64], wanted: Mask, sound: Mask
+) -> Callable[[int, bool], bool]:
+    """Is one candidate a frame? Its checksum says so; a type that nobody knows counts if a frame may follow it."""
+
+    def judge(index: int, in_chain: bool) -> bool:
+        mark = int(found.end[index]) + _STAMP
+        follows = mark >= len(data) or data[mark] in (_V1, _V2)
+        if not in_chain and follows and _is_stamp_torn(data, int(found.start[index]), mark):
+            return False
+        if wanted[index]:
+            return bool(sound[index])
+        if in_chain and follows:
+            return True
+        seed = _seed(int(ids[index]))
+        if seed == _NO_SEED:
+            return bool(follows)
+        return bool(found.at([index]).is_sound(data, np.array([seed]))[0])
+
+    return judge
+
+
+def _is_stamp_torn(data: Bytes, start: int, next_mark: int) -> bool:
+    """Whether damage reaches into the stamp before a frame that is whole itself: it is days from the next one's."""
+    if start == 0 or next_mark >= len(data):
         return False
-    decode = decoder()
-    every_id = frozenset(range(1 << 16))  # "wanted" means that the CRC is checked
-    return any(f is not None and f.message for _, f in frames(data[:_HEAD_BYTES], every_id, decode))
+    this_us, next_us = stamps_us(data, np.array([start, next_mark - _STAMP])).tolist()
+    return bool(abs(next_us - this_us) > _DAY_US)
 
 
-def _frame_end(data: bytes, position: int) -> int:
-    """Where the frame after the stamp at `position` would end; 0 if there cannot be one."""
-    start = position + _STAMP
-    if start + 3 > len(data):
-        return 0
-    stamp_us = int.from_bytes(data[position:start], "big")
-    if stamp_us > _LATEST_US:
-        return 0
-    if data[start] == _V1:
-        end = start + 8 + data[start + 1]
-    elif data[start] == _V2 and data[start + 2] in (0, _SIGNED):
-        end = start + 12 + data[start + 1] + 13 * data[start + 2]
-    else:
-        return 0
-    return end if end <= len(data) else 0
+def _frames(data: Bytes, kept: list[_Candidates], first_us: int, last_us: int, skipped_bytes: int) -> Frames:
+    start = np.concatenate([k.start for k in kept]) if kept else np.zeros(0, np.int64)
+    payload = np.concatenate([k.payload for k in kept]) if kept else start
+    is_v2 = np.concatenate([k.is_v2 for k in kept]) if kept else start
+    all_kept = _Candidates(start, start, np.asarray(is_v2, np.bool_), start)
+    system = start + np.where(all_kept.is_v2, _STAMP + 5, _STAMP + 3)
+    return Frames(
+        data=data,
+        start=start,
+        payload=payload,
+        length=np.concatenate([k.length for k in kept]) if kept else start,
+        message_id=all_kept.message_id(data),
+        source=data[system].astype(np.int64) << 8 | data[system + 1],
+        first_s=first_us / 1e6 if first_us >= 0 else float("nan"),
+        last_s=last_us / 1e6 if last_us >= 0 else float("nan"),
+        skipped_bytes=skipped_bytes,
+    )
 
 
-def _checked(
-    data: bytes, position: int, end: int, wanted: frozenset[int], decode: Decode, in_chain: bool
-) -> Frame | None:
-    """The frame between the stamp at `position` and `end`, or None if it is damaged."""
-    start = position + _STAMP
-    time_s = int.from_bytes(data[position:start], "big") / 1e6
-    if data[start] == _V1:
-        system, component, message_id = data[start + 3], data[start + 4], data[start + 5]
-    else:
-        system, component = data[start + 5], data[start + 6]
-        message_id = int.from_bytes(data[start + 7 : start + 10], "little")
-    follows = end + _STAMP >= len(data) or data[end + _STAMP] in (_V1, _V2)
-    if in_chain and follows and message_id not in wanted:
-        return Frame(time_s, system, component, message_id)
-    message = decode(data[start:end])
-    if message is None or (message is False and not follows):
-        return None
-    return Frame(time_s, system, component, message_id, message or None)
+def _seeds(ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    table = np.zeros(256, np.int64)
+    table[list(SEEDS)] = list(SEEDS.values())
+    return np.asarray(table[ids], np.int64)
 
 
-def _next_candidate(data: bytes, position: int) -> int:
-    """The next place whose ninth byte could start a frame; the end of the data if there is none."""
-    hits = [hit for mark in (b"\xfe", b"\xfd") if (hit := data.find(mark, position + _STAMP)) >= 0]
-    return min(hits) - _STAMP if hits else len(data)
+def _seed(message_id: int) -> int:
+    """The checksum's seed of any message, _NO_SEED if the dialect does not know it."""
+    if message_id in SEEDS:
+        return SEEDS[message_id]
+    return _dialect().get(message_id, _NO_SEED)
+
+
+@cache
+def _dialect() -> dict[int, int]:
+    """Seeds of all messages. Loaded only where a chain is broken: it is bigger than all the rest."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return {number: int(kind.crc_extra) for number, kind in ardupilotmega.mavlink_map.items()}
