@@ -139,7 +139,7 @@ class Estimator:
         self._begin(self._pack(resolved))
         assert self._filter is not None and self._forecaster is not None
         self._filter.restore(belief, current_A)
-        self._swap = SwapWatch(seen_s=belief.time_s)
+        self._swap = SwapWatch(belief.time_s, current_A, belief)
         if past is not None:
             self._forecaster.recall(past.forecaster)
 
@@ -153,7 +153,9 @@ class Estimator:
             self._begin(self._pack(self.resolved))
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
         estimate = self._filter.step(sample)
-        self._swap = self._swap.after(estimate, self.resolved.cells, self.resolved.capacity_Ah)
+        belief = self._filter.belief
+        if belief is not None:
+            self._swap = self._swap.after(estimate, belief, self._filter.pack)
         if self._swap.is_another:
             self._begin(self._pack(self.resolved))
             estimate = self._filter.step(sample)

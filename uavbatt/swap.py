@@ -1,32 +1,44 @@
 """Is it another pack? A value that goes from row to row.
 
-A pack is changed on the ground, and the telemetry falls silent meanwhile. After a silence a rested pack that shows,
-row after row, another voltage than the believed one, up or down, is another. Without a silence only far too much
-voltage tells: a rested pack that was just loaded shows too little for minutes.
+A pack is changed on the ground, and the telemetry falls silent meanwhile. What the old pack can show at rest after a
+silence is bounded: at most its open-circuit voltage at the last charge (it rested all along), at least that after the
+load had gone on to the end, its overpotentials still there. A rested pack outside, row after row, is another. After
+minutes the old one would have settled, and the bounds are those of its prediction. Without a silence only far too
+much voltage tells: a pack that was just loaded shows too little for a while.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
+from uavbatt.battery import model
+from uavbatt.battery.belief import Belief, C
+from uavbatt.battery.build import Pack
 from uavbatt.records import NAN, Estimate
 
 RESTED_C_RATE, SWAP_ROWS = 0.15, 3
-FAR_CELL_V = 0.12
-SILENCE_S, SILENT_ROWS, ODD_CELL_V, STEADY_CELL_V = 5.0, 4.0, 0.05, 0.03
+FAR_CELL_V, ODD_CELL_V = 0.12, 0.05
+SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
 ROW_MEMORY = 0.9
 
 
-@dataclass(frozen=True, slots=True)
-class SwapWatch:
-    """Since the last row with a pack at `seen_s`; `rows` in turn have shown another pack."""
+class Bounds(NamedTuple):
+    """What the believed pack can show at rest, per cell [V]."""
+
+    low_V: float = -math.inf
+    high_V: float = math.inf
+
+
+class SwapWatch(NamedTuple):
+    """The last row with a pack (when, at what current, believing what), and how many in turn have shown another."""
 
     seen_s: float = NAN
+    current_A: float = 0.0
+    belief: Belief | None = None
     row_s: float = NAN  # the usual time between two rows
-    is_after_silence: bool = False
-    odd_V: float = NAN  # of the first odd row after a silence
+    bounds: Bounds | None = None  # after a silence, until the pack is loaded
     rows: int = 0
 
     @property
@@ -34,27 +46,32 @@ class SwapWatch:
         """Whether enough rows have shown another pack."""
         return self.rows >= SWAP_ROWS
 
-    def after(self, estimate: Estimate, cells: int, capacity_Ah: float) -> SwapWatch:
-        """What is known after one more row."""
-        if not estimate.voltage_V > NO_PACK_CELL_V * cells:
+    def after(self, estimate: Estimate, belief: Belief, pack: Pack) -> SwapWatch:
+        """What is known after one more row, whose estimate and belief are given."""
+        cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
+        cell_V, current_A = estimate.voltage_V / cells, estimate.current_A
+        if not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
             return self
-        now = self._at(estimate.time_s)
-        if not abs(estimate.current_A) < RESTED_C_RATE * capacity_Ah:
-            return replace(now, is_after_silence=False, odd_V=NAN, rows=0)
+        gap_s = estimate.time_s - self.seen_s
+        row_s, bounds = self.row_s, self.bounds
+        if gap_s > max(SILENCE_S, SILENT_ROWS * row_s if math.isfinite(row_s) else 0.0):
+            bounds = self._bounds(gap_s, estimate.predicted_voltage_V / cells, pack)
+        elif gap_s > 0.0:
+            row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else gap_s
+        if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
+            return SwapWatch(estimate.time_s, current_A, belief, row_s)
         other = estimate.innovation_V > FAR_CELL_V * cells
-        if now.is_after_silence:  # the first odd row speaks for those like it: by then the filter has given in
-            if not math.isfinite(now.odd_V) and abs(estimate.innovation_V) > ODD_CELL_V * cells:
-                now = replace(now, odd_V=estimate.voltage_V)
-            other = other or abs(estimate.voltage_V - now.odd_V) < STEADY_CELL_V * cells
-        return replace(now, rows=now.rows + 1 if other else 0)
+        if bounds is not None:
+            other = other or not bounds.low_V <= cell_V <= bounds.high_V
+        return SwapWatch(estimate.time_s, current_A, belief, row_s, bounds, self.rows + 1 if other else 0)
 
-    def _at(self, time_s: float) -> SwapWatch:
-        """The time has gone on; a silence may have passed."""
-        gap_s = time_s - self.seen_s
-        usual_s = self.row_s if math.isfinite(self.row_s) else 0.0
-        if gap_s > max(SILENCE_S, SILENT_ROWS * usual_s):
-            return replace(self, seen_s=time_s, is_after_silence=True, odd_V=NAN, rows=0)
-        if not gap_s > 0.0:
-            return replace(self, seen_s=time_s)
-        row_s = gap_s + (self.row_s - gap_s) * ROW_MEMORY if math.isfinite(self.row_s) else gap_s
-        return replace(self, seen_s=time_s, row_s=row_s)
+    def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
+        """What the pack that was seen last can show at rest after a silence of `gap_s`."""
+        if gap_s > SETTLED_S or self.belief is None:
+            return Bounds(predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V)
+        mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[C.SOC, C.SOC])
+        drawn = max(self.current_A, 0.0) * gap_s / 3600.0 / float(pack.installation.present_capacity_Ah)
+        lag_V = max(float(mean[C.POLARISATION] + mean[C.DIFFUSION]), 0.0)
+        low_V = float(model.open_circuit_voltage(pack.cell, mean[C.SOC] - drawn - sd)) - lag_V
+        high_V = float(model.open_circuit_voltage(pack.cell, min(mean[C.SOC] + sd, 1.0)))
+        return Bounds(low_V - ODD_CELL_V, high_V + ODD_CELL_V)
