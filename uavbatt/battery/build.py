@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.equations import Number
 from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Parameters
 from uavbatt.battery.pack import Installation
@@ -21,8 +22,8 @@ class Pack(NamedTuple):
 
     cell: Parameters
     installation: Installation
-    cutoff_V: float
-    low_V: float
+    cutoff_V: Number
+    low_V: Number
     resistance_scale_sd: float
     capacity_scale_sd: float
     bias_sd_V: float  # discrepancy of the model, per cell

@@ -30,7 +30,7 @@ SECONDS_PER_HOUR = 3600.0
 
 def acts(value: Number) -> bool:
     """Whether a parameter whose neutral value is 0 does anything, in any column."""
-    return bool(value) if isinstance(value, float | int) else bool(np.any(value))
+    return bool(value.any()) if isinstance(value, np.ndarray) else bool(value != 0.0)
 
 
 def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:
@@ -46,6 +46,11 @@ def relax(value: Number, target: Number, dt_s: Number, tau_s: Number) -> Number:
 def arrhenius(temp_C: Number, activation_K: Number) -> Number:
     """Factor on a resistance at `temp_C`, 1 at 25 °C: exp(E (1/T - 1/T_ref)), E = activation energy / R [K]."""
     return np.exp(activation_K * (1.0 / (temp_C + KELVIN) - 1.0 / (REFERENCE_TEMP_C + KELVIN)))
+
+
+def risen(gain_h: Number, c_rate: Number) -> Number:
+    """Factor on what grows with the load in either direction: 1 + g |c|."""
+    return 1.0 + gain_h * np.abs(c_rate) if acts(gain_h) else 1.0
 
 
 def heat_step(
@@ -74,16 +79,19 @@ def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> 
     return 2.0 * reachable / (emf_V + root)
 
 
-def lookup(table: NDArray[np.float64], position: Number) -> Number:
-    """Linear interpolation on a uniform grid; beyond the ends the end segments go on.
+def segment(position: Number, segments: float) -> Number:
+    """Index of the segment of a uniform grid that `position`, in grid steps, falls into; the end ones go on."""
+    return np.intp(np.minimum(np.maximum(position, 0.0), segments - 1.0))  # cut off: the floor of what is positive
 
-    `position` in grid steps. One table [G] serves any shape; tables [batch, G] need positions [batch].
+
+def interpolated(table: NDArray[np.float64], index: Number, share: Number) -> Number:
+    """Value at a share of the segment `index` of a table of its ends.
+
+    One table [G] serves any shape; tables [batch, G] need indices [batch].
     """
-    last = table.shape[-1] - 2.0
-    index = np.intp(np.minimum(np.maximum(position, 0.0), last))  # cut off, which is the floor of what is positive
     if table.ndim == 1:
         left, right = table[index], table[index + 1]
     else:
         rows = np.arange(table.shape[0])
         left, right = table[rows, index], table[rows, index + 1]
-    return left + (right - left) * (position - index)
+    return left + (right - left) * share

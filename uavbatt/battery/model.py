@@ -72,16 +72,34 @@ def rested(soc: Number, temp_C: Number) -> State:
 
 def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
     """OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
-    charged_V = eq.lookup(p.ocv_V, (soc - LOWEST_SOC) / GRID_STEP)
+    position = (soc - LOWEST_SOC) / GRID_STEP
+    return _ocv_V(p, soc, position, eq.segment(position, LAST_POSITION))
+
+
+def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
+    """R0(soc, T) [ohm·Ah]."""
+    position = (soc - LOWEST_SOC) / GRID_STEP
+    return _r0_ohmAh(p, position, eq.segment(position, LAST_POSITION), core_C)
+
+
+def _ocv_V(p: Parameters, soc: Number, position: Number, index: Number) -> Number:
+    charged_V = eq.interpolated(p.ocv_V, index, position - index)
     if not eq.acts(p.hysteresis_V):
         return charged_V
     return charged_V - p.hysteresis_V * eq.turned_share(1.0 - soc, TURN_CHARGE)
 
 
-def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
-    """R0(soc, T) [ohm·Ah]."""
-    position = np.minimum(np.maximum((soc - LOWEST_SOC) / GRID_STEP, 0.0), LAST_POSITION)
-    return p.resistance_gain * eq.lookup(p.r0_ohmAh, position) * eq.arrhenius(core_C, p.activation_K)
+def _r0_ohmAh(p: Parameters, position: Number, index: Number, core_C: Number) -> Number:
+    share = np.minimum(np.maximum(position, 0.0), LAST_POSITION) - index  # flat beyond the ends
+    return p.resistance_gain * eq.interpolated(p.r0_ohmAh, index, share) * eq.arrhenius(core_C, p.activation_K)
+
+
+def source(p: Parameters, s: State) -> tuple[Number, Number]:
+    """`electromotive_force` and `resistance` in one look-up."""
+    position = (s.soc - LOWEST_SOC) / GRID_STEP
+    index = eq.segment(position, LAST_POSITION)
+    emf_V = _ocv_V(p, s.soc, position, index) - s.polarisation_V - s.diffusion_V
+    return emf_V, _r0_ohmAh(p, position, index, s.core_C)
 
 
 def electromotive_force(p: Parameters, s: State) -> Number:
@@ -91,7 +109,8 @@ def electromotive_force(p: Parameters, s: State) -> Number:
 
 def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
     """Terminal voltage of one cell [V] under `c_rate` [1/h]."""
-    return electromotive_force(p, s) - c_rate * resistance(p, s.soc, s.core_C)
+    emf_V, r_ohmAh = source(p, s)
+    return emf_V - c_rate * r_ohmAh
 
 
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
@@ -104,8 +123,8 @@ def step_against(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambie
     drop_V = c_rate * r_ohmAh
     sluggish = eq.arrhenius(s.core_C, p.diffusion_activation_K)
     heat_W = p.heat_gain * c_rate * (drop_V + s.polarisation_V + s.diffusion_V)
-    cooling = p.cooling_WpKAh * (1.0 + p.airflow_gain_h * np.abs(c_rate))
-    drained = c_rate * p.charge_gain * (1.0 + p.rate_gain_h * np.abs(c_rate))
+    cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
+    drained = c_rate * p.charge_gain * eq.risen(p.rate_gain_h, c_rate)
     core_C = eq.heat_step(s.core_C, heat_W, ambient_C, dt_s, p.heat_capacity_JpKAh, cooling)
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),

@@ -49,40 +49,49 @@ def time_to_end(
     reserve_soc: float = 0.0,
     wander: Wander | None = None,
     by_rows: bool = False,
+    own_steps: Number = np.inf,
 ) -> EndTimes:
     """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
 
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
-    the discrepancy decays and rows are exact. Several forecasts fly side by side with `dt_s` [steps, batch] and
-    `ambient_C` [batch].
+    the discrepancy decays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
+    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's sight.
     """
     cell, installation, state = unpack(pack, x)
-    steps = power_W.shape[0]
+    steps, ones = power_W.shape[0], (1,) * (x.ndim - 1)
     size = installation.cells * installation.present_capacity_Ah
     harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
     memory = np.exp(-dt_s / pack.bias_tau_s)
     kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
     drawn = power_W / size
     along = np.concatenate([0.5 * (drawn[:-1] + drawn[1:]), drawn[-1:]]) if by_rows else drawn
-    at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)])[:-1]
+    at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)])[:-1].reshape(
+        steps, *(dt_s.shape[1:] or ones)
+    )
     judge = _median_crossing if by_rows else _mean_crossing
-    way = _Way(*(np.empty((steps, x.shape[1])) for _ in _Way._fields))
-    margin_V, above_low_V = np.empty_like(way.rate), np.empty_like(way.rate)
+    rates, recent = np.empty_like(drawn), _Way(*np.empty((len(_Way._fields), JUDGED_AT_ONCE, *x.shape[1:])))
+    margin_V, above_low_V = np.empty_like(drawn), np.empty_like(drawn)
     bias_V = x[C.BIAS]
     for k in range(steps):
-        r_ohmAh = model.resistance(cell, state.soc, state.core_C)
-        emf_V = model.electromotive_force(cell, state) + bias_V
+        emf_V, r_ohmAh = model.source(cell, state)
+        emf_V = emf_V + bias_V
         rate = eq.current_at_power(emf_V, r_ohmAh + harness_ohmAh, drawn[k])
-        for row, value in zip(way, (*state[:4], bias_V, rate, r_ohmAh), strict=True):
-            row[k] = value
-        if (k + 1) % JUDGED_AT_ONCE == 0 or k + 1 == steps:
-            part = slice(k - k % JUDGED_AT_ONCE, k + 1)
-            volts = _voltages(pack, cell, installation, way, part, wander if by_rows else None)
-            margin_V[part], above_low_V[part] = volts - pack.cutoff_V, volts - pack.low_V
+        rates[k], row = rate, k % JUDGED_AT_ONCE
+        for column, value in zip(recent, (*state[:4], bias_V, r_ohmAh), strict=True):
+            column[row] = value
+        if row == JUDGED_AT_ONCE - 1 or k == steps - 1:
+            part, seen = slice(k - row, k + 1), _Way(*(column[: row + 1] for column in recent))
+            volts = _voltages(pack, cell, installation, seen, rates[part])
+            if by_rows and wander is not None:
+                volts += _row_noise(pack, installation, seen, rates, part) * wander.row[part]
+            in_sight = np.arange(part.start, part.stop).reshape(-1, *ones) < own_steps
+            margin = volts - pack.cutoff_V
             if reserve_soc > 0.0:
-                margin_V[part] = np.minimum(margin_V[part], (way.soc[part] - reserve_soc) * SOC_IN_VOLTS)
-            if k + 1 == steps or np.isfinite(judge(margin_V[: k + 1], at_s)).all():
+                margin = np.minimum(margin, (seen.soc - reserve_soc) * SOC_IN_VOLTS)
+            margin_V[part] = np.where(in_sight, margin, np.inf)
+            above_low_V[part] = np.where(in_sight, volts - pack.low_V, np.inf)
+            if np.isfinite(judge(margin_V[: k + 1], at_s)).all():
                 break
         if by_rows:
             rate = eq.current_at_power(emf_V, r_ohmAh + harness_ohmAh, along[k])
@@ -93,55 +102,51 @@ def time_to_end(
 
 
 class _Way(NamedTuple):
-    """What a pack goes through, [steps, batch] each: the cell's state, its wandering error, C-rate, resistance."""
+    """What a pack goes through, [steps, batch] each: the cell's state, its wandering error, its resistance."""
 
     soc: Array
     polarisation_V: Array
     diffusion_V: Array
     core_C: Array
     bias_V: Array
-    rate: Array
     r_ohmAh: Array
 
 
-def _voltages(
-    pack: Pack, cell: Parameters, installation: Installation, way: _Way, part: slice, wander: Wander | None
-) -> Array:
-    """Metered voltage [V] on a part of the way, with the noise of rows where there is `wander`."""
-    core_C = way.core_C[part]
-    state = State(way.soc[part], way.polarisation_V[part], way.diffusion_V[part], core_C, sensor_C=core_C)
-    rate = way.rate[part]
+def _voltages(pack: Pack, cell: Parameters, installation: Installation, way: _Way, rate: Array) -> Array:
+    """Metered voltage [V] on the way at the C-rates `rate`."""
+    state = State(way.soc, way.polarisation_V, way.diffusion_V, way.core_C, sensor_C=way.core_C)
     true_V = terminal_voltage(installation, cell, state, rate * installation.present_capacity_Ah)
-    volts: Array = metered_voltage(installation, true_V + installation.cells * way.bias_V[part])
-    if wander is not None:
-        new = np.abs(np.diff(way.rate[max(part.start - 1, 0) : part.stop], axis=0))
-        noisy = slice(max(part.start, 1), part.stop)
-        ohmAh = way.r_ohmAh[noisy] + installation.harness_ohm * installation.present_capacity_Ah / installation.cells
-        volts[noisy.start - part.start :] += installation.cells * pack.row_share * new * ohmAh * wander.row[noisy]
-    return volts
+    return np.asarray(metered_voltage(installation, true_V + installation.cells * way.bias_V))
+
+
+def _row_noise(pack: Pack, installation: Installation, way: _Way, rates: Array, part: slice) -> Array:
+    """Sd of a row's voltage [V] for what of a change of current it does not show; the first row follows nothing."""
+    before = (
+        rates[part.start - 1 : part.stop - 1] if part.start else np.concatenate([rates[:1], rates[: part.stop - 1]])
+    )
+    ohmAh = way.r_ohmAh + installation.harness_ohm * installation.present_capacity_Ah / installation.cells
+    return np.asarray(installation.cells * pack.row_share * np.abs(rates[part] - before) * ohmAh)
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
     """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the lag."""
     below = margin < 0.0
-    first = np.argmax(below, axis=0)
-    columns = np.arange(margin.shape[1])
+    first = np.argmax(below, axis=0)[None]
     last = np.maximum(first - 1, 0)
-    above, under = margin[last, columns], margin[first, columns]
-    last_s, first_s = (at_s[last], at_s[first]) if at_s.ndim == 1 else (at_s[last, columns], at_s[first, columns])
+    above, under = np.take_along_axis(margin, last, 0), np.take_along_axis(margin, first, 0)
+    last_s, first_s = np.take_along_axis(at_s, last, 0), np.take_along_axis(at_s, first, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(first > 0, above / (above - under), 0.0)
     crossing = last_s + share * (first_s - last_s) + np.where(first > 0, MEAN_LAG_S, 0.0)
-    return np.where(below[first, columns], crossing, np.inf)
+    return np.asarray(np.where(under < 0.0, crossing, np.inf)[0])
 
 
 def _median_crossing(margin: Array, at_s: Array) -> Array:
     """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
-    if margin.shape[0] < 3:
-        return np.where((margin < 0.0).all(axis=0), 0.0, np.inf)
     below = margin < 0.0
+    if margin.shape[0] < 3:
+        return np.where(below.all(axis=0), 0.0, np.inf)
     median_below = (below[:-2] & below[1:-1]) | (below[1:-1] & below[2:]) | (below[:-2] & below[2:])
-    first = np.argmax(median_below, axis=0)
-    columns = np.arange(margin.shape[1])
-    crossing = at_s[first + 1] if at_s.ndim == 1 else at_s[first + 1, columns]
-    return np.where(median_below[first, columns], crossing, np.inf)
+    first = np.argmax(median_below, axis=0)[None]
+    crossing = np.take_along_axis(at_s, first + 1, 0)
+    return np.asarray(np.where(np.take_along_axis(median_below, first, 0), crossing, np.inf)[0])

@@ -7,6 +7,7 @@ which counts down between two.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,9 +18,10 @@ from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.prediction import spread
-from uavbatt.prediction.endurance import time_to_end
+from uavbatt.prediction.endurance import EndTimes
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
+from uavbatt.prediction.questions import Question, answer
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
@@ -92,6 +94,7 @@ class Forecaster:
         self._flying_since_s = self._loaded_s = NAN
         self._time_s = self._row_s = NAN
         self._took_off_s, self._flown_s, self._flown_J = NAN, 0.0, 0.0
+        self._asked_s = NAN
         self._last: Forecast | None = None
 
     @property
@@ -118,41 +121,73 @@ class Forecaster:
 
     def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
         """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
+        refusal, question = self.ask(sample, estimate, lambda: belief)
+        return self.say(sample, estimate, refusal, question and (question, answer(question)))
+
+    def ask(
+        self, sample: Sample, estimate: Estimate, belief: Callable[[], Belief | None]
+    ) -> tuple[str, Question | None]:
+        """What there is to work out after `sample`, taken into the memory: a refusal, a question, or neither.
+
+        Nothing of it depends on an answer, so that a replay may ask many times and answer all at once.
+        """
         self._remember(sample)
-        refusal = self._refusal(sample, estimate)
-        if refusal or belief is None:
+        refusal, question = self._refusal(sample, estimate), None
+        if not refusal and not sample.time_s - self._asked_s < self.settings.period_s:
+            known = belief()
+            question = None if known is None else self.question(known, sample.time_s)
+            if known is None:
+                refusal = "no belief about the pack yet"
+            elif question is None:
+                refusal = "the end lies beyond six hours: the load is not that of a flight"
+        if refusal:
+            self._asked_s = NAN
+        elif question is not None:
+            self._asked_s = sample.time_s
+        return refusal, question
+
+    def say(
+        self, sample: Sample, estimate: Estimate, refusal: str, answered: tuple[Question, EndTimes] | None
+    ) -> Remaining:
+        """The remaining time after `sample` from what `ask` said and, where it had a question, its answer."""
+        if answered is not None:
+            self._last = self._forecast(*answered)
+        if refusal or self._last is None:
             self._last = None
-            return _refused(sample.time_s, refusal or "no belief about the pack yet")
-        if self._last is None or sample.time_s - self._last.time_s >= self.settings.period_s:
-            made = self.forecast(belief, sample.time_s)
-            if made is None:
-                self._last = None
-                return _refused(sample.time_s, "the end lies beyond six hours: the load is not that of a flight")
-            self._last = made
+            return _refused(sample.time_s, refusal)
         return _counted_down(self._last, sample.time_s, estimate)
 
-    def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
-        """A fresh forecast from the belief and the load to come; None when no end is in sight."""
+    def question(self, belief: Belief, time_s: float) -> Question | None:
+        """What a forecast from the belief and the load to come has to simulate; None when no end is in sight."""
         load, now = self.settings.load, self._now(belief, time_s)
         typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
             return None
         by_rows = self._row_s > SLOW_ROW_S
-        dt_s = self._row_s if by_rows else float(np.clip(typical_s / STEPS, SHORTEST_STEP_S, LONGEST_STEP_S))
-        steps = min(int(np.ceil(horizon_s / dt_s)) + 2, spread.LONGEST)
+        dt_s = self._row_s if by_rows else min(max(typical_s / STEPS, SHORTEST_STEP_S), LONGEST_STEP_S)
+        steps = min(math.ceil(horizon_s / dt_s) + 2, spread.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
-        power_W = scenarios.power_W[:, spread.assigned(scenarios.weight)]
-        ends = time_to_end(
-            self._weakest(),
-            spread.draws(belief),
-            power_W,
-            belief.ambient_C,
-            scenarios.dt_s,
-            self.settings.reserve_soc,
-            spread.wander(),
-            by_rows,
+        return Question(
+            time_s=time_s,
+            horizon_s=horizon_s,
+            pack=self._weakest(),
+            x=spread.draws(belief),
+            power_W=scenarios.power_W[:, spread.assigned(scenarios.weight)],
+            ambient_C=belief.ambient_C,
+            dt_s=scenarios.dt_s,
+            reserve_soc=self.settings.reserve_soc,
+            by_rows=by_rows,
         )
+
+    def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
+        """A fresh forecast; None when no end is in sight."""
+        question = self.question(belief, time_s)
+        return None if question is None else self._forecast(question, answer(question))
+
+    def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
+        """Quantiles of the simulated ends."""
+        time_s, horizon_s = question.time_s, question.horizon_s
         fresh_s = np.sort(np.minimum(ends.end_s, horizon_s))
         ends_s = self._steadied(fresh_s, time_s)
         lo_s, alarm_s, median_s, hi_s = (float(v) for v in np.quantile(ends_s, LEVELS))

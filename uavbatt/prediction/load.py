@@ -156,12 +156,12 @@ def gusty(scenarios: Scenarios, sd: float) -> Scenarios:
     """The scenarios with gusts of relative sd `sd` on them, correlated over GUST_MEMORY_S; their mean power stays."""
     steps, count = scenarios.power_W.shape
     normals = _gust_normals(1024, count)
-    gust = np.empty((steps, count))
-    now = normals[0]
     memory = np.exp(-scenarios.dt_s / GUST_MEMORY_S)
-    for k in range(steps):
-        gust[k] = now
-        now = memory[k] * now + np.sqrt(1.0 - memory[k] ** 2) * normals[(k + 1) % 1024]
+    fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, steps + 1) % 1024]
+    gust = np.empty((steps, count))
+    gust[0] = normals[0]
+    for k in range(1, steps):
+        gust[k] = memory[k - 1] * gust[k - 1] + fresh[k - 1]
     factor = np.exp(sd * gust - 0.5 * sd**2)
     return Scenarios(scenarios.power_W * factor, scenarios.weight, scenarios.dt_s)
 
