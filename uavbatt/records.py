@@ -57,6 +57,17 @@ class PackFacts:
 
 
 @dataclass(frozen=True, slots=True)
+class Identity:
+    """Who flew and when, as far as a log says it; empty, None or NaN where it does not."""
+
+    system: int | None = None  # MAVLink's number of the vehicle; most are 1
+    hardware: str = ""  # serial of the flight controller
+    firmware: str = ""
+    battery_serial: str = ""
+    start_utc_s: float = NAN  # of the first record, seconds since 1970
+
+
+@dataclass(frozen=True, slots=True)
 class Flight:
     """A log as read: the rows of the chosen battery, and what the vehicle said of it and when."""
 
@@ -69,6 +80,7 @@ class Flight:
     duration_s: float = NAN
     skipped_bytes: int = 0
     notes: tuple[str, ...] = ()
+    identity: Identity = Identity()
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from uavbatt.records import NAN, Sample
+from uavbatt.records import NAN, Identity, Sample
 
 REBOOT_STEP_S = 1.0
 LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
@@ -33,6 +33,7 @@ class LogBuilder:
     notes: list[str] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
     skipped_bytes: int = 0
+    identity: Identity = field(default_factory=Identity)
     now_s: float = 0.0
     _raw_s: float = NAN
     _offset_s: float = NAN

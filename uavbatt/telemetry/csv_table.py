@@ -13,7 +13,6 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from uavbatt.errors import BadInput
 from uavbatt.records import NAN, Sample
@@ -25,12 +24,12 @@ _MISSPELT_RATIO = 0.6
 _ARMED = {"1": True, "true": True, "0": False, "false": False, "": None, "nan": None}
 
 
-def read(path: Path, data: bytes) -> LogBuilder:
+def read(source: str, data: bytes) -> LogBuilder:
     """The rows of a telemetry CSV; `path` only names the file in errors."""
     text = data.decode("utf-8-sig", errors="replace")
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
     log = LogBuilder()
-    columns = _columns(path, _cells(lines[0][1]) if lines else [], log)
+    columns = _columns(source, _cells(lines[0][1]) if lines else [], log)
     start_s: float | None = None
     before_s = -math.inf
     for row, (line_number, line) in enumerate(lines[1:], start=1):
@@ -41,8 +40,8 @@ def read(path: Path, data: bytes) -> LogBuilder:
             break
         place = f"row {row} (line {line_number})"
         if len(cells) != len(columns):
-            raise BadInput(path, place, f"{len(columns)} cells, found {len(cells)}")
-        sample = _sample(path, place, dict(zip(columns, cells, strict=True)), before_s)
+            raise BadInput(source, place, f"{len(columns)} cells, found {len(cells)}")
+        sample = _sample(source, place, dict(zip(columns, cells, strict=True)), before_s)
         before_s = sample.time_s
         start_s = before_s if start_s is None else start_s
         log.now_s = before_s - start_s  # a table states its time: no jump in it is taken for a reboot
@@ -57,25 +56,25 @@ def _cells(line: str) -> list[str]:
         return [line]  # one endless cell: refused by the count of columns
 
 
-def _columns(path: Path, header: Sequence[str], log: LogBuilder) -> list[str]:
+def _columns(source: str, header: Sequence[str], log: LogBuilder) -> list[str]:
     """The header, checked: known columns once each, none missing, none misspelt."""
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if any(mark in column for column in header):
-            raise BadInput(path, "header", f"columns separated by commas, found {name}")
+            raise BadInput(source, "header", f"columns separated by commas, found {name}")
     absent = [name for name in (*REQUIRED, *OPTIONAL) if name not in header]
     for name in header:
         if name in REQUIRED or name in OPTIONAL:
             if header.count(name) > 1:
-                raise BadInput(path, f"column `{name}`", "each column once")
+                raise BadInput(source, f"column `{name}`", "each column once")
             continue
         meant = _close(name, absent)
         if meant:
-            raise BadInput(path, f"column `{name}`", f"the known column `{meant}` (spelt so), or another name")
+            raise BadInput(source, f"column `{name}`", f"the known column `{meant}` (spelt so), or another name")
         log.notes.append(f"column `{name}` is not known, ignored")
     for name in REQUIRED:
         if name not in header:
             found = ",".join(header)
-            raise BadInput(path, "header", f"a column `{name}`, found `{found[:80]}`")
+            raise BadInput(source, "header", f"a column `{name}`, found `{found[:80]}`")
     return list(header)
 
 
@@ -85,23 +84,23 @@ def _close(name: str, candidates: Sequence[str]) -> str | None:
     return lowered[hits[0]] if hits else None
 
 
-def _sample(path: Path, place: str, cells: dict[str, str], before_s: float) -> Sample:
+def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> Sample:
     """One row, checked, with its time [s] as written; `before_s` is the row's before it."""
 
     def number(column: str, needed: bool = False) -> float:
-        return _number(cells.get(column, ""), needed, lambda e: BadInput(path, f"{place}, column {column}", e))
+        return _number(cells.get(column, ""), needed, lambda e: BadInput(source, f"{place}, column {column}", e))
 
     time_s, voltage_V = number("time_s", needed=True), number("voltage_V", needed=True)
     if time_s < before_s:
-        raise BadInput(path, f"{place}, column time_s", f"time not before {before_s:g} s, found {time_s:g}")
+        raise BadInput(source, f"{place}, column time_s", f"time not before {before_s:g} s, found {time_s:g}")
     if voltage_V > MAX_VOLTAGE_V:
-        raise BadInput(path, f"{place}, column voltage_V", f"volts, found {voltage_V:g} (millivolts?)")
+        raise BadInput(source, f"{place}, column voltage_V", f"volts, found {voltage_V:g} (millivolts?)")
     soc, consumed_Ah = number("reported_soc"), number("consumed_Ah")
     if soc > 1:
-        raise BadInput(path, f"{place}, column reported_soc", f"0..1, found {soc:g} (percent?)")
+        raise BadInput(source, f"{place}, column reported_soc", f"0..1, found {soc:g} (percent?)")
     armed = cells.get("armed", "").lower()
     if armed not in _ARMED and armed not in ("1.0", "0.0"):
-        raise BadInput(path, f"{place}, column armed", f"0 or 1, found `{armed[:40]}`")
+        raise BadInput(source, f"{place}, column armed", f"0 or 1, found `{armed[:40]}`")
     return Sample(
         time_s=time_s,
         voltage_V=voltage_V,

@@ -9,6 +9,7 @@ noise in it) and prints every bad byte, so that it is not used.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.chain import Bytes, Chain, Mask, Places, gathered, windows
+from uavbatt.telemetry.dataflash_identity import TELLING, identity
 from uavbatt.telemetry.dataflash_rows import WANTED, Layout, Moment, Table, fold
 
 HEADER = b"\xa3\x95"
@@ -79,7 +81,8 @@ def read(data: bytes) -> LogBuilder:
     log = LogBuilder()
     records = _Records(np.frombuffer(data, np.uint8))
     log.skipped_bytes = records.skipped_bytes
-    fold(records.tables(), records.first, records.last, log)
+    log.identity = identity(records.tables(TELLING), records.first)
+    fold(records.tables(WANTED), records.first, records.last, log)
     return log
 
 
@@ -99,14 +102,10 @@ class _Records:
         ended_in_padding = not self._chain.in_chain and self._chain.gap_start >= self._padding
         self.skipped_bytes = self._chain.skipped - ended_in_padding * (len(data) - self._chain.gap_start)
 
-    def tables(self) -> list[Table]:
-        """The wanted records as columns, one table for each definition that was in force."""
-        made = []
-        for index, parts in self._places.items():
-            definition = self._definitions.known[index]
-            assert definition.layout is not None
-            made.append(_table(self.data, np.concatenate(parts), definition.layout))
-        return made
+    def tables(self, wanted: re.Pattern[str]) -> list[Table]:
+        """The records of the wanted names as columns, one table for each definition that was in force."""
+        places = {self._definitions.known[index].layout: np.concatenate(p) for index, p in self._places.items()}
+        return [_table(self.data, at, layout) for layout, at in places.items() if layout and wanted.match(layout.name)]
 
     def _walk(self, begin: int, end: int) -> None:
         """Take the records that begin in a window of the file."""
@@ -137,7 +136,7 @@ class _Records:
         timed = np.array([layout is not None and layout.ticks_per_s > 0 for layout in layouts])
         for index in np.unique(which).tolist():
             layout = layouts[index]
-            if layout is not None and WANTED.match(layout.name):
+            if layout is not None and (WANTED.match(layout.name) or TELLING.match(layout.name)):
                 self._places.setdefault(index, []).append(where[which == index])
         with_time = np.flatnonzero(timed[which])
         if len(with_time):

@@ -11,6 +11,7 @@ import numpy as np
 
 from uavbatt.records import NAN
 from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.dataflash_identity import TELLING, identity
 from uavbatt.telemetry.dataflash_rows import WANTED, Layout, Moment, Table, fold
 
 _TEXT_CHARS = "nNZ"
@@ -25,12 +26,19 @@ class _Lines:
     order: list[int] = field(default_factory=list)
     values: list[list[Value]] = field(default_factory=list)
 
+    def add(self, place: int, values: list[Value]) -> None:
+        """One more line."""
+        self.order.append(place)
+        self.values.append(values)
+
 
 def read(data: bytes) -> LogBuilder:
     """All batteries' rows and the parameters of a text DataFlash log."""
     log = LogBuilder()
     layouts: dict[str, Layout] = {}
     wanted: dict[Layout, _Lines] = {}
+    telling: dict[Layout, _Lines] = {}
+    head: list[str] = []
     first: Moment | None = None
     last: Moment | None = None
     for place, line in enumerate(data.splitlines(keepends=True)):
@@ -40,20 +48,30 @@ def read(data: bytes) -> LogBuilder:
             continue
         layout = layouts.get(cells[0])
         if layout is None:
+            if not layouts:
+                head.append(cells[0])
             continue
         if WANTED.match(layout.name):
             values = _values(layout, cells[1:], whole=line.endswith((b"\n", b"\r")))
             if values is None:
                 log.skipped_bytes += len(line)
                 continue
-            lines = wanted.setdefault(layout, _Lines())
-            lines.order.append(place)
-            lines.values.append(values)
+            wanted.setdefault(layout, _Lines()).add(place, values)
+        elif TELLING.match(layout.name):
+            # a message may hold commas; a damaged line of these costs no row and is not counted
+            values = _values(layout, [*cells[1 : len(layout.labels)], ", ".join(cells[len(layout.labels) :])], True)
+            if values is not None:
+                telling.setdefault(layout, _Lines()).add(place, values)
         if layout.ticks_per_s > 0 and len(cells) > 1:
             last = Moment(place, _number(cells[1]) / layout.ticks_per_s)
             first = first or last
-    fold([_table(layout, lines) for layout, lines in wanted.items()], first, last, log)
+    log.identity = identity(_tables(telling), first, head)
+    fold(_tables(wanted), first, last, log)
     return log
+
+
+def _tables(lines: dict[Layout, _Lines]) -> list[Table]:
+    return [_table(layout, own) for layout, own in lines.items()]
 
 
 def _table(layout: Layout, lines: _Lines) -> Table:

@@ -6,6 +6,8 @@
 
 The vehicle is the first autopilot heard, unless system and component are given. SYS_STATUS speaks for battery 0
 (BATTERY2 for 1) only where no BATTERY_STATUS does: such rows are held for FALLBACK_AFTER_S and then released.
+The first row of a battery waits for its second: one damaged frame of 65 536 has a good checksum, and shall not make
+a battery that nobody has.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from uavbatt.telemetry.parameters import facts_timeline
 from uavbatt.telemetry.tlog_frames import decoder
 
 FALLBACK_AFTER_S = 5.0
+CONFIRMED_WITHIN_S = 60.0
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
 BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
@@ -66,6 +69,7 @@ class LiveReader:
         self.is_px4 = False
         self.rejected = 0
         self._held: list[Row] = []
+        self._unconfirmed: dict[int, Row] = {}
         self._first_s: float | None = None
 
     @property
@@ -131,10 +135,20 @@ class LiveReader:
             row = self._row(time_s, fields.battery_status(message))
             if row is None:
                 return []
-            self.battery_ids.add(row.instance)
-            self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-            return [row]
+            return self._confirmed(row)
         return self._fallback(message_id, message, time_s)
+
+    def _confirmed(self, row: Row) -> list[Row]:
+        """The row, with the first one of its battery if this is the second; nothing if it is the first."""
+        if row.instance in self.battery_ids:
+            return [row]
+        first = self._unconfirmed.pop(row.instance, None)
+        if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
+            self._unconfirmed[row.instance] = row
+            return []
+        self.battery_ids.add(row.instance)
+        self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
+        return [first, row]
 
     def _fallback(self, message_id: int, message: Any, time_s: float) -> list[Row]:
         """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.records import Flight
 from uavbatt.telemetry import csv_table, ulog
 from uavbatt.telemetry.builder import LogBuilder, default_instance
+from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
@@ -27,31 +28,34 @@ def read_log(path: str | Path, instance: int | None = None) -> Flight:
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
     """
     path = Path(path)
-    data = _bytes(path)
-    kind = _kind(path, data)
-    log = _read(kind, path, data)
+    if path.is_dir():
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
+    return read_bytes(str(path), _bytes(path), instance)
+
+
+def read_bytes(source: str, data: bytes, instance: int | None = None) -> Flight:
+    """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
+    if not data.strip():
+        raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
+    kind = _kind(source, data)
+    log = _read(kind, source, data)
     if not log.rows:
         dropped = "; ".join(log.all_notes())
-        raise BadInput(path, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
-    return _flight(path, kind, log, instance)
+        raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
+    return _flight(source, kind, log, instance)
 
 
 def _bytes(path: Path) -> bytes:
-    if path.is_dir():
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except FileNotFoundError:
         raise BadInput(path, "", f"{KNOWN_KINDS}, found no such file") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
-    if not data.strip():
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found an empty file")
-    return data
 
 
-def _kind(path: Path, data: bytes) -> str:
+def _kind(source: str, data: bytes) -> str:
     """The kind of log, from its content; the suffix only where the head is damaged."""
     head = data[:_HEAD_BYTES]
     if data.startswith(ulog.MAGIC):
@@ -61,9 +65,9 @@ def _kind(path: Path, data: bytes) -> str:
     if _is_text(head):
         if _FMT_LINE.search(head):
             return "dataflash-text"
-        if path.suffix.lower() == ".csv" or _is_table(head):
+        if PurePath(source).suffix.lower() == ".csv" or _is_table(head):
             return "csv"
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found text of another kind")
+        raise BadInput(source, "", f"{KNOWN_KINDS}, found text of another kind")
     # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
     from uavbatt.telemetry.tlog_frames import looks_like_tlog
 
@@ -73,7 +77,7 @@ def _kind(path: Path, data: bytes) -> str:
         return "dataflash-binary"
     if _FMT_LINE.search(head):
         return "dataflash-text"
-    raise BadInput(path, "", f"{KNOWN_KINDS}, found a file of another kind")
+    raise BadInput(source, "", f"{KNOWN_KINDS}, found a file of another kind")
 
 
 def _is_text(head: bytes) -> bool:
@@ -89,27 +93,27 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(kind: str, path: Path, data: bytes) -> LogBuilder:
+def _read(kind: str, source: str, data: bytes) -> LogBuilder:
     if kind == "ulog":
-        return ulog.read(path, data)
+        return ulog.read(source, data)
     if kind == "csv":
-        return csv_table.read(path, data)
+        return csv_table.read(source, data)
     from uavbatt.telemetry import dataflash_binary, dataflash_text, tlog  # these load numpy
 
     readers = {"dataflash-binary": dataflash_binary.read, "dataflash-text": dataflash_text.read, "tlog": tlog.read}
     return readers[kind](data)
 
 
-def _flight(path: Path, kind: str, log: LogBuilder, instance: int | None) -> Flight:
+def _flight(source: str, kind: str, log: LogBuilder, instance: int | None) -> Flight:
     """The rows of the asked or default instance, with the facts that concern it."""
     there = tuple(sorted(log.rows))
     chosen = default_instance(log.rows) if instance is None else instance
     if chosen not in log.rows:
         named = ", ".join(str(i) for i in there)
-        raise UsageError(f"{path}: no battery instance {chosen}; the log has: {named}")
+        raise UsageError(f"{source}: no battery instance {chosen}; the log has: {named}")
     facts = facts_timeline(log.parameters, chosen, is_telemetry=kind == "tlog")
     return Flight(
-        source=str(path),
+        source=source,
         kind=kind,
         samples=tuple(log.rows[chosen]),
         instance=chosen,
@@ -118,4 +122,5 @@ def _flight(path: Path, kind: str, log: LogBuilder, instance: int | None) -> Fli
         duration_s=log.now_s,
         skipped_bytes=log.skipped_bytes,
         notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
+        identity=completed(log.identity, log.parameters, chosen),
     )

@@ -15,15 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
+from uavbatt.records import Identity
 from uavbatt.telemetry import tlog_payloads
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.chain import Mask
 from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, latest_before, times_s
-from uavbatt.telemetry.tlog_frames import Frames, frames
+from uavbatt.telemetry.identity import utc_s, version
+from uavbatt.telemetry.tlog_frames import AUTOPILOT_VERSION, Frames, frames
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
 _NOBODY = -1
+_MAKES = {3: "ArduPilot", fields.AUTOPILOT_PX4: "PX4"}
 
 
 class _Beats(NamedTuple):
@@ -41,7 +44,10 @@ def read(data: bytes) -> LogBuilder:
     log.skipped_bytes = found.skipped_bytes
     if math.isnan(found.first_s):
         return log
-    own = found.at(found.source == _autopilot(found, log))
+    source = _autopilot(found, log)
+    own = found.at(found.source == source)
+    if source != _NOBODY:
+        log.identity = _identity(own, source, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
     beats = _beats(own)
@@ -74,6 +80,17 @@ def _autopilot(found: Frames, log: LogBuilder) -> int:
 
 def _named(source: int) -> str:
     return f"system {source >> 8} component {source & 0xFF}"
+
+
+def _identity(own: Frames, source: int, first_s: float) -> Identity:
+    """Who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
+    beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
+    make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
+    said = own.of(AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)
+    told = said.view(tlog_payloads.AUTOPILOT_VERSION)[:1, 0].tolist()
+    hardware = next((f"{uid:016x}" for uid, _ in told if uid), "")
+    number = next((version(number) for _, number in told if number), "")
+    return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
 
 
 def _beats(own: Frames) -> _Beats:

@@ -22,10 +22,11 @@ from uavbatt.mavlink import fields
 from uavbatt.telemetry.chain import Bytes, Chain, Mask, Places, gathered, windows
 from uavbatt.telemetry.checksum import checksums
 
+AUTOPILOT_VERSION = 148
 # The dialect's seed of each wanted message's checksum.
 SEEDS = {
     fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
-    fields.BATTERY2: 174,
+    fields.BATTERY2: 174, AUTOPILOT_VERSION: 178,
 }  # fmt: skip
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01

@@ -30,6 +30,7 @@ BATTERY_STATUS = np.dtype(
         "offsets": [0, 8, 10, 30, 32, 35, 41],
     }
 )
+AUTOPILOT_VERSION = np.dtype({"names": ["uid", "flight_sw"], "formats": ["<u8", "<u4"], "offsets": [8, 16]})
 _SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
 
 

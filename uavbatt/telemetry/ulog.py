@@ -9,24 +9,24 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from uavbatt.errors import BadInput, MissingExtra
-from uavbatt.records import NAN, Sample
+from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, known
+from uavbatt.telemetry.identity import utc_s, version
 
 MAGIC = b"ULog\x01\x12\x35"
-_TOPICS = ["battery_status", "vehicle_status"]
+_TOPICS = ["battery_status", "vehicle_status", "vehicle_gps_position"]
 _ARMED_STATE = 2  # vehicle_status.arming_state
 _US = 1e6
 
 Event = tuple[int, int, Any]  # (time [us], rank at equal times, what happened)
 
 
-def read(path: Path, data: bytes) -> LogBuilder:
+def read(source: str, data: bytes) -> LogBuilder:
     """All batteries' rows and the parameters of a ULog file."""
-    ulog = _open(path, data)
+    ulog = _open(source, data)
     log = LogBuilder()
     log.time_s(ulog.start_timestamp / _US)
     for name, value in ulog.initial_parameters.items():
@@ -42,6 +42,7 @@ def read(path: Path, data: bytes) -> LogBuilder:
             instance, row = what
             log.add(instance, _sample(row, time_s, log.armed))
     log.time_s(ulog.last_timestamp / _US)
+    log.identity = _identity(ulog)
     if ulog.file_corruption:
         log.notes.append("the file is damaged: what pyulog could read is used")
     if ulog.dropouts:
@@ -68,7 +69,7 @@ class _BoundedFile(io.BytesIO):
         return super().read(size)
 
 
-def _open(path: Path, data: bytes) -> Any:
+def _open(source: str, data: bytes) -> Any:
     try:
         from pyulog import ULog
     except ImportError:
@@ -77,7 +78,25 @@ def _open(path: Path, data: bytes) -> Any:
         with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it stumbles over
             return ULog(_BoundedFile(data), message_name_filter_list=_TOPICS)
     except Exception as error:  # pyulog raises whatever its parsing happens to raise
-        raise BadInput(path, "", f"a sound ULog file, pyulog gave up ({type(error).__name__})") from None
+        raise BadInput(source, "", f"a sound ULog file, pyulog gave up ({type(error).__name__})") from None
+
+
+def _identity(ulog: Any) -> Identity:
+    """Hardware and firmware by the log's information messages, the start by the first fix of the GPS."""
+    said = ulog.msg_info_dict
+    number = said.get("ver_sw_release")
+    starts = [
+        utc_s((utc_us - time_us + ulog.start_timestamp) / _US)
+        for topic in ulog.data_list
+        if topic.name == "vehicle_gps_position" and "time_utc_usec" in topic.data
+        for utc_us, time_us in zip(topic.data["time_utc_usec"].tolist(), topic.data["timestamp"].tolist(), strict=True)
+        if utc_us > 0
+    ]
+    return Identity(
+        hardware=str(said.get("sys_uuid", "")),
+        firmware=f"PX4 {version(number)}" if isinstance(number, int) else "",
+        start_utc_s=next((s for s in starts if s == s), NAN),
+    )
 
 
 def _events(ulog: Any) -> Iterator[Event]:

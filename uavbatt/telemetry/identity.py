@@ -1,0 +1,57 @@
+"""Who flew, with what and when: what logs of each kind say of it.
+
+    DataFlash   MSG with the firmware's name and version; GPS with week and time of week; SYSID_THISMAV
+    tlog        the frames' own system and clock; AUTOPILOT_VERSION
+    ULog        sys_uuid, ver_sw_release; the UTC time of its GPS; MAV_SYS_ID; the smart battery's serial
+A clock that says a time before 2000 was never set.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from uavbatt.records import NAN, Identity
+from uavbatt.telemetry.parameters import ardupilot_prefix
+
+_EARLIEST_UTC_S = 946_684_800.0  # 2000-01-01
+_GPS_EPOCH_S, _WEEK_S = 315_964_800.0, 604_800.0  # 1980-01-06
+_LEAP_S = 18.0  # GPS time less UTC since 2017; before, it is one or two seconds off
+_VERSION = re.compile(r"\bV?\d+\.\d+")
+_KINDS = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}
+_SYSTEM = ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID")
+
+
+def utc_s(clock_s: float) -> float:
+    """A clock's time [s since 1970] if it was ever set, else NaN."""
+    return clock_s if clock_s >= _EARLIEST_UTC_S else NAN
+
+
+def gps_utc_s(week: float, time_of_week_ms: float) -> float:
+    """UTC [s since 1970] of GPS time; NaN before there is a fix."""
+    return utc_s(_GPS_EPOCH_S + week * _WEEK_S + time_of_week_ms / 1000 - _LEAP_S) if week > 0 else NAN
+
+
+def version(number: int) -> str:
+    """`4.5.1`, `4.6.0-beta`: major, minor, patch and kind in the bytes of MAVLink's and PX4's version number."""
+    text = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
+    kind = _KINDS.get(number & 0xC0 if number & 0xFF != 0xFF else 0xFF, "")
+    return f"{text}-{kind}" if kind else text
+
+
+def firmware_of(messages: Iterable[str]) -> str:
+    """The first message that names a version; the autopilot says at its start what it is."""
+    return next((m.strip() for m in messages if _VERSION.search(m)), "")
+
+
+def completed(identity: Identity, parameters: Iterable[tuple[float, str, float]], instance: int) -> Identity:
+    """The identity with what the vehicle's parameters say of its number and the serial of one battery."""
+    said: Mapping[str, float] = {name: value for _, name, value in parameters}
+    system = next((int(said[name]) for name in _SYSTEM if said.get(name, NAN) > 0), None)
+    serial = said.get(ardupilot_prefix(instance) + "SERIAL_NUM", NAN)
+    return replace(
+        identity,
+        system=system if identity.system is None else identity.system,
+        battery_serial=identity.battery_serial or (str(int(serial)) if serial > 0 else ""),
+    )
