@@ -7,7 +7,7 @@ import pytest
 
 from uavbatt.battery import file as battery_file
 from uavbatt.battery.build import Pack, pack_of
-from uavbatt.battery.model import Array, open_circuit_voltage
+from uavbatt.battery.model import Array, open_circuit_voltage, rate_at_power, transfer_drop
 from uavbatt.estimation import SocFilter
 from uavbatt.records import Sample
 from uavbatt.simulate import Mission, fly, with_effects
@@ -45,3 +45,16 @@ def test_a_known_start_below_what_the_rested_voltage_says() -> None:
     sample = fly(pack(), Mission(250.0, rate_Hz=1.0))[0]
     believed, known = SocFilter(pack()).step(sample).soc, SocFilter(pack(initial_charge=-0.1)).step(sample).soc
     assert believed - known == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_sluggish_reaction_shows_at_a_small_load_and_saturates_at_a_large_one() -> None:
+    made = pack(charge_transfer=0.08)
+    small, half, large = (float(transfer_drop(made.cell, rate)) for rate in (0.05, 0.4, 8.0))
+    assert half == pytest.approx(0.04)
+    assert small / 0.05 > 10.0 * large / 8.0 and large == pytest.approx(0.08, rel=0.06)
+
+
+def test_power_is_met_through_a_sluggish_reaction() -> None:
+    cell, emf_V, ohmAh, power_WpAh = pack(charge_transfer=0.08).cell, 3.9, 0.06, 12.0
+    rate = rate_at_power(cell, emf_V, ohmAh, power_WpAh)
+    assert rate * (emf_V - rate * ohmAh - transfer_drop(cell, rate)) == pytest.approx(power_WpAh, rel=1e-3)

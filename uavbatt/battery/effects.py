@@ -97,6 +97,15 @@ CELL_EFFECTS = (
         (Quantity("sensor_lag_s", "s", 1.0, 0.5, 300.0, 20.0, 1.0, log=True),),
     ),
     Effect(
+        "charge_transfer",
+        "the electrodes react sluggishly: a drop that saturates with the load",
+        "cell",
+        (
+            Quantity("transfer_V", "V", 0.0, 0.0, 0.3, 0.02, 0.03),
+            Quantity("transfer_half_rate", "1/h", 0.4, 0.05, 5.0, 0.4, 0.7, log=True),
+        ),
+    ),
+    Effect(
         "hysteresis",
         "voltage sinks once the direction of the current has turned from charge to discharge",
         "cell",

@@ -61,6 +61,15 @@ def heat_step(
     return relax(temp_C, settled_C, dt_s, capacity_JpK / cooling_WpK)
 
 
+def transfer_resistance(c_rate: Number, full_V: Number, half_rate: Number) -> Number:
+    """Resistance [ohm·Ah] of a reaction that has become sluggish: the drop c R_t saturates, half of it at `half_rate`.
+
+    Butler and Volmer's overpotential is ohmic at small currents and a logarithm at large ones (Newman & Balsara 2021,
+    section 8.3); of a reaction k times as slow, what comes on top therefore ends in a constant, (2RT/F) ln k.
+    """
+    return full_V / (np.abs(c_rate) + half_rate)
+
+
 def turned_share(drawn: Number, charge: Number) -> Number:
     """Share of the way from the charge to the discharge branch after `drawn` of the charge, `charge` to 1/e.
 

@@ -5,7 +5,8 @@
     v_f'  = (c R k_f - v_f)/tau_f                        polarisation (seconds)
     v_s'  = (c R k_s - v_s)/tau_s                        slow diffusion (minutes)
     T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
-    V     = OCV(soc) - h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c R
+    V     = OCV(soc) - h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
+    R_t   = V_t/(|c| + c_t)                              charge transfer that has become sluggish
 
 h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
 drawn since is 1 - soc. That holds its memory without a state of its own; a pack charged in part is not told apart.
@@ -51,6 +52,8 @@ class Parameters(NamedTuple):
     charge_gain: Number = 1.0  # charge taken per charge counted: capacity fade, rate capacity
     rate_gain_h: Number = 0.0
     sensor_lag_s: Number = 1.0
+    transfer_V: Number = 0.0  # drop of a sluggish reaction at a large load
+    transfer_half_rate: Number = 0.4  # C-rate at which half of it shows
     hysteresis_V: Number = 0.0  # from the charge branch, which the table of the OCV then is, to the discharge branch
 
 
@@ -110,7 +113,23 @@ def electromotive_force(p: Parameters, s: State) -> Number:
 def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
     """Terminal voltage of one cell [V] under `c_rate` [1/h]."""
     emf_V, r_ohmAh = source(p, s)
-    return emf_V - c_rate * r_ohmAh
+    return emf_V - c_rate * r_ohmAh - transfer_drop(p, c_rate)
+
+
+def transfer_drop(p: Parameters, c_rate: Number) -> Number:
+    """c R_t [V]: what a sluggish reaction takes at once."""
+    if not eq.acts(p.transfer_V):
+        return 0.0
+    return c_rate * eq.transfer_resistance(c_rate, p.transfer_V, p.transfer_half_rate)
+
+
+def rate_at_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: Number) -> Number:
+    """C-rate at which a cell behind `series_ohmAh`, its own resistance included, gives a power [W/Ah]."""
+    rate = eq.current_at_power(emf_V, series_ohmAh, power_WpAh)
+    if not eq.acts(p.transfer_V):
+        return rate
+    sluggish_ohmAh = eq.transfer_resistance(rate, p.transfer_V, p.transfer_half_rate)
+    return eq.current_at_power(emf_V, series_ohmAh + sluggish_ohmAh, power_WpAh)
 
 
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
@@ -122,7 +141,8 @@ def step_against(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambie
     """One step with the current held, where the state's resistance [ohm·Ah] is known already."""
     drop_V = c_rate * r_ohmAh
     sluggish = eq.arrhenius(s.core_C, p.diffusion_activation_K)
-    heat_W = p.heat_gain * c_rate * (drop_V + s.polarisation_V + s.diffusion_V)
+    lost_V = drop_V + transfer_drop(p, c_rate) + s.polarisation_V + s.diffusion_V
+    heat_W = p.heat_gain * c_rate * lost_V
     cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
     drained = c_rate * p.charge_gain * eq.risen(p.rate_gain_h, c_rate)
     core_C = eq.heat_step(s.core_C, heat_W, ambient_C, dt_s, p.heat_capacity_JpKAh, cooling)

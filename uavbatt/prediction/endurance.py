@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.belief import C, unpack
 from uavbatt.battery.build import Pack
@@ -76,7 +75,7 @@ def time_to_end(
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
         emf_V = emf_V + bias_V
-        rate = eq.current_at_power(emf_V, r_ohmAh + harness_ohmAh, drawn[k])
+        rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, drawn[k])
         rates[k], row = rate, k % JUDGED_AT_ONCE
         for column, value in zip(recent, (*state[:4], bias_V, r_ohmAh), strict=True):
             column[row] = value
@@ -94,7 +93,7 @@ def time_to_end(
             if np.isfinite(judge(margin_V[: k + 1], at_s)).all():
                 break
         if by_rows:
-            rate = eq.current_at_power(emf_V, r_ohmAh + harness_ohmAh, along[k])
+            rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, along[k])
         state = model.step_against(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
         bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
     end_s = judge(margin_V[: k + 1], at_s)
