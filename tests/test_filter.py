@@ -33,7 +33,7 @@ def plain_noise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_plain_noise(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(noise, "process_covariance", lambda made, mean, rate_c, dt_s: np.diag(WALK**2 * dt_s))
+    patch.setattr(noise, "process_variances", lambda made, mean, rate_c, dt_s: WALK**2 * dt_s)
     patch.setattr(noise, "voltage_variance", lambda *_, **__: READING_SD_V**2)
 
 

@@ -67,21 +67,19 @@ def unpack(pack: Pack, x: Array) -> Unpacked:
     )
     cell = grown(pack.cell, installation)
     cell = cell._replace(resistance_gain=cell.resistance_gain * np.exp(x[C.LOG_RESISTANCE]))
-    return Unpacked(cell, installation, State(*x[: C.SENSOR + 1]))
+    state = State(x[C.SOC], x[C.POLARISATION], x[C.DIFFUSION], x[C.CORE], x[C.SENSOR])
+    return Unpacked(cell, installation, state)
 
 
 def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: float) -> Array:
     """The columns `dt_s` later, `current_A` (true, of the pack) held; any step from 0.05 s to minutes."""
     now = unpack(pack, x)
     later = model.advance(now.cell, now.state, c_rate(now.installation, current_A), ambient_C, dt_s)
-    return np.stack(
-        [
-            *np.broadcast_arrays(*later),
-            x[C.LOG_RESISTANCE],
-            x[C.LOG_CAPACITY],
-            eq.relax(x[C.BIAS], 0.0, dt_s, pack.bias_tau_s),
-        ]
-    )
+    out = x.copy()
+    out[C.SOC], out[C.POLARISATION], out[C.DIFFUSION] = later.soc, later.polarisation_V, later.diffusion_V
+    out[C.CORE], out[C.SENSOR] = later.core_C, later.sensor_C
+    out[C.BIAS] = eq.relax(x[C.BIAS], 0.0, dt_s, pack.bias_tau_s)
+    return out
 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:

@@ -5,8 +5,11 @@ All per cell and per C, so that they hold for any pack. Variances are returned r
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from uavbatt.battery import model
 from uavbatt.battery.belief import SIZE, C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.model import SOC_GRID, Array, open_circuit_voltage
@@ -25,6 +28,7 @@ SNAPSHOT_SHARE = (0.06, 0.15)
 # flight; what changes is how far the model's R(soc, T) and OCV are from the pack's).
 RESISTANCE_WALK_PER_S = 0.01**2 / 600.0
 CAPACITY_WALK_PER_S = 0.01**2 / 600.0
+LONGEST_GAP_S = 60.0
 OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
@@ -41,7 +45,7 @@ COMPENSATED_SHARE = 0.35
 
 def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
     """Between the share for rows <= 1 s apart and that for >= 10 s, in the logarithm of the step."""
-    weight = float(np.clip(np.log10(max(dt_s, 1e-3)), 0.0, 1.0))
+    weight = min(max(math.log10(max(dt_s, 1e-3)), 0.0), 1.0)
     return shares[0] + (shares[1] - shares[0]) * weight
 
 
@@ -66,29 +70,37 @@ def start_covariance(pack: Pack, soc_sd: float, temp_sd_K: float, overpotential_
     return np.diag(sd**2)
 
 
-def process_covariance(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
-    """What the model's step from `mean` over `dt_s` at C-rate `rate_c` leaves open.
+def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
+    """What the model's step from `mean` over `dt_s` at C-rate `rate_c` leaves open, [8].
 
-    An overpotential whose ratio is known to a share wanders within that share of itself, with its own time
-    constant: variance share² v² (1 - exp(-2 dt/tau)) a step.
+    Over a long gap nothing says that the load went on.
     """
     share = snapshot(dt_s, SNAPSHOT_SHARE)
     q = np.zeros(SIZE)
     q[C.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
-    lags = zip((C.POLARISATION, C.DIFFUSION), pack.lag_share, _lag_times(pack), strict=True)
-    for component, part, tau_s in lags:
-        forgotten = -np.expm1(-2.0 * dt_s / tau_s)
-        q[component] = OVERPOTENTIAL_WALK_V2PS * dt_s + (part * mean[component]) ** 2 * forgotten
+    if dt_s > LONGEST_GAP_S:
+        q[C.SOC] += (0.5 * rate_c * dt_s / 3600.0) ** 2
+    q[C.POLARISATION] = _lagging(pack.lag_share[0], mean[C.POLARISATION], dt_s, pack.cell.polarisation_tau_s)
+    q[C.DIFFUSION] = _lagging(pack.lag_share[1], mean[C.DIFFUSION], dt_s, pack.cell.diffusion_tau_s)
     q[C.CORE] = CORE_WALK_K2PS * dt_s
     q[C.SENSOR] = CORE_WALK_K2PS * dt_s
     q[C.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
     q[C.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
     q[C.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
-    return np.diag(q)
+    return q
 
 
-def _lag_times(pack: Pack) -> tuple[float, float]:
-    return float(pack.cell.polarisation_tau_s), float(pack.cell.diffusion_tau_s)
+def _lagging(share: float, overpotential_V: float, dt_s: float, tau_s: float) -> float:
+    """An overpotential whose ratio is known to a share wanders within that share of itself, with its own tau."""
+    forgotten = -np.expm1(-2.0 * dt_s / tau_s)
+    return float(OVERPOTENTIAL_WALK_V2PS * dt_s + (share * overpotential_V) ** 2 * forgotten)
+
+
+def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -> float:
+    """Variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new since the row before."""
+    r_ohmAh = model.resistance(pack.cell, mean[C.SOC], mean[C.CORE]) * math.exp(mean[C.LOG_RESISTANCE])
+    ohm = r_ohmAh / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
+    return float(pack.installation.cells**2 * voltage_variance(pack, ohm * current_A, ohm * step_A))
 
 
 def voltage_variance(pack: Pack, drop_V: float, step_V: float) -> float:

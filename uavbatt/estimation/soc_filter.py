@@ -30,7 +30,6 @@ from uavbatt.records import NAN, Estimate, Sample, Status
 NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
 GATE = 16.0
 BLOCK_S = 2.0
-LONGEST_GAP_S = 60.0
 CONVERGED_SOC_SD = 0.06
 REFUSED_SOC_SD = 0.20
 ROOM_TEMP_C = 22.0
@@ -177,14 +176,12 @@ class SocFilter:
         self._block = Block()
 
     def _predict(self, mean_A: float, dt_s: float) -> None:
-        """Carry the belief over dt under the mean current; over a long gap nothing says that the load went on."""
+        """Carry the belief over dt under the mean current."""
         assert self._kalman is not None
         kalman = self._kalman
         kalman.F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), kalman.x)
         rate = float(c_rate(self.pack.installation, mean_A))
-        kalman.Q = noise.process_covariance(self.pack, kalman.x, rate, dt_s)
-        if dt_s > LONGEST_GAP_S:
-            kalman.Q[C.SOC, C.SOC] += (0.5 * rate * dt_s / 3600.0) ** 2
+        kalman.Q = np.diag(noise.process_variances(self.pack, kalman.x, rate, dt_s))
         kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
         kalman.x = moved
 
@@ -192,7 +189,7 @@ class SocFilter:
         """Condition the belief on the means of a block of rows."""
         assert self._kalman is not None
         kalman, pack = self._kalman, self.pack
-        cells, current_A, temp_C = pack.installation.cells, block.current_A, block.temp_C
+        current_A, temp_C = block.current_A, block.temp_C
         has_temp = math.isfinite(temp_C)
 
         def reading(x: Array) -> Array:
@@ -203,9 +200,7 @@ class SocFilter:
         observation, expected = _jacobian(reading, kalman.x)
         measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
         innovation = measured - expected
-        ohm = float(model.resistance(pack.cell, kalman.x[C.SOC], kalman.x[C.CORE])) / pack.installation.capacity_Ah
-        ohm *= math.exp(kalman.x[C.LOG_RESISTANCE]) * (1.0 + pack.cell.polarisation_ratio)
-        variances = [cells**2 * noise.voltage_variance(pack, ohm * current_A, ohm * step_A)]
+        variances = [noise.reading_variance(pack, kalman.x, current_A, step_A)]
         if has_temp:
             variances.append(pack.temperature_sd_K**2)
         noise_R = np.diag(variances)
