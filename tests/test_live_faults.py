@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import random
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
-from live_rig import Bench
+from live_rig import ROOT, Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file, model
@@ -171,13 +174,13 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
     past = first.daemon._tracked[0].estimator.past
     second = Bench(OPTIONS, start_s=first.now_s + silent_s, state=state)
     later = flight()[len(flight()) - 80 + int(2 * silent_s) - 1 :]
-    second.play(later[:1])
+    second.play(later[:2])
     shown, clean = second.daemon.board.reports[0], undisturbed().remaining
     assert shown.remaining.status == "ok"
-    waited_s = (len(flight()) - len(later)) / 2.0
+    waited_s = (len(flight()) - len(later) + 1) / 2.0
     assert shown.remaining.remaining_lo_s < clean.remaining_s + 200.0 - waited_s < shown.remaining.remaining_hi_s
     second.now_s += 0.5
-    second.play(later[1:])
+    second.play(later[2:])
     agrees(second, undisturbed())
     now = second.daemon._tracked[0].estimator.past
     assert past is not None and now is not None
@@ -212,3 +215,25 @@ def test_a_state_is_too_old_when_the_telemetry_begins_too_late(tmp_path: Path) -
     second.now_s += 400.0  # the autopilot is switched on now
     second.play(flight(0.5)[:20])
     assert second.daemon.board.reports[0].estimate.soc == pytest.approx(0.5, abs=0.03)
+
+
+def test_one_frame_that_slipped_through_the_checksum_forges_nothing() -> None:
+    """A battery that nobody has, a voltage out of the blue, cells that no cell is like: nobody sees them."""
+    bench = Bench(OPTIONS)
+    bench.play(flight()[:200])
+    for volts, instance in (([17200] + [65535] * 9, 89), ([16000, 257, 147, 25600] + [65535] * 6, 0)):
+        damaged = dialect.MAVLink_battery_status_message(instance, 0, 0, 2500, volts, 15430, 100, -1, 80)
+        bench.send(damaged)
+        bench.daemon.turn()
+    bench.now_s += 0.5
+    bench.play(flight()[200:])
+    assert [r.instance for r in bench.daemon.board.reports] == [0]
+    agrees(bench, undisturbed())
+
+
+def test_a_hundred_thousand_damaged_frames_forge_nothing() -> None:
+    """A tenth of what scripts/fuzz_live.py sends when it is run alone."""
+    command = [sys.executable, str(ROOT / "scripts/fuzz_live.py"), "--frames", "100000", "--seed", "5"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=env)
+    assert done.returncode == 0, done.stdout + done.stderr[-500:]

@@ -1,6 +1,7 @@
 """What telemetry must pass before the filter believes it; a value that goes from sample to sample.
 
-A temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
+A voltage that leaps between two rows and a cell voltage that no cell has are damage until they are repeated. A
+temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
 is missing for a moment is held; one that is never there is worked out from the power that the operator stated.
 """
 
@@ -13,6 +14,8 @@ from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
 
 HELD_CURRENT_S = 5.0
+LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # a punch takes a fifth of the voltage, an empty pack's a quarter
+LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -22,6 +25,9 @@ class Intake:
     """Last plausible readings and what was noticed about the sensors; `after` gives the next one."""
 
     stated_power_W: float = NAN
+    voltage_V: float = NAN
+    voltage_s: float = NAN
+    odd_V: float = NAN  # leapt from it, not believed yet
     temp_C: float = NAN
     temp_s: float = NAN
     is_board_sensor: bool = False
@@ -33,7 +39,8 @@ class Intake:
 
     def after(self, sample: Sample) -> tuple[Intake, Sample]:
         """The next state, and the sample as the filter may have it."""
-        now, temp_C = self._with_temperature(sample)
+        now, sample = self._with_voltage(sample)
+        now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample)
         return now._with_cells(sample), replace(sample, temp_C=temp_C, current_A=current_A)
 
@@ -41,10 +48,20 @@ class Intake:
         """The same memory on a clock that shows `shift_s` more."""
         return replace(
             self,
+            voltage_s=self.voltage_s + shift_s,
             temp_s=self.temp_s + shift_s,
             current_s=self.current_s + shift_s,
             spread_s=self.spread_s + shift_s,
         )
+
+    def _with_voltage(self, sample: Sample) -> tuple[Intake, Sample]:
+        """A leap of the voltage is believed from the second row on: one row may be a damaged frame."""
+        if not math.isfinite(sample.voltage_V):
+            return self, sample
+        is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
+        if is_soon and not any(_is_near(was_V, sample.voltage_V) for was_V in (self.voltage_V, self.odd_V)):
+            return replace(self, odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
+        return replace(self, voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
 
     def _with_temperature(self, sample: Sample) -> tuple[Intake, float]:
         temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
@@ -66,7 +83,7 @@ class Intake:
     def _with_cells(self, sample: Sample) -> Intake:
         """Memory of how far the weakest cell is below the mean [V]."""
         cells = [v for v in sample.cell_voltages_V if math.isfinite(v) and v > 0.0]
-        if len(cells) < 2:
+        if len(cells) < 2 or not all(LOWEST_CELL_V < v < HIGHEST_CELL_V for v in cells):
             return self
         spread_V = sum(cells) / len(cells) - min(cells)
         if not math.isfinite(self.spread_s):
@@ -86,3 +103,7 @@ class Intake:
         if self.cell_spread_V > NOTICED_CELL_SPREAD_V:
             found.append(f"the weakest cell is {1000 * self.cell_spread_V:.0f} mV below the mean and ends the flight")
         return tuple(found)
+
+
+def _is_near(was_V: float, now_V: float) -> bool:
+    return abs(now_V - was_V) <= LEAP_SHARE * was_V
