@@ -1,13 +1,15 @@
 """Our own frames: MAVLink 2, packed by pymavlink, unknown values as each field's sentinel.
 
 Components of the vehicle's system: ONBOARD (193 unless configured) is the companion, BATTERY (180) a battery of its
-own. Signed when a key is given. Towards the autopilot only `heartbeat`, `interval_request` and `parameter_request`
-may travel (`MAY_REACH_AUTOPILOT`).
+own. Signed when a key is given, at the time of the wall clock: a receiver refuses a stream that begins a minute late.
+Towards the autopilot only `heartbeat`, `interval_request` and `parameter_request` may travel (`MAY_REACH_AUTOPILOT`).
 """
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -19,12 +21,20 @@ MAY_REACH_AUTOPILOT = frozenset((HEARTBEAT_ID, PARAM_REQUEST_READ_ID, COMMAND_LO
 SEVERITY_CRITICAL, SEVERITY_WARNING, SEVERITY_NOTICE = 2, 4, 5
 UINT16_MAX, INT16_MAX = 65535, 32767
 LONGEST_TEXT, LONGEST_NAME = 50, 10
+SIGNING_EPOCH_S, SIGNING_TICKS_PER_S = 1_420_070_400, 100_000  # 2015-01-01, 10 us
 
 
 class Outgoing:
     """Packs frames of one component; counts its sequence."""
 
-    def __init__(self, system: int, component: int, signing_key: bytes | None = None) -> None:
+    def __init__(
+        self,
+        system: int,
+        component: int,
+        signing_key: bytes | None = None,
+        wall_s: Callable[[], float] = time.time,
+    ) -> None:
+        self._wall_s = wall_s
         self.system, self.component = system, component
         self._link: Any = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         if signing_key is not None:
@@ -34,6 +44,10 @@ class Outgoing:
 
     def pack(self, message: Any) -> bytes:
         """The frame of a message."""
+        signing = self._link.signing
+        if signing.sign_outgoing:  # never falls, whatever the clock does
+            ticks = int((self._wall_s() - SIGNING_EPOCH_S) * SIGNING_TICKS_PER_S)
+            signing.timestamp = max(signing.timestamp, ticks)
         frame = bytes(message.pack(self._link))
         self._link.seq = (self._link.seq + 1) % 256
         return frame

@@ -1,0 +1,218 @@
+"""Every kind of endpoint with a vehicle at its other end; signed frames; who may read the page."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pty
+import socket
+import time
+import tty
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from live_rig import OPTIONS, Bench, FakeLink, Vehicle, free_port, until
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.battery import file
+from uavbatt.config import Config, FeedSection, HttpSection, LinkSection, checked
+from uavbatt.daemon import Daemon
+from uavbatt.errors import BadInput, UsageError
+from uavbatt.feed.web import serve
+from uavbatt.mavlink.endpoint import parse
+from uavbatt.mavlink.links import open_link
+
+KEY = bytes(range(32))
+
+
+class StreamVehicle(Vehicle):
+    """The same quad at a stream; `reopen` gives its end, again when it has broken off."""
+
+    def __init__(self, reopen: Callable[[], Any]) -> None:
+        super().__init__(0)
+        self._reopen, self.end = reopen, None
+
+    def write(self, data: bytes) -> None:
+        try:
+            self.end = self.end or self._reopen()
+            self.end.sendall(data)
+        except OSError:
+            self.end = None
+
+    def read(self) -> bytes:
+        try:
+            return self.end.recv(4096) if self.end is not None else b""
+        except OSError:
+            return b""
+
+
+class Pty:
+    """The vehicle's end of a serial line that is none."""
+
+    def __init__(self) -> None:
+        self.fd, self._line = pty.openpty()
+        tty.setraw(self.fd)
+        os.set_blocking(self.fd, False)
+        self.name = os.ttyname(self._line)
+
+    def sendall(self, data: bytes) -> None:
+        os.write(self.fd, data)
+
+    def recv(self, size: int) -> bytes:
+        return os.read(self.fd, size)
+
+
+def listening(port: int) -> Callable[[], socket.socket]:
+    server = socket.create_server(("127.0.0.1", port))
+    server.settimeout(5.0)
+
+    def accept() -> socket.socket:
+        made, _ = server.accept()
+        made.setblocking(False)
+        return made
+
+    return accept
+
+
+def connecting(port: int) -> Callable[[], socket.socket]:
+    def connect() -> socket.socket:
+        made = socket.create_connection(("127.0.0.1", port), 5.0)
+        made.setblocking(False)
+        return made
+
+    return connect
+
+
+def at(kind: str) -> tuple[str, StreamVehicle | Vehicle]:
+    """An endpoint of this kind, and the vehicle at its other end."""
+    port = free_port()
+    if kind == "serial":
+        line = Pty()
+        return f"{line.name},115200", StreamVehicle(lambda: line)
+    if kind == "tcp":
+        return f"tcp:127.0.0.1:{port}", StreamVehicle(listening(port))
+    if kind == "tcpin":
+        return f"tcpin:127.0.0.1:{port}", StreamVehicle(connecting(port))
+    return f"{kind}:127.0.0.1:{port}", Vehicle(port)
+
+
+@pytest.fixture
+def flown(request: pytest.FixtureRequest) -> Iterator[tuple[Daemon, Any]]:
+    """A daemon at a real link of the kind asked for, and its vehicle."""
+    endpoint, vehicle = at(request.param)
+    station = FakeLink()
+    daemon = Daemon(
+        Config(link=LinkSection(endpoint=endpoint, gcs=["x"])), file.read("lipo-generic"), OPTIONS,
+        open_link(endpoint), [station],
+    )  # fmt: skip
+    vehicle.start()
+    yield daemon, vehicle
+    vehicle.is_over = True
+    vehicle.join(6.0)
+    daemon.close()
+
+
+def rows(daemon: Daemon) -> int:
+    daemon.turn()
+    return int(daemon.board.counts.get("rows", 0))
+
+
+@pytest.mark.parametrize("flown", ["udpin", "tcp", "tcpin", "serial"], indirect=True)
+def test_every_kind_of_endpoint_brings_rows_and_takes_a_heartbeat(flown: tuple[Daemon, Any]) -> None:
+    daemon, vehicle = flown
+    until(lambda: rows(daemon) >= 5)
+    until(lambda: (daemon.turn(), vehicle.heard)[1])
+    assert {m.get_type() for m in vehicle.heard} == {"HEARTBEAT"}
+    assert daemon.board.reports[0].estimate.current_A == 12.0
+
+
+@pytest.mark.parametrize("flown", ["tcp", "tcpin"], indirect=True)
+def test_a_broken_stream_is_opened_again(flown: tuple[Daemon, Any]) -> None:
+    daemon, vehicle = flown
+    before = until(lambda: rows(daemon) if rows(daemon) >= 3 else 0)
+    vehicle.end.shutdown(socket.SHUT_RDWR)
+    until(lambda: rows(daemon) >= before + 5)
+
+
+def test_a_peer_that_is_not_there_is_tried_with_growing_pauses() -> None:
+    link, tried = open_link(f"tcp:127.0.0.1:{free_port()}"), []
+    connected = link._connected  # type: ignore[attr-defined]
+    link._connected = lambda now_s: (tried.append(now_s), connected(now_s))[1]  # type: ignore[attr-defined]
+    for k in range(3000):
+        link.read(k / 50.0)
+    pauses = [b - a for a, b in itertools.pairwise(tried) if b - a > 0.1]
+    assert pauses[0] == pytest.approx(0.5, abs=0.1) and max(pauses) == pytest.approx(10.0, abs=0.2)
+    link.close()
+
+
+def test_a_serial_line_that_is_none_is_said_or_waited_for(tmp_path: Any) -> None:
+    with pytest.raises(UsageError, match="expected udpin"):
+        parse("ttyACM0")
+    line = open_link(str(tmp_path / "ttyACM0") + ",115200")
+    assert line.read(0.0) == []
+    (tmp_path / "ttyACM1").write_text("a file")
+    assert open_link(str(tmp_path / "ttyACM1") + ",115200").read(0.0) == []
+
+
+def verified(frames: list[bytes], key: bytes) -> list[Any]:
+    """The messages, each signature checked as a receiver does it."""
+    reader = dialect.MAVLink(None)
+    reader.signing.secret_key = key
+    return [reader.decode(bytearray(frame)) for frame in frames]
+
+
+def test_our_frames_are_signed_with_the_key_at_the_time_of_the_clock(tmp_path: Any) -> None:
+    path = tmp_path / "key"
+    path.write_text(KEY.hex() + "\n")
+    link = LinkSection(endpoint="x", gcs=["y"], request=True, signing_key_file=str(path))
+    bench = Bench(link=link, feed=FeedSection(kinds=("named", "battery")))
+    bench.fly(8.0)
+    sent = [m for frames in (bench.link.sent, bench.station.sent) for m in verified(frames, KEY)]
+    assert {"HEARTBEAT", "COMMAND_LONG", "NAMED_VALUE_FLOAT", "BATTERY_STATUS"} <= {m.get_type() for m in sent}
+    stamps = [int.from_bytes(d[-12:-6], "little") for d in bench.station.sent if d[6] == 193]
+    assert stamps == sorted(set(stamps))  # no frame may be sent again by somebody else
+    assert stamps[-1] / 1e5 + 1_420_070_400 == pytest.approx(time.time(), abs=30.0)
+    with pytest.raises(dialect.MAVError, match="signature"):
+        verified(bench.station.sent, KEY[::-1])
+
+
+@pytest.mark.parametrize("text", ["", "00", "zz" * 32, None])
+def test_a_key_that_is_none_is_refused(tmp_path: Any, text: str | None) -> None:
+    path = tmp_path / "key"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(BadInput, match="64 hexadecimal digits"):
+        Bench(link=LinkSection(endpoint="x", gcs=["y"], signing_key_file=str(path)))
+
+
+def test_the_page_is_read_with_the_token_only() -> None:
+    pytest.importorskip("starlette")
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    bench.fly(3.0)
+    settings = HttpSection(listen=f"0.0.0.0:{port}", token="correct horse")
+    serve(settings, lambda: bench.daemon.board, lambda: bench.now_s)
+
+    def asked(path: str, **headers: str) -> int:
+        request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
+        try:
+            return int(urllib.request.urlopen(request, timeout=5.0).status)
+        except urllib.error.HTTPError as error:
+            return error.code
+        except urllib.error.URLError:
+            return 0
+
+    until(lambda: asked("/healthz") == 200)
+    for path in ("/", "/now.json", "/metrics", "/events", "/register_service"):
+        assert asked(path) == 401 and asked(f"{path}?token=wrong") == 401
+        assert asked(path, Authorization="Bearer wrong horse") == 401
+    assert asked("/now.json?token=correct%20horse") == 200
+    assert asked("/", Authorization="Bearer correct horse") == 200
+    for listen, token in ((":8080", ""), ("127.0.0.1:8080", ""), ("0.0.0.0:8080", "correct horse")):
+        checked(Config(link=LinkSection(endpoint="x"), http=HttpSection(listen=listen, token=token)))
+    for listen, token in (("0.0.0.0:8080", ""), ("192.168.1.2:8080", "short"), ("[::]:8080", "")):
+        with pytest.raises(UsageError, match=r"http\.token"):
+            checked(Config(link=LinkSection(endpoint="x"), http=HttpSection(listen=listen, token=token)))
