@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from uavbatt import __version__
-from uavbatt.cli import diagnose, fit, info, live, plan, replay, simulate, validate
+from uavbatt.cli import diagnose, fit, fleet, info, live, plan, replay, simulate, validate
 
 app = typer.Typer(
     name="uavbatt",
@@ -37,6 +37,7 @@ app.command("fit")(fit.fit)
 app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
 app.command("diagnose")(diagnose.diagnose)
+app.command("fleet")(fleet.fleet)
 app.command("info")(info.info)
 app.command("simulate")(simulate.simulate)
 app.command("live")(live.live)

@@ -1,0 +1,128 @@
+"""`uavbatt fleet`: many flights, one row each, with the health of the packs and the accuracy over all of them."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from uavbatt.cli.options import (
+    DEFAULT_BATTERY,
+    BatteryOption,
+    CapacityOption,
+    CellsOption,
+    CutoffOption,
+    ReserveOption,
+    UncertifiedOption,
+    known,
+)
+from uavbatt.errors import UavbattError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from uavbatt.fleet.fly import Job
+    from uavbatt.fleet.row import Row
+    from uavbatt.fleet.run import Finished
+
+PAGE = "fleet.html"
+MOST_REASONS = 5
+
+
+def fleet(
+    logs: Annotated[list[str], typer.Argument(metavar="GLOB...", help="Logs, folders, patterns or fsspec addresses.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the tables and the page.")],
+    battery: BatteryOption = DEFAULT_BATTERY,
+    cells: CellsOption = None,
+    capacity_ah: CapacityOption = None,
+    cutoff_voltage: CutoffOption = None,
+    reserve_soc: ReserveOption = 0.0,
+    allow_uncertified: UncertifiedOption = False,
+    workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
+    ] = None,
+    aircraft: Annotated[
+        str, typer.Option("--aircraft", metavar="REGEX", help="What of a log's path names the aircraft.")
+    ] = "",
+) -> None:
+    """Fly a whole fleet's logs: one row a flight (Parquet, CSV) and a page about packs and forecasts.
+
+    A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown.
+    """
+    from uavbatt.fleet.run import check_extra
+
+    check_extra()
+    from uavbatt.battery import file
+    from uavbatt.fleet import run
+    from uavbatt.fleet.fly import Job
+    from uavbatt.fleet.logs import find
+    from uavbatt.pipeline import PackOptions
+
+    if workers is not None and scheduler is not None:
+        raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
+    options = PackOptions(
+        cells=cells,
+        capacity_Ah=known(capacity_ah, "--capacity-ah"),
+        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
+        reserve_soc=reserve_soc,
+    )
+    job = Job(file.read(battery, allow_uncertified=allow_uncertified), options, _pattern(aircraft))
+    found = find(logs)
+    flown = 0
+    connection = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+    with _progress() as show:
+        for finished in run.run(connection, found, job, output):
+            flown += finished.row is not None
+            show(finished)
+    _tell(output, run.rows(output, found, job), job, flown, len(found))
+
+
+def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) -> None:
+    """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
+    from uavbatt.aside import written_aside
+    from uavbatt.fleet.tables import CSV, PARQUET
+    from uavbatt.report.fleet import fleet_report
+    from uavbatt.report.fleet_groups import gathered
+
+    overview = gathered(rows)
+    battery = f"{job.battery.battery.name} ({job.battery.status})"
+    remarks = (("logs", f"{logs}, of which {flown} were flown in this run and the others before"),)
+    with written_aside(folder / PAGE) as file:
+        file.write(fleet_report(overview, battery, remarks))
+    failed = sum(overview.failures.values())
+    typer.echo(f"{logs} logs ({flown} done now): {overview.flights} flown, {failed} could not be")
+    for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
+        typer.echo(f"  {count:5d}  {reason}")
+    typer.echo(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
+    if not overview.flights:
+        raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
+
+
+def _pattern(text: str) -> str:
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise UsageError(f"--aircraft {text}: expected a regular expression: {error}") from None
+    return text
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[Finished], None]]:
+    """A bar on stderr when that is a terminal, nothing otherwise."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("flights")
+        yield lambda finished: bar.update(task, completed=finished.done, total=finished.total)

@@ -1,0 +1,11 @@
+"""Many flights at once: each log becomes one row, the rows a table, the table a page about packs and forecasts.
+
+    logs.py       which logs there are, on a disk or behind any fsspec address, and their bytes
+    row.py        what is told of one flight, column by column
+    fly.py        one log -> one row; whatever is wrong with the log becomes the row's reason
+    journal.py    rows on disk as they come, so that a stopped run goes on where it was
+    tables.py     the journal -> Parquet and CSV, piece by piece
+    run.py        the workers (Dask), a bounded number of logs under way
+
+Needs the extra `fleet`; nothing of it is imported before a run begins.
+"""

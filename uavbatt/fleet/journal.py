@@ -1,0 +1,110 @@
+"""Rows on disk as they come: one JSON line a flight, so that a stopped run goes on where it was.
+
+A row counts for a later run only under the same key: path, size and time of change of the log, content of the battery
+file, pack options and version of uavbatt. Rows under other keys stay in the file until it is tidied.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from uavbatt import __version__
+from uavbatt.aside import written_aside
+from uavbatt.battery.file import content_hash
+from uavbatt.errors import BadInput
+from uavbatt.fleet.fly import Job
+from uavbatt.fleet.logs import LogFile
+from uavbatt.fleet.row import LOST, Row, row_of
+
+NAME = "flights.jsonl"
+
+
+def key(log: LogFile, job_key: str) -> str:
+    """What a finished row is kept under."""
+    return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}")
+
+
+def job_key(job: Job) -> str:
+    """What of a job bears on its rows."""
+    return _digest(f"{__version__}\0{content_hash(job.battery)}\0{job.options!r}\0{job.aircraft_pattern}")
+
+
+class Journal:
+    """The journal of one output folder, open for the length of a run; only the places of its rows are in memory."""
+
+    def __init__(self, folder: Path, keys: Mapping[str, int]) -> None:
+        """keys: key of every log of this run -> its number; raises BadInput when the folder cannot be written."""
+        self.path = folder / NAME
+        self._keys = keys
+        self._places: dict[int, int] = {}
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("a+b")
+        except OSError as error:
+            raise BadInput(folder, "", f"a folder that can be written: {error.strerror}") from None
+        self._index()
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def add(self, number: int, key: str, row: Row) -> None:
+        """Keep the row of log `number`; it is on disk when this returns."""
+        self._places[number] = self._file.seek(0, os.SEEK_END)
+        line = json.dumps({"key": key, **row.plain()}, ensure_ascii=False, allow_nan=False)
+        self._file.write(line.encode() + b"\n")
+        self._file.flush()
+
+    def rows(self) -> Iterator[Row]:
+        """The rows of this run in the order of its logs, one at a time."""
+        for number in sorted(self._places):
+            self._file.seek(self._places[number])
+            yield row_of(json.loads(self._file.readline()))
+
+    def _index(self) -> None:
+        """Find the rows that count; a last line that was cut short by a crash is cut away."""
+        self._file.seek(0)
+        place, end = 0, 0
+        for line in self._file:
+            said = _parsed(line)
+            number = self._keys.get(str(said.get("key")))
+            if number is not None and said.get("status") != LOST:
+                self._places[number] = place
+            place += len(line)
+            end = place if line.endswith(b"\n") else end
+        self._file.truncate(end)
+
+    def tidy(self) -> None:
+        """Leave only this run's rows in the file, when more of it is old than is in use."""
+        self._file.seek(0)
+        if sum(1 for _ in self._file) <= 2 * len(self._places):
+            return
+        with written_aside(self.path, "wb") as file:
+            for number in sorted(self._places):
+                self._file.seek(self._places[number])
+                file.write(self._file.readline())
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()

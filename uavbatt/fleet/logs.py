@@ -1,0 +1,97 @@
+"""Which logs there are: paths, folders and patterns on this disk, or addresses of any file system that fsspec knows.
+
+/data/**/*.tlog                     a pattern
+/data/summer                        a folder: every log in it, by suffix, at any depth
+s3://bucket/logs/*.BIN              a pattern behind an address
+zip://*.tlog::https://host/a.zip    files inside an archive
+"""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from uavbatt.errors import BadInput, UsageError
+
+SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
+_CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag", "created", "CRC")
+
+
+class Unreadable(BadInput):
+    """A log whose bytes cannot be had just now; the next run tries again."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogFile:
+    """A log to be flown: its path or address, its size [bytes] and when it changed, in whatever form is known."""
+
+    name: str
+    size: int
+    changed: str
+
+    def read(self) -> bytes:
+        """The bytes. Raises Unreadable when they cannot be had."""
+        try:
+            return _opened(self.name) if "://" in self.name else Path(self.name).read_bytes()
+        except Exception as error:  # a remote file system raises whatever its library raises
+            raise Unreadable(self.name, "", f"a log that can be read: {_words(error)}") from None
+
+
+def find(patterns: Iterable[str]) -> list[LogFile]:
+    """Every log that the patterns name, each once, by name. Raises UsageError for a pattern that names nothing."""
+    found: dict[str, LogFile] = {}
+    for pattern in patterns:
+        logs = list(_remote(pattern) if "://" in pattern else _local(pattern))
+        if not logs:
+            raise UsageError(f"{pattern}: expected the name of a log, a folder or a pattern of logs, found none")
+        found |= {log.name: log for log in logs}
+    return sorted(found.values(), key=lambda log: log.name)
+
+
+def _local(pattern: str) -> Iterator[LogFile]:
+    names = [pattern] if Path(pattern).exists() else glob.glob(pattern, recursive=True)
+    for name in names:
+        path = Path(name)
+        files = (p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else (path,)
+        for file in files:
+            if file.is_file():
+                stat = file.stat()
+                yield LogFile(str(file.resolve()), stat.st_size, str(stat.st_mtime_ns))
+
+
+def _remote(pattern: str) -> Iterator[LogFile]:
+    from fsspec.core import open_files
+
+    try:
+        files = open_files(pattern, "rb")
+        for file in files:
+            info: dict[str, Any] = file.fs.info(file.path)
+            if info.get("type") != "directory":
+                changed = next((str(info[key]) for key in _CHANGED if info.get(key) is not None), "")
+                yield LogFile(_address(pattern, file), int(info.get("size") or 0), changed)
+    except Exception as error:
+        raise UsageError(f"{pattern}: expected an address that can be listed: {_words(error)}") from None
+
+
+def _address(pattern: str, file: Any) -> str:
+    """The whole address of one file of a pattern; inside an archive, the archive's address stays behind it."""
+    outer = pattern.partition("::")[2]
+    if outer:
+        return f"{pattern.partition('://')[0]}://{file.path}::{outer}"
+    return str(file.full_name)
+
+
+def _opened(name: str) -> bytes:
+    from fsspec.core import open as open_address
+
+    with open_address(name, "rb") as stream:
+        data: bytes = stream.read()
+        return data
+
+
+def _words(error: Exception) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(text.split())

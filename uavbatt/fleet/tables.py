@@ -1,0 +1,51 @@
+"""Rows -> Parquet and CSV, a thousand at a time: the tables may be bigger than the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from datetime import datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from uavbatt.aside import written_aside
+from uavbatt.fleet.row import COLUMNS, Row
+
+PARQUET, CSV = "flights.parquet", "flights.csv"
+_BATCH = 1000
+_TIME = "start_utc"
+
+
+def write(folder: Path, rows: Iterable[Row]) -> None:
+    """Write both tables into `folder`, each whole or not at all; unknown is null, an empty cell in the CSV."""
+    import pyarrow
+    from pyarrow import csv, parquet
+
+    schema = _schema(pyarrow)
+    with ExitStack() as stack:
+        files = [stack.enter_context(written_aside(folder / name, "wb")) for name in (PARQUET, CSV)]
+        writers = [
+            stack.enter_context(parquet.ParquetWriter(files[0], schema)),
+            stack.enter_context(csv.CSVWriter(files[1], schema)),
+        ]
+        for batch in _batches(rows):
+            columns = {name: [line[name] for line in batch] for name, _ in COLUMNS}
+            columns[_TIME] = [datetime.fromisoformat(text) if text else None for text in columns[_TIME]]
+            table = pyarrow.Table.from_pydict(columns, schema=schema)
+            for writer in writers:
+                writer.write_table(table)
+
+
+def _schema(pyarrow: Any) -> Any:
+    types = {"str": pyarrow.string(), "float": pyarrow.float64(), "int": pyarrow.int64(), "bool": pyarrow.bool_()}
+    times = pyarrow.timestamp("s", tz="UTC")
+    return pyarrow.schema(
+        [(name, times if name == _TIME else types[kind.removesuffix(" | None")]) for name, kind in COLUMNS]
+    )
+
+
+def _batches(rows: Iterable[Row]) -> Iterator[list[dict[str, Any]]]:
+    left = iter(rows)
+    while batch := [row.plain() for row in islice(left, _BATCH)]:
+        yield batch

@@ -1,0 +1,212 @@
+"""The page of a fleet: how it stands in words, the packs over time, flights to look at, how good the forecasts were."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import PurePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt import __version__
+from uavbatt.report.fleet_figures import errors_figure, scale_figure
+from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change
+from uavbatt.report.page import (
+    DASH,
+    Html,
+    badge,
+    bullets,
+    details,
+    element,
+    facts,
+    grid,
+    number,
+    page,
+    paragraph,
+    section,
+    table,
+)
+
+MOST_DRAWN = 6  # groups
+
+
+def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str]] = ()) -> str:
+    """The whole page as HTML. `battery`: the file that all were flown with; `remarks`: names and values of the run."""
+    ranked = _ranked(found.groups.values())
+    return page(
+        f"Fleet: {_count(found.flights, 'flight')}, {_count(len(found.groups), 'group')} of packs or aircraft",
+        "uavbatt fleet",
+        _answer(found, ranked),
+        section("Packs over time", *_health(ranked)),
+        section("Flights that need a look", *_look(found)),
+        *([section("Logs that could not be flown", _failed(found))] if found.failed else []),
+        section("Forecasts against the truth", *_accuracy(found)),
+        section("The run", facts([("battery file", battery), *remarks])),
+        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
+    )
+
+
+Ranked = tuple[Group, Change | None, Change | None]
+
+
+def _ranked(groups: Iterable[Group]) -> list[Ranked]:
+    """Groups with the change of their resistance and capacity; what worsened most and certainly comes first."""
+    told = [(g, change(g, g.resistance), change(g, g.capacity)) for g in groups]
+
+    def concern(one: Ranked) -> tuple[bool, float, int]:
+        grown = one[1]
+        return (
+            not _is_grown(grown),
+            -(grown.difference if grown is not None else -math.inf),
+            -one[0].flights,
+        )
+
+    return sorted(told, key=concern)
+
+
+def _is_grown(found: Change | None) -> bool:
+    return found is not None and found.is_certain and found.difference > 0.0
+
+
+def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
+    hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
+    failed = sum(found.failures.values())
+    lost = f"; {_count(failed, 'log')} could not be flown" if failed else ""
+    first = f"{_count(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
+    grown = [g.name for g, resistance, _ in ranked if _is_grown(resistance)]
+    health = "No pack or aircraft with flights enough shows a resistance that has certainly grown."
+    if grown:
+        health = f"Resistance has grown in: {', '.join(grown[:5])}" + (", …" if len(grown) > 5 else ".")
+    said = [paragraph(first), paragraph(health)]
+    errors, inside = np.array(found.errors["120"]), found.inside["120"]
+    if len(errors):
+        said.append(
+            paragraph(
+                "Two minutes before the end the forecasts were off by "
+                f"{number(_mean(np.abs(errors)), 0, 's')} on average in {_count(len(errors), 'flight')} that show "
+                f"their end; the truth was inside the 90 % interval in {inside} of {len(errors) + found.refused['120']}."
+            )
+        )
+    said.append(paragraph(*(badge(status) for status in sorted(found.certificates)), " battery file.", css="quiet"))
+    return element("div", *said, css="answer")
+
+
+def _health(ranked: Sequence[Ranked]) -> list[Html]:
+    if not ranked:
+        return [paragraph("No flight, no health.", css="quiet")]
+    shown = [one for one in ranked if one[0].flights >= 2][:MOST_DRAWN]
+    drawn = [grid(scale_figure(g, "resistance"), scale_figure(g, "capacity")) for g, _, _ in shown]
+    hidden = len(ranked) - len(shown)
+    head = ("pack or aircraft", "flights", "hours", "Wh a flight", "first", "last", "resistance", "capacity", "verdict")
+    rows = [
+        (
+            g.name, str(g.flights), number(g.flown_s / 3600.0, 1), number(g.energy_Wh / g.flights, 0), *_dates(g),
+            _changed(resistance, g.resistance), _changed(capacity, g.capacity), _verdict(resistance, capacity),
+        )
+        for g, resistance, capacity in ranked
+    ]  # fmt: skip
+    explained = (
+        "Scales against the battery file: 1 is a pack as the file describes it. Early → late is the first third of the "
+        "flights against the last. Within one flight the capacity is hardly visible: its scale stays near 1 unless "
+        "flights go deep, and an aged pack shows first as resistance."
+    )
+    more = [paragraph(f"Drawn: the {len(shown)} that changed most; {hidden} more in the table.", css="quiet")]
+    return [paragraph(explained), *drawn, *(more if hidden and shown else []), _folded(head, rows)]
+
+
+def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
+    made = table(head, rows, text_columns=(0, 4, 5, 8))
+    return made if len(rows) <= 30 else details(f"All {len(rows)} packs and aircraft", made)
+
+
+def _changed(found: Change | None, values: Sequence[tuple[float, float]]) -> str:
+    if found is None:
+        scale, sd = values[-1]
+        return f"{number(scale, 2)} ± {number(2.0 * sd, 2)}"
+    return f"{number(found.early, 2)} → {number(found.late, 2)} (± {number(2.0 * found.difference_sd, 2)})"
+
+
+def _verdict(resistance: Change | None, capacity: Change | None) -> Html:
+    if resistance is None or capacity is None:
+        return badge("not enough data", "too few flights")
+    if _is_grown(resistance):
+        return badge("fail", "resistance grown")
+    if capacity.is_certain and capacity.difference < 0.0:
+        return badge("fail", "capacity lost")
+    return badge("pass", "steady")
+
+
+def _dates(group: Group) -> tuple[str, str]:
+    known = [s for s in group.start_s if math.isfinite(s)]
+    if not known:
+        return DASH, DASH
+    first, last = (datetime.fromtimestamp(s, UTC).strftime("%Y-%m-%d") for s in (min(known), max(known)))
+    return first, last
+
+
+def _look(found: Overview) -> list[Html]:
+    if not found.look:
+        return [paragraph("None.", css="quiet")]
+    rows = [
+        (PurePath(row.file).name, row.aircraft, row.start_utc[:10] or DASH, number(row.end_soc, 2), row.look)
+        for row in found.look
+    ]
+    more = found.looked - len(rows)
+    said = [table(("log", "aircraft", "date", "charge at end", "why"), rows, text_columns=(0, 1, 2, 4))]
+    if more > 0:
+        said.append(paragraph(f"The first {MOST_LISTED}; {more} more in flights.csv, column `look`.", css="quiet"))
+    return said
+
+
+def _failed(found: Overview) -> Html:
+    by_count = sorted(found.failures.items(), key=lambda one: -one[1])
+    rows = [
+        (str(count), reason, ", ".join(PurePath(f).name for f in found.failed[reason]) + (", …" if count > 3 else ""))
+        for reason, count in by_count[:MOST_LISTED]
+    ]
+    return table(("logs", "reason", "files"), rows, text_columns=(1, 2))
+
+
+def _accuracy(found: Overview) -> list[Html]:
+    rows = []
+    for key, label in CHECKPOINTS.items():
+        errors = np.array(found.errors[key])
+        judged = len(errors) + found.refused[key]
+        if not judged:
+            continue
+        absolute = np.abs(errors)
+        rows.append(
+            (
+                label, str(judged), _mean_and_error(absolute), _mean_and_error(errors, sign=True),
+                number(float(np.median(absolute)) if len(errors) else math.nan, 0),
+                f"{found.inside[key]} ({found.inside[key] / judged:.0%})", str(found.refused[key]),
+            )
+        )  # fmt: skip
+    if not rows:
+        return [paragraph("No log reaches the end of its flight, so that no forecast can be checked.", css="quiet")]
+    head = ("before the end", "flights", "mean |error| [s]", "bias [s]", "median |error| [s]", "inside 90 %", "refused")
+    notes = bullets(
+        (
+            "Only flights whose log shows the end count: those flown to the cut-off, which are not the typical ones.",
+            "Positive errors are optimistic. ± is one standard error over flights.",
+            "A refused forecast counts as a miss of the interval and is not in the means.",
+        ),
+    )
+    return [errors_figure(found.errors), table(head, rows), notes]
+
+
+def _mean_and_error(values: NDArray[np.float64], *, sign: bool = False) -> str:
+    if not len(values):
+        return DASH
+    error = float(np.std(values, ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+    return f"{number(_mean(values), 0, sign=sign)} ± {number(error, 0)}"
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    return float(np.mean(values))
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"

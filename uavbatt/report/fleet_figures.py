@@ -1,0 +1,87 @@
+"""Figures of the fleet page: a scale of one pack over its flights, errors of the forecasts of all flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.report import plot
+from uavbatt.report.fleet_groups import CHECKPOINTS, Group
+from uavbatt.report.page import Html, figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_POINTS = 400  # of one figure: more are thinned evenly
+DAY_S = 86_400.0
+_SPREAD = 0.28  # of the dots of one checkpoint, sideways
+
+
+def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
+    """Resistance or capacity scale of one group, flight by flight, with two standard deviations."""
+    place, pairs = group.in_time(group.resistance if what == "resistance" else group.capacity)
+    chosen = _thinned(len(place))
+    place, pairs = place[chosen], pairs[chosen]
+    colour = plot.RED if what == "resistance" else plot.BLUE
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(1.0, color=plot.FAINT, linewidth=0.8)
+        position = place / DAY_S if group.is_dated else place
+        axes.errorbar(
+            position, pairs[:, 0], 2.0 * pairs[:, 1], fmt="o", markersize=3.5, color=colour, ecolor=plot.SHADE,
+            elinewidth=2.0, label="_",
+        )  # fmt: skip
+        if len(position) >= 5:
+            axes.plot(position, _smoothed(pairs), color=colour)
+        if group.is_dated:
+            from matplotlib import dates
+
+            untyped: Any = dates
+            locator = untyped.AutoDateLocator(minticks=3, maxticks=6)
+            axes.xaxis.set_major_locator(locator)
+            axes.xaxis.set_major_formatter(untyped.ConciseDateFormatter(locator))
+        low, high = np.min(pairs[:, 0] - pairs[:, 1]), np.max(pairs[:, 0] + pairs[:, 1])
+        axes.set_ylim(min(0.8, float(low)), max(1.2, float(high)))
+
+    alt = f"{what.capitalize()} scale of {group.name} over its flights"
+    svg = plot.panel(draw, alt, x="date" if group.is_dated else "flight", y=f"{what} scale", height=190.0)
+    return figure(svg, f"{plot.literal(group.name)}: {what}")
+
+
+def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
+    """Error of every forecast at each instant before the end: a dot a flight, the middle half and the median."""
+    told = [(label, np.array(errors[key])) for key, label in CHECKPOINTS.items() if errors[key]]
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(0.0, color=plot.FAINT, linewidth=0.8)
+        for index, (_, values) in enumerate(told):
+            shown = np.sort(values)[_thinned(len(values))]
+            aside = _SPREAD * np.sin(2.4 * np.arange(len(shown)))  # even, and the same in every run
+            axes.plot(index + aside, shown, "o", color=plot.SKY, markersize=3.0, alpha=0.8)
+            low, middle, high = np.percentile(values, (25.0, 50.0, 75.0))
+            axes.plot([index, index], [low, high], color=plot.BLUE, linewidth=5.0, solid_capstyle="butt")
+            axes.plot([index - 0.3, index + 0.3], [middle, middle], color=plot.INK)
+        axes.set_xticks(range(len(told)), [label for label, _ in told])
+        axes.set_xlim(-0.6, len(told) - 0.4)
+
+    svg = plot.panel(draw, "Errors of the forecasts before the end of flight", x="", y="forecast − truth [s]")
+    return figure(
+        svg,
+        "Errors of the forecasts",
+        "A dot a flight; bar: the middle half; line: the median. Positive is optimistic.",
+    )
+
+
+def _smoothed(pairs: NDArray[np.float64]) -> NDArray[Any]:
+    """Weighted mean of a flight and its two neighbours on each side."""
+    weight = 1.0 / np.maximum(pairs[:, 1], 1e-3) ** 2
+    near = np.abs(np.subtract.outer(np.arange(len(pairs)), np.arange(len(pairs)))) <= 2
+    smooth: NDArray[np.float64] = near @ (weight * pairs[:, 0]) / (near @ weight)
+    return smooth
+
+
+def _thinned(count: int) -> NDArray[Any]:
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).astype(int)) if count else np.zeros(0, int)
