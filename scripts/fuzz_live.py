@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.battery import file
 from uavbatt.config import Config, FeedSection, LinkSection
 from uavbatt.daemon import Daemon
-from uavbatt.feed import proxy
+from uavbatt.feed.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
@@ -99,7 +99,7 @@ def main() -> int:
     config = Config(link=LinkSection(endpoint="a", gcs=["b"]), feed=FeedSection(kinds=("named", "battery")))
     options = PackOptions(capacity_Ah=5.0, cells=4, forecast_period_s=5.0)
     daemon = Daemon(config, file.read("lipo-generic"), options, line, [Line()], clock_s=lambda: now_s)
-    rewriter, slipped, forged, rows = proxy.Rewriter(soc=True), [], [], 0
+    rewriter, slipped, forged, rows = Rewriter(soc=True), [], [], 0
     step = daemon._step
 
     def watched(row: Row, at_s: float) -> None:
@@ -119,7 +119,7 @@ def main() -> int:
     said += [dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0)]
     good += [bytes(m.pack(packer)) for m in said] + [bytes(said[0].pack(packer, force_mavlink1=True))]
     changed = sent_good = 0
-    body = struct.pack(proxy.ESTIMATE_LAYOUT, 1, 1, 0, proxy.OK, 321.0, 0.5, now_s)
+    body = struct.pack(ESTIMATE_LAYOUT, 1, 1, 0, OK, 321.0, 0.5, now_s)
     for k in range(args.frames // A_TURN):
         rewriter.take(body[:-8] + struct.pack("<d", now_s))
         for _ in range(A_TURN):

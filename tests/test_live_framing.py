@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.feed import proxy
-from uavbatt.feed.proxy import CONVERGING, NOTHING, OK, Rewriter
+from uavbatt.feed.rewriter import CONVERGING, ESTIMATE_LAYOUT, NOTHING, OK, Rewriter
 from uavbatt.mavlink import framing
 
 
@@ -33,7 +32,7 @@ def decoded(data: bytes) -> Any:
 
 
 def told(status: int = OK, remaining_s: float = 321.9, since_s: float = 100.0, soc: float = 0.42, id: int = 0) -> bytes:
-    return struct.pack(proxy.ESTIMATE_LAYOUT, 1, 1, id, status, remaining_s, soc, since_s)
+    return struct.pack(ESTIMATE_LAYOUT, 1, 1, id, status, remaining_s, soc, since_s)
 
 
 def rewriter(**given: Any) -> Rewriter:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.feed import proxy
+from uavbatt.feed import proxy, rewriter
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.records import Sample
 
@@ -38,9 +39,8 @@ class Around:
     def __init__(self, folder: Path) -> None:
         fc, gcs, control = free_port(), free_port(), str(folder / "control.sock")
         settings = proxy.Settings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], control)
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "uavbatt.feed.proxy", proxy.json.dumps(settings._asdict())]
-        )
+        command = [sys.executable, "-m", "uavbatt.feed.proxy", proxy.json.dumps(settings._asdict())]
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         self.vehicle, self.station = self._connected(fc), self._connected(gcs)
         self.gcs_port = gcs
         self.control = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -60,7 +60,7 @@ class Around:
         raise AssertionError("the proxy does not listen")
 
     def tell(self, remaining_s: float) -> None:
-        body = proxy.struct.pack(proxy.ESTIMATE_LAYOUT, 1, 1, 0, proxy.OK, remaining_s, 0.5, time.monotonic())
+        body = struct.pack(rewriter.ESTIMATE_LAYOUT, 1, 1, 0, rewriter.OK, remaining_s, 0.5, time.monotonic())
         self.control.sendall(proxy.message(proxy.ESTIMATE, body))
         time.sleep(0.1)
 
@@ -93,6 +93,16 @@ def test_a_frame_in_two_parts_is_rewritten_and_a_lonely_part_is_not_held(around:
     assert time.monotonic() - start_s < 0.2  # 20 ms, and what a busy test machine adds
     around.vehicle.sendall(BATTERY[15:] + BEAT)
     assert around.seen(len(BATTERY) - 15 + len(BEAT)) == BATTERY[15:] + BEAT
+
+
+def test_an_autopilots_own_time_that_is_replaced_is_logged(around: Around) -> None:
+    own = framed(dialect.MAVLink_battery_status_message(0, 0, 0, 2500, [16000] + [65535] * 9, 1200, 1, 1, 80, 700, 1))
+    around.tell(321.5)
+    around.vehicle.sendall(own)
+    frame = around.seen(len(own))
+    assert dialect.MAVLink(None).decode(bytearray(frame)).time_remaining == 321
+    assert around.process.stderr is not None
+    assert around.process.stderr.readline().endswith("battery 0: its own 700 s replaced by 321 s\n")
 
 
 def test_the_estimator_hears_the_original_and_cannot_speak_to_the_autopilot(around: Around) -> None:

@@ -7,8 +7,9 @@
 
 Rewritten: unsigned MAVLink 2 frames of message 147 with a good checksum, of a system, component and battery id that
 the estimator named less than 3 s ago (its time less its age, at least 1 s; an autopilot's own time only while ours
-is `ok`). The original reaches the estimator, which records it. A datagram stays one datagram; a stream's partial
-frame waits at most 20 ms. Control messages: `kind (1 byte) | length (u16, little endian) | body`.
+is `ok`). The original reaches the estimator, which records it; a time that was replaced is logged. A datagram stays one
+datagram; a stream's partial frame waits at most 20 ms. Control messages: `kind (1 byte) | length (u16, little endian) |
+body`.
 
 Run as `python -m uavbatt.feed.proxy JSON` with the keys of `Settings`. Standard library only.
 """
@@ -27,16 +28,15 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from uavbatt.errors import UavbattError
+from uavbatt.feed.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
-from uavbatt.mavlink.framing import Splitter, battery_of, header, pieces, with_battery
+from uavbatt.mavlink.framing import Splitter, header
 from uavbatt.mavlink.links import Pipe, open_link
 
 HOLD_S = 0.020
-SILENT_AFTER_S = 3.0
+LOG_PERIOD_S = 10.0
 HELLO, ESTIMATE, TO_GCS, TO_AUTOPILOT, QUIT = b"H", b"E", b"G", b"A", b"Q"
 TELEMETRY, STATS = b"T", b"P"
-ESTIMATE_LAYOUT = "<BBBBddd"  # system, component, battery id, status, remaining [s], soc [0..1], monotonic time [s]
-NOTHING, CONVERGING, OK = 0, 1, 2
 ORIGINATED = frozenset((0, 20, 76))  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
 LONGEST_BODY = 60_000
 
@@ -49,15 +49,6 @@ class Settings(NamedTuple):
     control: str
     request: bool = False  # whether the estimator may send towards the autopilot
     soc: bool = False  # rewrite battery_remaining as well
-
-
-class Known(NamedTuple):
-    """What the estimator said last of one battery."""
-
-    status: int
-    remaining_s: float
-    soc: float
-    since_s: float
 
 
 def message(kind: bytes, body: bytes) -> bytes:
@@ -82,48 +73,6 @@ class Messages:
             made.append((self._data[:1], self._data[3:end]))
             self._data = self._data[end:]
         return made
-
-
-class Rewriter:
-    """Knows what is left of each battery, and puts it into the frames that may carry it."""
-
-    def __init__(self, soc: bool) -> None:
-        self.known: dict[tuple[int, int, int], Known] = {}
-        self.rewritten = self.seen = 0
-        self._soc = soc
-
-    def take(self, body: bytes) -> None:
-        """An estimate, as the control socket carries it."""
-        if len(body) == struct.calcsize(ESTIMATE_LAYOUT):
-            system, component, battery, *rest = struct.unpack(ESTIMATE_LAYOUT, body)
-            self.known[system, component, battery] = Known(*rest)
-
-    def frame(self, frame: bytes, now_s: float) -> bytes:
-        """The frame as the ground station shall see it."""
-        if not self.known:
-            return frame
-        battery = battery_of(frame)
-        if battery is None:
-            return frame
-        self.seen += 1
-        sender = header(frame)
-        known = self.known.get((sender.system, sender.component, battery.id))
-        if known is None or known.status == NOTHING or not 0.0 <= now_s - known.since_s <= SILENT_AFTER_S:
-            return frame
-        if battery.time_remaining_s != 0 and known.status != OK:
-            return frame
-        if not 0.0 <= known.remaining_s < 1e6:
-            return frame
-        left_s = max(int(known.remaining_s - (now_s - known.since_s)), 1)
-        percent = round(known.soc * 100.0) if self._soc and 0.0 <= known.soc <= 1.0 else None
-        self.rewritten += 1
-        return with_battery(frame, left_s, percent)
-
-    def datagram(self, data: bytes, now_s: float) -> bytes:
-        """A datagram with its frames rewritten."""
-        return b"".join(
-            self.frame(data[begin:end], now_s) if whole else data[begin:end] for begin, end, whole in pieces(data)
-        )
 
 
 class Control:
@@ -191,6 +140,7 @@ class Proxy:
         self.stations: list[Link] = [open_link(text) for text in settings.gcs]
         self.control = Control(settings.control)
         self._splitters: dict[object, tuple[Splitter, float]] = {}
+        self._log_s = float("-inf")
         self.is_asked_to_quit = False
 
     def wait(self) -> None:
@@ -215,6 +165,18 @@ class Proxy:
         for splitter, since_s in self._splitters.values():
             if splitter.waiting and now_s - since_s >= HOLD_S:
                 self._pass(splitter.flush(), now_s)
+        if self.rewriter.replaced and now_s >= self._log_s:
+            self._log_s = now_s + LOG_PERIOD_S
+            self._log_replaced()
+
+    def _log_replaced(self) -> None:
+        """The autopilot's own times that were replaced since the last line."""
+        told, self.rewriter.replaced = self.rewriter.replaced, {}
+        for (system, component, battery), (own_s, left_s) in told.items():
+            place = f"system {system} component {component} battery {battery}"
+            with suppress(OSError, ValueError):
+                if select.select([], [sys.stderr], [], 0.0)[1]:  # a full pipe is not waited for
+                    print(f"uavbatt proxy: {place}: its own {own_s} s replaced by {left_s} s", file=sys.stderr)
 
     def close(self) -> None:
         """Release all sockets."""

@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from uavbatt.feed import proxy
+from uavbatt.feed import proxy, rewriter
 from uavbatt.feed.now import Report
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.links import Pipe
@@ -26,7 +26,7 @@ from uavbatt.records import Status
 HELLO_PERIOD_S = 1.0
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 GENTLE = 5  # niceness of the estimator beside a proxy
-STATUS_CODES = {Status.OK: proxy.OK, Status.CONVERGING: proxy.CONVERGING}
+STATUS_CODES = {Status.OK: rewriter.OK, Status.CONVERGING: rewriter.CONVERGING}
 
 
 def control_path(autopilot: str) -> str:
@@ -95,9 +95,9 @@ class ProxyClient:
     def estimate(self, report: Report, now_s: float) -> None:
         """Tell what is left; a refusal is told as well, so that the frames pass as they are from now on."""
         shown = report.at(now_s)
-        known = STATUS_CODES.get(shown.status, proxy.NOTHING)
+        known = STATUS_CODES.get(shown.status, rewriter.NOTHING)
         body = struct.pack(
-            proxy.ESTIMATE_LAYOUT,
+            rewriter.ESTIMATE_LAYOUT,
             *(report.system, report.component, report.instance, known),
             *(report.remaining.remaining_s, shown.soc, report.received_s),
         )
