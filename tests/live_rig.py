@@ -164,6 +164,8 @@ class Station:
         self.port = int(self.line.getsockname()[1])
         self._parser: Any = dialect.MAVLink(None)
         self.peer: Any = None
+        self.sequence: list[int] = []  # of the autopilot's frames
+        self.named: dict[str, float] = {}
 
     def until(self, wanted: Callable[[Any], bool], seconds: float = 12.0) -> Any:
         """The first message that is wanted."""
@@ -174,6 +176,10 @@ class Station:
             except TimeoutError:
                 continue
             for message in self._parser.parse_buffer(data) or []:
+                if message.get_srcComponent() == 1:
+                    self.sequence.append(message.get_seq())
+                if message.get_type() == "NAMED_VALUE_FLOAT":
+                    self.named[message.name] = message.value
                 if wanted(message):
                     return message
         raise AssertionError(f"nothing of the kind in {seconds} s")
