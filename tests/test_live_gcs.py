@@ -25,6 +25,7 @@ from uavbatt.records import Sample
 
 PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
 GCS_PYTHON = os.environ.get("UAVBATT_GCS_PYTHON", sys.executable)
+MISSION = ((47.1, 8.1, 10.0), (47.2, 8.2, 123.0))
 SEEN_BY_MAVSDK = """
 import asyncio, math, sys
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
@@ -88,10 +89,23 @@ class Autopilot(threading.Thread):
                 elif kind == "PARAM_SET":
                     self.parameters[message.param_id] = message.param_value
                     names = [message.param_id]
+                elif kind == "MISSION_REQUEST_LIST":
+                    self.send(dialect.MAVLink_mission_count_message(255, 230, len(MISSION)))
+                elif kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
+                    self.send(item(message.seq, kind == "MISSION_REQUEST_INT"))
                 for name in names:
                     at, count = list(self.parameters).index(name), len(self.parameters)
                     value = self.parameters[name]
                     self.send(dialect.MAVLink_param_value_message(name.encode(), value, 9, count, at))
+
+
+def item(number: int, as_int: bool) -> Any:
+    """A waypoint of the mission."""
+    latitude, longitude, altitude = MISSION[number]
+    head = (255, 230, number, 3, 16, 0, 1, 0, 0, 0, 0)
+    if as_int:
+        return dialect.MAVLink_mission_item_int_message(*head, int(latitude * 1e7), int(longitude * 1e7), altitude)
+    return dialect.MAVLink_mission_item_message(*head, latitude, longitude, altitude)
 
 
 @pytest.fixture
@@ -133,31 +147,57 @@ def test_mavsdk_sees_the_time(ports: tuple[int, int], tmp_path: Path, feed: str,
     assert "SEEN" in done.stdout, done.stdout[-500:] + done.stderr[-500:]
 
 
-def test_mavproxy_works_behind_the_proxy(ports: tuple[int, int], tmp_path: Path) -> None:
-    needs("MAVProxy")
+def console(port: int, folder: Path, steps: list[tuple[str, str]]) -> str:
+    """What MAVProxy says to commands, each once the last is answered, or two seconds later."""
     script = Path(GCS_PYTHON).with_name("mavproxy.py")
-    companion = start(ports, tmp_path, "--feed", "proxy")
     modules = "--default-modules=link,param,wp,cmdlong,arm,mode,battery,misc"
-    command = [GCS_PYTHON, str(script), f"--master=udpin:127.0.0.1:{ports[1]}", "--mav20", "--no-state", modules]
-    console = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path
+    command = [GCS_PYTHON, str(script), f"--master=udpin:127.0.0.1:{port}", "--mav20", "--no-state", modules]
+    said, process = [], subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder
     )
-    assert console.stdin is not None
+    assert process.stdin is not None and process.stdout is not None
+    listener = threading.Thread(target=lambda: said.extend(iter(process.stdout.readline, "")), daemon=True)  # type: ignore[union-attr]
+    listener.start()
     try:
-        for pause_s, line in ((12.0, "param set BATT_CAPACITY 4800"), (2.0, "param show BATT_CAPACITY"),
-                              (1.0, "status BATTERY_STATUS"), (1.0, "")):  # fmt: skip
-            time.sleep(pause_s)
-            console.stdin.write(line + "\n")
-            console.stdin.flush()
-        time.sleep(0.5)
+        for line, answer in steps:
+            if line:
+                process.stdin.write(line + "\n")
+                process.stdin.flush()
+            end_s = time.monotonic() + (20.0 if not line else 8.0 if answer else 2.0)
+            while (not answer or answer not in "".join(said)) and time.monotonic() < end_s:
+                time.sleep(0.1)
     finally:
-        console.terminate()
-        said = console.communicate(timeout=10)[0]
+        process.kill()
+        process.wait(10.0)
+        listener.join(5.0)
+    return "".join(said)
+
+
+def test_mavproxy_works_behind_the_proxy_as_without_it(ports: tuple[int, int], tmp_path: Path) -> None:
+    needs("MAVProxy")
+    steps = [("", "Received 2 parameters"), ("param set BATT_CAPACITY 4800", ""), ("param show BATT_CAPACITY", "4800"),
+             ("wp list", "123.0"), ("status BATTERY_STATUS", "BATTERY_STATUS {")]  # fmt: skip
+    direct = Autopilot(ports[1])
+    direct.start()
+    without = console(ports[1], tmp_path, steps)
+    direct.is_over = True
+    companion = start(ports, tmp_path, "--feed", "proxy")
+    try:
+        console(ports[1], tmp_path, [("", "Received 2 parameters")])  # until there is a time
+        behind = console(ports[1], tmp_path, steps)
+    finally:
         companion.terminate()
         companion.wait(8.0)
-    assert "4800" in said, said[-2000:]
-    status = next(line for line in said.splitlines() if "BATTERY_STATUS {" in line)
-    assert "time_remaining : 0," not in status, status
+
+    def lines(said: str, *wanted: str) -> list[str]:
+        found = [line.split("> ")[-1].strip() for line in said.splitlines() if any(w in line for w in wanted)]
+        return [line.split(" t=")[0] for line in found]  # without the time of day
+
+    asked = ("vehicle", "online", "Received", "BATT_CAPACITY", "Requesting", "waypoints", "47.1", "47.2")
+    assert lines(behind, *asked) == lines(without, *asked) and any("4800" in line for line in lines(behind, *asked))
+    assert any("123.0" in line for line in lines(behind, "47.2"))
+    (status,), (plain,) = lines(behind, "BATTERY_STATUS {"), lines(without, "BATTERY_STATUS {")
+    assert "time_remaining : 0," in plain and "time_remaining : 0," not in status
 
 
 def test_chromium_shows_the_time(ports: tuple[int, int], tmp_path: Path) -> None:

@@ -40,7 +40,8 @@ class Sender:
         to_autopilot: list[bytes] = []
         if now_s >= self._beat_s:
             self._beat_s = now_s + 1.0
-            to_gcs.append(own.heartbeat())
+            if "named" in kinds:
+                to_gcs.append(own.heartbeat())
             if asks or not isinstance(self._link, ProxyClient):
                 to_autopilot.append(own.heartbeat())
         if reader.is_found:
