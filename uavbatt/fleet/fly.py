@@ -147,7 +147,8 @@ def _reasons(row: Row, doubts: tuple[str, ...]) -> list[str]:
         found.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
     if row.mean_nis > HIGH_NIS:
         found.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
-    if row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
+    # a generic file is no measure: its packs differ by more than that when new
+    if row.certificate != "generic" and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
         found.append(f"resistance {row.resistance_scale:.2f} times the battery file's")
     if row.error_120_s > OPTIMISTIC_S and row.inside_120 is False:
         found.append(f"two minutes before the end the forecast was {row.error_120_s:.0f} s too long")

@@ -30,13 +30,14 @@ from uavbatt.report.page import (
 )
 
 MOST_DRAWN = 6  # groups
+MOST_REASONS = 10
 
 
 def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str]] = ()) -> str:
     """The whole page as HTML. `battery`: the file that all were flown with; `remarks`: names and values of the run."""
     ranked = _ranked(found.groups.values())
     return page(
-        f"Fleet: {_count(found.flights, 'flight')}, {_count(len(found.groups), 'group')} of packs or aircraft",
+        f"Fleet: {_count(found.flights, 'flight')} of {len(found.groups)} packs or aircraft",
         "uavbatt fleet",
         _answer(found, ranked),
         section("Packs over time", *_health(ranked)),
@@ -82,11 +83,12 @@ def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
     said = [paragraph(first), paragraph(health)]
     errors, inside = np.array(found.errors["120"]), found.inside["120"]
     if len(errors):
+        judged = len(errors) + found.refused["120"]
         said.append(
             paragraph(
-                "Two minutes before the end the forecasts were off by "
-                f"{number(_mean(np.abs(errors)), 0, 's')} on average in {_count(len(errors), 'flight')} that show "
-                f"their end; the truth was inside the 90 % interval in {inside} of {len(errors) + found.refused['120']}."
+                f"Two minutes before the end the forecasts were off by {number(_mean(np.abs(errors)), 0, 's')} on "
+                f"average, in {_count(judged, 'flight')} that show their end; the truth was inside the 90 % interval "
+                f"in {inside} of them."
             )
         )
     said.append(paragraph(*(badge(status) for status in sorted(found.certificates)), " battery file.", css="quiet"))
@@ -108,16 +110,17 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
         for g, resistance, capacity in ranked
     ]  # fmt: skip
     explained = (
-        "Scales against the battery file: 1 is a pack as the file describes it. Early → late is the first third of the "
-        "flights against the last. Within one flight the capacity is hardly visible: its scale stays near 1 unless "
-        "flights go deep, and an aged pack shows first as resistance."
+        "Scales against the battery file: 1 is a pack as the file describes it. A dot a flight, band: two standard "
+        "deviations, line: the mean of five flights. a → b is the first third of the flights against the last. Within "
+        "one flight the capacity is hardly visible: its scale stays near 1 unless flights go deep, and an aged pack "
+        "shows first as resistance."
     )
     more = [paragraph(f"Drawn: the {len(shown)} that changed most; {hidden} more in the table.", css="quiet")]
     return [paragraph(explained), *drawn, *(more if hidden and shown else []), _folded(head, rows)]
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    made = table(head, rows, text_columns=(0, 4, 5, 8))
+    made = table(head, rows, text_columns=(0, 8))
     return made if len(rows) <= 30 else details(f"All {len(rows)} packs and aircraft", made)
 
 
@@ -154,7 +157,9 @@ def _look(found: Overview) -> list[Html]:
         for row in found.look
     ]
     more = found.looked - len(rows)
-    said = [table(("log", "aircraft", "date", "charge at end", "why"), rows, text_columns=(0, 1, 2, 4))]
+    by_count = sorted(found.reasons.items(), key=lambda one: -one[1])
+    said = [bullets(f"{_count(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
+    said.append(table(("log", "aircraft", "date", "charge at end", "why"), rows, text_columns=(0, 1, 2, 4)))
     if more > 0:
         said.append(paragraph(f"The first {MOST_LISTED}; {more} more in flights.csv, column `look`.", css="quiet"))
     return said

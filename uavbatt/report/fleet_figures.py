@@ -30,10 +30,9 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
     def draw(axes: Axes) -> None:
         axes.axhline(1.0, color=plot.FAINT, linewidth=0.8)
         position = place / DAY_S if group.is_dated else place
-        axes.errorbar(
-            position, pairs[:, 0], 2.0 * pairs[:, 1], fmt="o", markersize=3.5, color=colour, ecolor=plot.SHADE,
-            elinewidth=2.0, label="_",
-        )  # fmt: skip
+        spread = 2.0 * pairs[:, 1]
+        axes.fill_between(position, pairs[:, 0] - spread, pairs[:, 0] + spread, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(position, pairs[:, 0], "o", markersize=3.5, color=colour)
         if len(position) >= 5:
             axes.plot(position, _smoothed(pairs), color=colour)
         if group.is_dated:
@@ -43,7 +42,7 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
             locator = untyped.AutoDateLocator(minticks=3, maxticks=6)
             axes.xaxis.set_major_locator(locator)
             axes.xaxis.set_major_formatter(untyped.ConciseDateFormatter(locator))
-        low, high = np.min(pairs[:, 0] - pairs[:, 1]), np.max(pairs[:, 0] + pairs[:, 1])
+        low, high = np.min(pairs[:, 0] - 2.0 * pairs[:, 1]), np.max(pairs[:, 0] + 2.0 * pairs[:, 1])
         axes.set_ylim(min(0.8, float(low)), max(1.2, float(high)))
 
     alt = f"{what.capitalize()} scale of {group.name} over its flights"

@@ -7,6 +7,7 @@ very many flights stays small in memory.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
 MOST_LISTED = 100
+_FIGURE = re.compile(r"\d+(\.\d+)?")
 
 
 class FlightLike(Protocol):
@@ -138,6 +140,7 @@ class Overview:
     refused: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
     look: list[FlightLike] = field(default_factory=list)
     looked: int = 0
+    reasons: dict[str, int] = field(default_factory=dict)  # without their figures
     failed: dict[str, list[str]] = field(default_factory=dict)  # reason -> the first few files
     failures: dict[str, int] = field(default_factory=dict)
     certificates: set[str] = field(default_factory=set)
@@ -163,6 +166,9 @@ def gathered(rows: Iterable[FlightLike]) -> Overview:
         if row.look:
             found.looked += 1
             found.look += [row] if len(found.look) < MOST_LISTED else []
+            for reason in row.look.split("; "):
+                kind = _FIGURE.sub("…", reason)
+                found.reasons[kind] = found.reasons.get(kind, 0) + 1
         _score(found, row)
     return found
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.chain import Bytes, Chain, Mask, Places, gathered, windows
 from uavbatt.telemetry.dataflash_identity import TELLING, identity
-from uavbatt.telemetry.dataflash_rows import WANTED, Layout, Moment, Table, fold
+from uavbatt.telemetry.dataflash_rows import USED, WANTED, Layout, Moment, Table, fold
 
 HEADER = b"\xa3\x95"
 FMT_TYPE = 128
@@ -104,8 +104,12 @@ class _Records:
 
     def tables(self, wanted: re.Pattern[str]) -> list[Table]:
         """The records of the wanted names as columns, one table for each definition that was in force."""
-        places = {self._definitions.known[index].layout: np.concatenate(p) for index, p in self._places.items()}
-        return [_table(self.data, at, layout) for layout, at in places.items() if layout and wanted.match(layout.name)]
+        kept = [(self._definitions.known[index].layout, parts) for index, parts in self._places.items()]
+        return [
+            _table(self.data, np.concatenate(parts), layout)
+            for layout, parts in kept
+            if layout is not None and wanted.match(layout.name)
+        ]
 
     def _walk(self, begin: int, end: int) -> None:
         """Take the records that begin in a window of the file."""
@@ -204,17 +208,21 @@ def _record(chars: str) -> np.dtype[Any]:
 
 
 def _table(data: Bytes, starts: Places, layout: Layout) -> Table:
-    """The columns of the records of one layout."""
+    """The columns of the records of one layout that somebody reads."""
     record = _record(layout.chars)
     values: Any = gathered(data, starts + 3, record.itemsize).view(record)[:, 0]
     numbers, texts = {}, {}
     for index, (label, char) in enumerate(zip(layout.labels, layout.chars, strict=True)):
+        if not USED.match(label):
+            continue
         code, divisor = CHARACTERS[char]
         column = values[str(index)]
         if code.startswith("S"):
             texts[label] = [_text(raw) for raw in column.tolist()]
-        else:
-            numbers[label] = column.astype(np.float64) / divisor if divisor else column.astype(np.float64)
+            continue
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            number = column.astype(np.float64)
+        numbers[label] = number / divisor if divisor else number
     return Table(layout, starts, numbers, texts)
 
 

@@ -25,6 +25,10 @@ from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, add_rows, la
 from uavbatt.telemetry.parameters import VOLTAGE_ONLY, monitor_parameter
 
 WANTED = re.compile(r"(CURR|CUR\d|BAT\d?|BCL\d?|PARM|ARM|EV)$")
+# Labels that are read of any record, by this module and `dataflash_identity`.
+USED = re.compile(
+    r"(Time[UM]S|Volt|Curr|CurrTot|Temp|RemPct|Inst|Instance|V\d+|Name|Value|ArmState|Id|G?Wk|Week|GMS|Message)$"
+)
 _BATTERY = re.compile(r"(CURR|CUR\d|BAT\d?)$")
 _CELL = re.compile(r"V\d+$")
 _TICKS_PER_S = {"TimeUS": 1e6, "TimeMS": 1e3}

@@ -1,0 +1,142 @@
+"""Readers against pymavlink and pyulog, in one run: battery rows of a 60 MB `.BIN`, a 36 MB `.tlog` and a ULog.
+
+    python scripts/bench/readers.py [REPEATS]
+
+Both sides give time, voltage, current, charge and temperature of every battery row; the rows are compared before they
+are timed. `warm`: modules loaded, the file in the system's cache. `cold`: a new process with all its imports. Medians;
+read the ratios, the seconds are this machine's.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from bench.logs import make_bin, make_tlog  # found by the line above
+
+REPEATS = 5
+ULOG = "flights/px4/hexa_6s_33s.ulg"
+Rows = list[tuple[float, ...]]
+
+
+def ours(path: str) -> Rows:
+    """Battery rows by our readers."""
+    from uavbatt.telemetry import read_log
+
+    return [(s.time_s, s.voltage_V, s.current_A, s.consumed_Ah, s.temp_C) for s in read_log(path).samples]
+
+
+def pymavlink_bin(path: str) -> Rows:
+    """Battery rows of a DataFlash log by pymavlink, its index in C."""
+    from pymavlink import DFReader
+
+    log, rows = DFReader.DFReader_binary(path), []
+    while (m := log.recv_match(type=["BAT"])) is not None:
+        rows.append((m.TimeUS / 1e6, m.Volt, m.Curr, m.CurrTot / 1000, m.Temp))
+    return rows
+
+
+def pymavlink_tlog(path: str) -> Rows:
+    """Battery rows of a telemetry log by pymavlink, its index and a filter by type."""
+    from pymavlink import mavutil
+
+    log, rows = mavutil.mavlink_connection(path), []
+    while (m := log.recv_match(type=["BATTERY_STATUS"])) is not None:
+        rows.append(
+            (
+                m._timestamp,
+                m.voltages[0] / 1000,
+                m.current_battery / 100,
+                m.current_consumed / 1000,
+                m.temperature / 100,
+            )
+        )
+    return rows
+
+
+def pyulog(path: str) -> Rows:
+    """Battery rows of a ULog by pyulog, only that topic asked for."""
+    from pyulog import ULog
+
+    data = ULog(path, ["battery_status"]).data_list[0].data
+    names = ("timestamp", "voltage_v", "current_a", "discharged_mah", "temperature")
+    return [tuple(row) for row in zip(*(data[name].tolist() for name in names), strict=True)]
+
+
+PEERS: dict[str, tuple[str, Callable[[str], Rows]]] = {
+    ".BIN": ("pymavlink", pymavlink_bin), ".tlog": ("pymavlink", pymavlink_tlog), ".ulg": ("pyulog", pyulog)
+}  # fmt: skip
+
+
+def warm_s(reads: Sequence[Callable[[str], Rows]], path: str, repeats: int) -> list[float]:
+    """Median time [s] of each reader in this process, after one that does not count; they take turns."""
+    for read in reads:
+        read(path)
+    turns = [[_timed(partial(read, path)) for read in reads] for _ in range(repeats)]
+    return [median(times) for times in zip(*turns, strict=True)]
+
+
+def cold_s(names: Sequence[str], path: str, repeats: int) -> list[float]:
+    """Median time [s] of a new process for each function of `names`: imports what it needs, reads the file."""
+    code = "import sys; sys.path.insert(0, {!r})\nfrom bench.readers import {}; {}({!r})"
+    here = str(Path(__file__).parents[1])
+    commands = [[sys.executable, "-c", code.format(here, name, name, path)] for name in names]
+    turns = [[_timed(partial(subprocess.run, command, check=True)) for command in commands] for _ in range(repeats)]
+    return [median(times) for times in zip(*turns, strict=True)]
+
+
+def _timed(work: Callable[[], Any]) -> float:
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def same(one: Rows, other: Rows) -> bool:
+    """The same rows: equal values, times by their differences to the first row."""
+    if len(one) != len(other):
+        return False
+    a, b = np.array(one), np.array(other)
+    return bool(np.allclose(a[:, 0] - a[0, 0], b[:, 0] - b[0, 0], atol=2e-6, rtol=0) and np.all(a[:, 1:] == b[:, 1:]))
+
+
+def lines(repeats: int = REPEATS) -> Iterator[str]:
+    """Every reader beside its peer, in words."""
+    data = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+    with tempfile.TemporaryDirectory() as folder:
+        made = {".BIN": Path(folder) / "big.BIN", ".tlog": Path(folder) / "big.tlog", ".ulg": data / ULOG}
+        messages = {".BIN": make_bin(made[".BIN"]), ".tlog": make_tlog(made[".tlog"])}
+        for suffix, path in made.items():
+            if not path.is_file():
+                yield f"{suffix}: no log of this kind here"
+                continue
+            peer, read = PEERS[suffix]
+            size_MB = path.stat().st_size / 1e6
+            told = f"{size_MB:.1f} MB" + (f", {messages[suffix] / 1e6:.2f} M messages" if suffix in messages else "")
+            rows = ours(str(path))
+            equal = "rows equal" if same(rows, read(str(path))) else "ROWS DIFFER"
+            equal = "by pyulog itself, its unknowns made NaN" if suffix == ".ulg" else equal
+            warm = warm_s((read, ours), str(path), repeats)
+            cold = cold_s((read.__name__, "ours"), str(path), repeats)
+            for what, (theirs_s, ours_s) in (("warm", warm), ("cold", cold)):
+                yield (
+                    f"{suffix:5s} {told}, {len(rows)} battery rows ({equal}), {what}: {peer} {theirs_s:.3f} s, "
+                    f"ours {ours_s:.3f} s, ratio {theirs_s / ours_s:.1f}"
+                )
+
+
+if __name__ == "__main__":
+    for line in lines(*map(int, sys.argv[1:2])):
+        print(line, flush=True)
