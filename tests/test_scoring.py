@@ -18,6 +18,7 @@ from uavbatt import simulate
 from uavbatt.battery import file
 from uavbatt.battery.build import pack_of
 from uavbatt.battery.file import BatteryFile
+from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.prediction.learned import learned_load
@@ -212,22 +213,29 @@ def test_a_fitted_file_is_narrower_than_a_generic_one() -> None:
         assert abs(error_s(at(own, flown(), share), flown())) < 10.0
 
 
+def warns_of_wear(step: Step) -> bool:
+    return any("more ohms than its type" in w for w in step.estimate.warnings)
+
+
 def test_an_aged_pack_is_noticed_within_the_flight() -> None:
-    """True capacity 85 %, and a file that allows for packs of different age: the scale moves, the error shrinks."""
+    """True capacity 85 %: a file that allows for worn packs beats one that takes every pack for new, and says so."""
     aged = flown(1, 280.0, "capacity_fade", 0.15)
-    run = replayed(aged, known_pack(0.06), logged(aged))
+    run, unaware = (replayed(aged, known_pack(sd), logged(aged)) for sd in (0.08, 0.001))
     early, half, late = (at(run, aged, share) for share in (0.05, 0.5, 0.9))
     assert 1.0 > early.estimate.capacity_scale > half.estimate.capacity_scale > late.estimate.capacity_scale
-    assert 0.82 < late.estimate.capacity_scale < 0.92
-    assert error_s(half, aged) < 0.6 * error_s(early, aged) and error_s(late, aged) < 0.4 * error_s(early, aged)
+    assert 0.85 < late.estimate.capacity_scale < 0.93
+    for share, most in ((0.05, 0.7), (0.5, 0.5), (0.9, 0.5)):
+        assert 0.0 < error_s(at(run, aged, share), aged) < most * error_s(at(unaware, aged, share), aged)
+    assert warns_of_wear(half) and warns_of_wear(late)
     for step in (half, late):
         assert step.remaining.remaining_lo_s <= end_s(aged) - step.estimate.time_s <= step.remaining.remaining_hi_s
 
 
 def test_a_new_pack_is_not_taken_for_an_aged_one() -> None:
-    run = replayed(flown(), known_pack(0.06), logged(flown()))
+    run = replayed(flown(), known_pack(MAKE_CAPACITY_SD), logged(flown()))
     scales = [s.estimate.capacity_scale for s in run if s.estimate.time_s > 60.0]
     assert min(scales) > 0.96 and max(scales) < 1.04
+    assert not any(warns_of_wear(s) for s in run)
     assert all(abs(error_s(at(run, flown(), share), flown())) < 15.0 for share in (0.1, 0.5, 0.9))
 
 

@@ -30,6 +30,7 @@ from uavbatt.swap import SwapWatch
 FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
 ALARM_S = 120.0
+NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +239,18 @@ class Estimator:
             found.append("no usable pack temperature")
         if self._facts.sag_compensated:
             found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
+        if self._is_worn(estimate):
+            found.append(
+                f"this pack has {estimate.wear:.0%} more ohms than its type: aged, or colder than it says; "
+                f"capacity taken as {estimate.capacity_scale:.0%} ± {estimate.capacity_scale_sd:.0%}"
+            )
         return (*found, *self._intake.notices)
+
+    def _is_worn(self, estimate: Estimate) -> bool:
+        """More resistance than the packs of this type are spread by, and surely so."""
+        assert self._filter is not None
+        unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
+        return estimate.wear > unusual and estimate.wear > WEAR_IS_SURE * estimate.wear_sd
 
 
 def _unknown(sample: Sample) -> tuple[Estimate, Remaining]:

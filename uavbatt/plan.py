@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavbatt.battery import model
 from uavbatt.battery.belief import SIZE, Belief, C
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
@@ -27,7 +28,6 @@ TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
 START_SOC_SD = 0.01  # a charger that says full, a rested voltage that was read
 AMBIENT_SD_K = 2.0
-RESTED_OVERPOTENTIAL_SD_V = 1e-3
 LOWEST_POWER_W = 1.0
 EMPTY_SOC = 1e-3  # below it nothing is left to draw, whatever a fitted voltage says beyond the end of its table
 VALID_WITHIN_K = 5.0
@@ -159,9 +159,10 @@ def endurance(
 
 def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
     """What is known of a pack before take-off: its stated charge, the temperature of the air, the file's spreads."""
+    state = model.rested(start_soc, ambient_C)
     mean = np.zeros(SIZE)
-    mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = start_soc, ambient_C, ambient_C
-    covariance = start_covariance(pack, START_SOC_SD, AMBIENT_SD_K, RESTED_OVERPOTENTIAL_SD_V)
+    mean[: C.SENSOR + 1] = state
+    covariance = start_covariance(pack, state, START_SOC_SD, AMBIENT_SD_K)
     return Belief(0.0, mean, covariance, ambient_C)
 
 

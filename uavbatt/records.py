@@ -113,8 +113,12 @@ class Estimate:
     warnings: tuple[str, ...] = ()
     predicted_voltage_V: float = NAN
     core_temp_C: float = NAN
-    resistance_scale: float = NAN
+    resistance_scale: float = NAN  # this pack's ohm·Ah against its type's
     capacity_scale: float = NAN
+    resistance_scale_sd: float = NAN
+    capacity_scale_sd: float = NAN
+    wear: float = NAN  # ohms above the type's, relative: what age, cold and bad contacts have in common
+    wear_sd: float = NAN
 
 
 @dataclass(frozen=True, slots=True)

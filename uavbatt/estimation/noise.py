@@ -9,17 +9,22 @@ import math
 
 import numpy as np
 
-from uavbatt.battery import model
+from uavbatt.battery import model, start
 from uavbatt.battery.belief import SIZE, C
 from uavbatt.battery.build import Pack
-from uavbatt.battery.model import SOC_GRID, Array, open_circuit_voltage
+from uavbatt.battery.model import Array, State
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
-# A reading under load before anything is known: soc from OCV ± the unknown polarisation.
-LOADED_SOC_SD = 0.15
+# The model's own error of the OCV counts half there: the fit has seen rested starts too.
+RESTED_BIAS = 0.5
+# Under load, before the pack has shown itself, the drop is known to half of itself.
+UNSEEN_SHARE, OVERPOTENTIAL_SD_V, LOADED_SOC_SD = 0.5, 0.003, 0.15
+ROUNDS = 6
 UNKNOWN_TEMP_SD_K = 10.0
-RESTED_C_RATE = 0.15
+# Age takes capacity and adds resistance: a pack with more ohms than its type has less charge, as far as it is age and
+# not the make that spreads the resistance.
+AGE_CORRELATION, AGED_RESISTANCE_SD = -0.7, 0.075
 
 # The row's current stands for an interval in which the load moved: 6 % of the charge for rows 1 s apart or
 # less (averaging logger), 15 % when a row comes every 10 s or slower (a snapshot of a gusty load).
@@ -49,25 +54,39 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
     return shares[0] + (shares[1] - shares[0]) * weight
 
 
-def soc_from_rest(pack: Pack, cell_V: float) -> tuple[float, float]:
-    """(soc, sd) of a rested cell at `cell_V` [V], by inverting the OCV; sd from its slope there."""
-    table = np.maximum.accumulate(np.asarray(open_circuit_voltage(pack.cell, SOC_GRID)) + 1e-9 * SOC_GRID)
-    soc = float(np.clip(np.interp(cell_V, table, SOC_GRID), 0.0, 1.0))
-    near = np.interp([cell_V - RESTED_VOLTAGE_SD_V, cell_V + RESTED_VOLTAGE_SD_V], table, SOC_GRID)
-    spread = float(np.hypot((near[1] - near[0]) / 2.0, pack.bias_sd_V * (near[1] - near[0]) / 0.04))
-    return soc, float(np.clip(spread, 0.01, LOADED_SOC_SD))
+def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> tuple[State, float]:
+    """(state, sd of its charge) of a cell that shows `cell_V` [V] under `c_rate` [1/h] in the first row.
+
+    The drop depends on the charge, which depends on the drop: a few rounds settle it.
+    """
+    idle = abs(c_rate) < start.IDLE_C_RATE
+    shown_sd_V = float(np.hypot(RESTED_VOLTAGE_SD_V, pack.bias_sd_V * (RESTED_BIAS if idle else 1.0)))
+    drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
+    read = start.charge_at(pack.cell, cell_V, shown_sd_V)
+    for _ in range(ROUNDS):
+        state = start.underway(pack.cell, read.soc, temp_C, c_rate)
+        ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
+        drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
+        read = start.charge_at(pack.cell, cell_V + drop_V, float(np.hypot(shown_sd_V, drop_share * drop_V)))
+    if idle:
+        read = start.perhaps_full(read)
+    return start.underway(pack.cell, read.soc, temp_C, c_rate), min(read.sd, LOADED_SOC_SD)
 
 
-def start_covariance(pack: Pack, soc_sd: float, temp_sd_K: float, overpotential_sd_V: float) -> Array:
-    """Covariance of the first belief."""
+def start_covariance(pack: Pack, state: State, soc_sd: float, temp_sd_K: float) -> Array:
+    """Covariance of the first belief, around `state`."""
     sd = np.empty(SIZE)
     sd[C.SOC] = soc_sd
-    sd[C.POLARISATION] = sd[C.DIFFUSION] = overpotential_sd_V
+    sd[C.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
+    sd[C.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
     sd[C.CORE] = sd[C.SENSOR] = temp_sd_K
     sd[C.LOG_RESISTANCE] = pack.resistance_scale_sd
     sd[C.LOG_CAPACITY] = pack.capacity_scale_sd
     sd[C.BIAS] = pack.bias_sd_V
-    return np.diag(sd**2)
+    covariance = np.diag(sd**2)
+    by_age = AGE_CORRELATION * min(pack.resistance_scale_sd, AGED_RESISTANCE_SD) * pack.capacity_scale_sd
+    covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY] = covariance[C.LOG_CAPACITY, C.LOG_RESISTANCE] = by_age
+    return covariance
 
 
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:

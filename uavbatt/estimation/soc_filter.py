@@ -160,17 +160,11 @@ class SocFilter:
         ambient_C = self.given_ambient_C if math.isfinite(self.given_ambient_C) else temp_C
         rate = float(c_rate(pack.installation, current_A))
         cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
-        is_rested = abs(rate) < noise.RESTED_C_RATE
-        soc, soc_sd = noise.soc_from_rest(pack, cell_V)
-        soc += float(pack.installation.start_soc_shift)
-        overpotential_sd_V = 0.003
-        for _ in range(0 if is_rested else 4):  # the drop depends on soc, which depends on the drop
-            drop_V = rate * float(model.resistance(pack.cell, soc, temp_C)) * (1.0 + pack.cell.polarisation_ratio)
-            soc, soc_sd = noise.soc_from_rest(pack, cell_V + drop_V)[0], noise.LOADED_SOC_SD
-            overpotential_sd_V = max(0.5 * abs(drop_V), 0.02)
+        state, soc_sd = noise.first_state(pack, cell_V, temp_C, rate)
         mean = np.zeros(SIZE)
-        mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = soc, temp_C, temp_C
-        covariance = noise.start_covariance(pack, soc_sd, temp_sd_K, overpotential_sd_V)
+        mean[: C.SENSOR + 1] = state
+        mean[C.SOC] += float(pack.installation.start_soc_shift)
+        covariance = noise.start_covariance(pack, state, soc_sd, temp_sd_K)
         self._begin(mean, covariance, sample.time_s, ambient_C)
         self._current_A = self._block_A = current_A
         self._block = Block()
@@ -242,7 +236,10 @@ class SocFilter:
         soc: float = NAN,
     ) -> Estimate:
         mean = self._kalman.x if self._kalman is not None else np.full(SIZE, NAN)
-        soc_sd = math.sqrt(self._kalman.P[C.SOC, C.SOC]) if self._kalman is not None else NAN
+        covariance = self._kalman.P if self._kalman is not None else np.full((SIZE, SIZE), NAN)
+        sd = np.sqrt(np.diag(covariance))
+        soc_sd, resistance, capacity = float(sd[C.SOC]), float(mean[C.LOG_RESISTANCE]), float(mean[C.LOG_CAPACITY])
+        shared = covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY]
         status, reason = Status.OK, ""
         if refusal or self._kalman is None:
             status, reason = Status.REFUSED, refusal or "no usable sample yet"
@@ -264,8 +261,12 @@ class SocFilter:
             reason=reason,
             predicted_voltage_V=predicted_V,
             core_temp_C=float(mean[C.CORE]),
-            resistance_scale=float(np.exp(mean[C.LOG_RESISTANCE])),
-            capacity_scale=float(np.exp(mean[C.LOG_CAPACITY])),
+            resistance_scale=math.exp(resistance),
+            capacity_scale=math.exp(capacity),
+            resistance_scale_sd=math.exp(resistance) * float(sd[C.LOG_RESISTANCE]),
+            capacity_scale_sd=math.exp(capacity) * float(sd[C.LOG_CAPACITY]),
+            wear=math.expm1(resistance - capacity),
+            wear_sd=math.sqrt(max(sd[C.LOG_RESISTANCE] ** 2 + sd[C.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
         )
 
 

@@ -15,7 +15,8 @@ from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import Fit
 from uavbatt.records import Flight
 
-MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD = 0.06, 0.02
+# Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
+MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
 LOW_CELL_V = 3.5
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
 
@@ -52,6 +53,7 @@ def fit_battery(
     found = solve.fit(stack, own_prior=own_prior, progress=progress, evaluations=60)
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
+    capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
     left = assemble.discrepancy(
         stack, solve.replay(stack, found), held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights"
     )
@@ -67,7 +69,7 @@ def fit_battery(
             remarks=list(_unknown(found, stack, bool(bench))),
         ),
         parameters=assemble.parameter_table(
-            found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), MAKE_CAPACITY_SD
+            found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd
         ),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
         discrepancy=left,

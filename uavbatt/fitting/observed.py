@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import LONGEST_STEP_S, Array
+from uavbatt.battery.start import IDLE_C_RATE
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
 from uavbatt.records import NAN, Flight
@@ -21,7 +22,6 @@ from uavbatt.records import NAN, Flight
 BIN_S = 5.0
 # The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
 INDEPENDENT_S = 60.0
-RESTED_C = 0.15
 HELD_WINDOW_S = 30.0
 
 
@@ -155,7 +155,7 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
         return np.stack([np.pad(f[key], (0, rows - len(f[key])), mode="edge") for f in fine], axis=1)
 
     time_s = padded("time_s")
-    resting = np.abs(padded("current_A")) < RESTED_C * np.array([r.capacity_Ah for r in records])
+    resting = np.abs(padded("current_A")) < IDLE_C_RATE * np.array([r.capacity_Ah for r in records])
     weight = np.sqrt(np.clip(padded("spacing") / INDEPENDENT_S, 0.0, 1.0))
     weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage tells the OCV where it starts
     real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
@@ -178,7 +178,7 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
         weight=weight,
         start_temp_C=start_temp,
         ambient_C=np.where(np.isfinite(ambient), ambient, start_temp),
-        rested=np.array([abs(r.current_A[0]) / r.capacity_Ah < RESTED_C for r in records]),
+        rested=np.array([abs(r.current_A[0]) / r.capacity_Ah < IDLE_C_RATE for r in records]),
     )
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from uavbatt.battery.build import dense
-from uavbatt.battery.model import SOC_GRID, Array, rested
+from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory, simulate
+from uavbatt.battery.start import underway
 from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Posterior, Slot
@@ -62,8 +63,8 @@ def run(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Arra
     flat = own.reshape(variants * records, len(OWN))
     cell = cell._replace(resistance_gain=np.exp(flat[:, 1]))
     capacity = np.tile(stack.capacity_Ah, variants) * np.exp(flat[:, 2])
-    start = rested(flat[:, 0], np.tile(stack.start_temp_C, variants))
     rate = np.tile(stack.current_A, (1, variants)) / capacity
+    start = underway(cell, flat[:, 0], np.tile(stack.start_temp_C, variants), rate[0])
     return simulate(cell, start, rate, np.tile(stack.dt_s, (1, variants)), np.tile(stack.ambient_C, variants))
 
 

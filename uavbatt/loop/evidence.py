@@ -149,7 +149,7 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array]:
 def _voltage_whitener(stack: Stack, j: int, cells: float, tau_s: float) -> Whitener:
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
-    loaded = np.maximum.accumulate(np.abs(amps) > observed.RESTED_C * stack.capacity_Ah[j])
+    loaded = np.maximum.accumulate(np.abs(amps) > observed.IDLE_C_RATE * stack.capacity_Ah[j])
     sd = np.where(loaded, stack.sigma_V[rows, j], REST_CELL_SD_V * cells)
     kernel = np.exp(-np.abs(time_s[:, None] - time_s) / tau_s) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded

@@ -19,12 +19,11 @@ from uavbatt.battery.file import Corridor as CorridorEntry
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
+from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
 from uavbatt.validation.corridor import Corridor
 from uavbatt.validation.gate import Claim
 from uavbatt.validation.heldout import HeldOut, is_metered, mean_test
 
-# Packs of one make scatter in resistance by about 6 % and in capacity by 2 %.
-MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD = 0.06, 0.02
 # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
 # ties the charge down again, so that half of it stays with the capacity.
 LOW_CELL_V = 3.5
