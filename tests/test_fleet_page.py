@@ -1,0 +1,83 @@
+"""The page of a fleet: what it says of packs that age, of flights to look at, and of nothing at all."""
+
+from __future__ import annotations
+
+import random
+from datetime import UTC, datetime, timedelta
+from xml.etree import ElementTree
+
+import pytest
+
+from uavbatt.fleet.row import Row
+from uavbatt.report.fleet import fleet_report
+from uavbatt.report.fleet_groups import Group, change, gathered
+
+
+def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **more: object) -> list[Row]:
+    noise = random.Random(1)
+    start = datetime(2025, 3, 1, tzinfo=UTC)
+    return [
+        Row(
+            file=f"/logs/{aircraft}/{n}.tlog",
+            aircraft=aircraft,
+            certificate="fitted",
+            start_utc=(start + timedelta(days=n)).strftime("%Y-%m-%dT%H:%M:%SZ") if dated else "",
+            duration_s=900.0,
+            energy_Wh=60.0,
+            end_soc=0.3,
+            resistance_scale=1.0 + growth * n / flights + noise.gauss(0, 0.02),
+            resistance_scale_sd=0.08,
+            capacity_scale=1.0 + noise.gauss(0, 0.01),
+            capacity_scale_sd=0.04,
+            **more,  # type: ignore[arg-type]
+        )
+        for n in range(flights)
+    ]
+
+
+def group(made: list[Row]) -> Group:
+    return next(iter(gathered(made).groups.values()))
+
+
+def test_growth_is_told_and_noise_is_not() -> None:
+    aged, steady = group(rows("heron", 0.4)), group(rows("swift", 0.0))
+    grown, same = change(aged, aged.resistance), change(steady, steady.resistance)
+    assert grown is not None and grown.is_certain and grown.difference == pytest.approx(0.27, abs=0.05)
+    assert same is not None and not same.is_certain
+    few = group(rows("plover", 0.4, flights=3))
+    assert change(few, few.resistance) is None
+
+
+def test_dates_order_the_flights_and_their_absence_does_not_matter() -> None:
+    shuffled = rows("heron", 0.4)
+    random.Random(2).shuffle(shuffled)
+    dated, undated = group(shuffled), group(rows("heron", 0.4, dated=False))
+    assert dated.is_dated and not undated.is_dated
+    one, other = change(dated, dated.resistance), change(undated, undated.resistance)
+    assert one is not None and other is not None
+    assert one.difference == pytest.approx(other.difference)
+
+
+def test_a_battery_with_a_serial_is_its_own_group_on_any_aircraft() -> None:
+    found = gathered([*rows("a", 0.0, 4, battery_serial="77"), *rows("b", 0.0, 4, battery_serial="77")])
+    assert list(found.groups) == ["battery 77"] and found.groups["battery 77"].flights == 8
+
+
+def test_the_page_is_well_formed_whatever_files_are_called() -> None:
+    bad = Row(file="/x/<b>&\x07.BIN", status="bad", reason="expected <a log> & nothing else", look="x")
+    scored = {"error_120_s": 30.0, "inside_120": True, "error_60_s": float("nan"), "inside_60": False}
+    made = [
+        *rows("heron $x$ <i>", 0.4),
+        *rows("swift", 0.0, look="landed nearly empty: state of charge 0.02", **scored),
+        bad,
+    ]
+    page = fleet_report(gathered(made), "x (fitted)", (("logs", "61"),))
+    ElementTree.fromstring(page.replace("<!DOCTYPE html>", ""))
+    assert "Resistance has grown in: heron" in page and "landed nearly empty: state of charge …" in page
+    assert "expected &lt;a log&gt; &amp; nothing else" in page and "<script" not in page
+
+
+def test_a_fleet_of_nothing_is_a_page_too() -> None:
+    page = fleet_report(gathered([]), "x (generic)")
+    ElementTree.fromstring(page.replace("<!DOCTYPE html>", ""))
+    assert "no forecast can be checked" in page
