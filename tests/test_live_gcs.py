@@ -14,12 +14,16 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from live_rig import Bench, free_port
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from uavbatt.config import HttpSection
+from uavbatt.feed.web import serve
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.records import Sample
 
@@ -40,12 +44,6 @@ async def main(port, wanted):
             return
 asyncio.run(asyncio.wait_for(main(int(sys.argv[1]), int(sys.argv[2])), 25))
 """
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Autopilot(threading.Thread):
@@ -200,17 +198,32 @@ def test_mavproxy_works_behind_the_proxy_as_without_it(ports: tuple[int, int], t
     assert "time_remaining : 0," in plain and "time_remaining : 0," not in status
 
 
-def test_chromium_shows_the_time(ports: tuple[int, int], tmp_path: Path) -> None:
+def shown_in_chromium(url: str, folder: Path, width: int) -> str:
+    """The page's elements after its script has run, at a width in pixels; leaves a picture in the folder."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     if browser is None:
         pytest.skip("no chromium here: apt-get install chromium")
-    companion = start(ports, tmp_path, "--http", f"127.0.0.1:{ports[1]}")
-    time.sleep(8.0)
-    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--timeout=2000", "--dump-dom"]
-    try:
-        done = subprocess.run([*command, f"http://127.0.0.1:{ports[1]}/"], capture_output=True, text=True, timeout=40)
-    finally:
-        companion.terminate()
-        companion.wait(8.0)
-    assert 'class="state ok"' in done.stdout or 'class="state converging"' in done.stdout
-    assert "<small>min</small>" in done.stdout
+    picture = folder / f"{width}.png"
+    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--timeout=1500"]
+    command += [f"--user-data-dir={folder}", f"--window-size={width},900", f"--screenshot={picture}", "--dump-dom", url]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 8000
+    return done.stdout
+
+
+@pytest.mark.parametrize(("state", "width"), [("ok", 390), ("converging", 1280), ("refused", 390), ("stale", 1280)])
+def test_chromium_shows_every_state_as_it_is(tmp_path: Path, state: str, width: int) -> None:
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    rest = Sample(0.0, 16.7, 0.1, 25.0, 0.0, armed=False)
+    flight = [replace(rest, time_s=k / 2, voltage_V=16.0, current_A=12.0, armed=True) for k in range(10, 40)]
+    ground = [replace(rest, time_s=k / 2) for k in range(10)]
+    bench.play({"ok": ground + flight, "converging": flight, "refused": ground, "stale": ground + flight}[state])
+    bench.now_s += 10.0 if state == "stale" else 0.1
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
+    page = shown_in_chromium(f"http://127.0.0.1:{port}/", tmp_path, width)
+    assert f'class="state {state}"' in page
+    known = state in ("ok", "converging")
+    assert ("<small>min</small>" in page, 'class="time unknown"' in page) == (known, not known)
+    reasons = {"ok": "", "converging": "known only to", "refused": "on the ground", "stale": "no telemetry for 10 s"}
+    assert reasons[state] in page

@@ -38,6 +38,7 @@ from uavbatt.tracked import TrackedBattery
 LONGEST_WAIT_S = 0.05
 MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
+NOTE_S = 60.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
 
 
@@ -199,6 +200,8 @@ class Daemon:
 
     def _look_after(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
+        if now_s - self._start_s > NOTE_S:
+            self._note = ""  # how it began is of interest at the beginning
         notes = [self._note, self._state_problem, self._recorder.problem if self._recorder is not None else ""]
         reports, trend = tuple(in_order(self._reports)), self.board.trend
         trend.look(now_s, reports)
