@@ -49,9 +49,9 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
             pack = with_effects(base, {"resistance_growth": GROWTH * share if aircraft == AGEING else 0.0})
             power_W, ambient_C = float(random.uniform(260.0, 420.0)), float(random.uniform(5.0, 30.0))
             flown[key] = fly(pack, Mission(power_W, ambient_C, rate_Hz=RATE_HZ, seed=int(random.integers(1 << 30))))
-        # most land with a rest: only every fifth log shows the end of its flight
+        # most land with a rest: only every sixth log shows the end of its flight
         whole = flown[key]
-        samples = whole if number % 5 == 0 else whole[: int(len(whole) * random.uniform(0.6, 0.9))]
+        samples = whole if number % 6 == 0 else whole[: int(len(whole) * random.uniform(0.6, 0.9))]
         noise = random.normal(0.0, (0.003, 0.1), (len(samples), 2)).tolist()
         noisy = [
             replace(s, voltage_V=s.voltage_V + v, current_A=max(s.current_A + a, 0.0))

@@ -101,7 +101,7 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
     shown = [one for one in ranked if one[0].flights >= 2][:MOST_DRAWN]
     drawn = [grid(scale_figure(g, "resistance"), scale_figure(g, "capacity")) for g, _, _ in shown]
     hidden = len(ranked) - len(shown)
-    head = ("pack or aircraft", "flights", "hours", "Wh a flight", "first", "last", "resistance", "capacity", "verdict")
+    head = ("pack or aircraft", "flights", "hours", "Wh each", "first", "last", "resistance", "capacity", "verdict")
     rows = [
         (
             g.name, str(g.flights), number(g.flown_s / 3600.0, 1), number(g.energy_Wh / g.flights, 0), *_dates(g),
@@ -135,7 +135,7 @@ def _verdict(resistance: Change | None, capacity: Change | None) -> Html:
     if resistance is None or capacity is None:
         return badge("not enough data", "too few flights")
     if _is_grown(resistance):
-        return badge("fail", "resistance grown")
+        return badge("fail", "ohms grown")
     if capacity.is_certain and capacity.difference < 0.0:
         return badge("fail", "capacity lost")
     return badge("pass", "steady")
@@ -171,7 +171,7 @@ def _failed(found: Overview) -> Html:
         (str(count), reason, ", ".join(PurePath(f).name for f in found.failed[reason]) + (", …" if count > 3 else ""))
         for reason, count in by_count[:MOST_LISTED]
     ]
-    return table(("logs", "reason", "files"), rows, text_columns=(1, 2))
+    return table(("logs", "reason", "files"), rows, text_columns=(0, 1))
 
 
 def _accuracy(found: Overview) -> list[Html]:
