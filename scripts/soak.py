@@ -96,7 +96,7 @@ def main() -> int:
             record=RecordSection(folder=folder, max_file_MB=2.0, max_files=3, min_free_MB=0.0),
             state=StateSection(file=str(Path(folder) / "state.json"), period_s=60.0),
         )
-        options = PackOptions(capacity_Ah=5.0, cells=4)
+        options = PackOptions(capacity_Ah=5.0, cells=4, forecast_period_s=config.pack.forecast_period_s)
         clocks: dict[str, Any] = {"clock_s": lambda: now_s, "wall_s": lambda: 1.7e9 + now_s}
         daemon = Daemon(config, file.read("lipo-generic"), options, line, [Line()], **clocks)
         after_first_MB, hour, in_flight_s = 0.0, 0, 0.0
