@@ -10,6 +10,8 @@ What the caller does not say of the pack (cells, capacity, cut-off) comes from t
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,9 +23,11 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UsageError
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
+from uavbatt.prediction.endurance import EndTimes
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import ConstantLoad, Load
+from uavbatt.prediction.questions import Question, answer
 from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.swap import SwapWatch
 
@@ -74,6 +78,16 @@ class Past(NamedTuple):
         return Past(self.forecaster.moved(shift_s), self.intake.moved(shift_s))
 
 
+class Asked(NamedTuple):
+    """A sample taken in, and what is still to be worked out to say all that is known after it."""
+
+    sample: Sample
+    estimate: Estimate
+    forecaster: Forecaster | None
+    refusal: str
+    question: Question | None
+
+
 class Estimator:
     """State of charge and remaining time of one battery, sample by sample."""
 
@@ -87,6 +101,7 @@ class Estimator:
         power_W = self.options.load.power_W if isinstance(self.options.load, ConstantLoad) else NAN
         self._intake = Intake(stated_power_W=power_W)
         self._swap = SwapWatch()
+        self._coming: deque[tuple[Intake, Sample]] = deque()
 
     @classmethod
     def from_battery(
@@ -146,31 +161,44 @@ class Estimator:
 
     def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
         """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""
-        self._intake, sample = self._intake.after(sample)
+        asked = self.ask(sample)
+        return say(asked, answer(asked.question) if asked.question is not None else None)
+
+    def look_ahead(self, samples: Sequence[Sample]) -> None:
+        """The next samples will be these, with the facts as they are now: the filter may take them in one go."""
+        intake = self._intake
+        for sample in samples:
+            intake, cleaned = intake.after(sample)
+            self._coming.append((intake, cleaned))
+        if self._filter is not None:
+            self._filter.look_ahead([cleaned for _, cleaned in self._coming])
+
+    def ask(self, sample: Sample) -> Asked:
+        """One sample in; what there is to work out before more can be said. Depends on no answer: see `Forecaster`."""
+        self._intake, sample = self._coming.popleft() if self._coming else self._intake.after(sample)
         if self._filter is None or self._forecaster is None:
             if not math.isfinite(sample.voltage_V):
-                return _unknown(sample)
+                return Asked(sample, _unknown(sample), None, "no voltage in this row", None)
             self.resolved = self._resolve(_cells_from_voltage(sample.voltage_V, self.battery.battery.cells_series))
-            self._begin(self._pack(self.resolved))
+            self._begin(self._pack(self.resolved), sample)
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
         estimate = self._filter.step(sample)
         belief = self._filter.belief
         if belief is not None:
             self._swap = self._swap.after(estimate, belief, self._filter.pack)
         if self._swap.is_another:
-            self._begin(self._pack(self.resolved))
+            self._begin(self._pack(self.resolved), sample)
             estimate = self._filter.step(sample)
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
         estimate = replace(estimate, warnings=self._warnings(sample, estimate))
-        remaining = self._forecaster.step(sample, estimate, self._filter.belief)
-        if remaining.remaining_alarm_s <= ALARM_S:
-            alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
-            estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
-        return estimate, remaining
+        refusal, question = self._forecaster.ask(sample, estimate, self._filter.belief)
+        return Asked(sample, estimate, self._forecaster, refusal, question)
 
-    def _begin(self, pack: Pack) -> None:
+    def _begin(self, pack: Pack, first: Sample | None = None) -> None:
         """A new battery: nothing that was believed of the last one holds."""
         self._filter = SocFilter(pack, ambient_C=self.options.ambient_C)
+        if first is not None and self._coming:
+            self._filter.look_ahead([first, *(cleaned for _, cleaned in self._coming)])
         self._forecaster = Forecaster(
             pack, Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s)
         )
@@ -193,9 +221,7 @@ class Estimator:
             (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
         )
         if not math.isfinite(capacity_Ah):
-            raise UsageError(
-                f"capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah"
-            )
+            raise UsageError(f"capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah")
         share = cells / typed.cells_series
         cutoff_V, cutoff_from = _first(
             (given.cutoff_V, "--cutoff-voltage"),
@@ -253,13 +279,22 @@ class Estimator:
         return estimate.wear > unusual and estimate.wear > WEAR_IS_SURE * estimate.wear_sd
 
 
-def _unknown(sample: Sample) -> tuple[Estimate, Remaining]:
-    reason = "no voltage in this row"
-    nothing = (NAN,) * 2
-    estimate = Estimate(
-        sample.time_s, *nothing, NAN, sample.current_A, sample.temp_C, NAN, NAN, NAN, Status.REFUSED, reason
-    )
-    return estimate, Remaining(sample.time_s, *nothing, *nothing, Status.REFUSED, reason)
+def say(asked: Asked, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
+    """What is known after a sample, in the order of the samples; `ends` answers the question, if there was one."""
+    sample, estimate = asked.sample, asked.estimate
+    if asked.forecaster is None:
+        return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, asked.refusal)
+    answered = (asked.question, ends) if asked.question is not None and ends is not None else None
+    remaining = asked.forecaster.say(sample, estimate, asked.refusal, answered)
+    if remaining.remaining_alarm_s <= ALARM_S:
+        alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
+        estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
+    return estimate, remaining
+
+
+def _unknown(sample: Sample) -> Estimate:
+    reason, seen = "no voltage in this row", (sample.current_A, sample.temp_C)
+    return Estimate(sample.time_s, NAN, NAN, NAN, *seen, NAN, NAN, NAN, Status.REFUSED, reason)
 
 
 def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:

@@ -26,6 +26,8 @@ CONFIG_VARIABLE = "UAVBATT_LIVE"
 
 def run(config: Config) -> None:
     """Until SIGTERM or SIGINT."""
+    import filterpy.kalman  # noqa: F401 - loaded before the first row asks for it
+
     from uavbatt.battery import file
     from uavbatt.daemon import Daemon
 

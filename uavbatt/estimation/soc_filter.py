@@ -10,75 +10,43 @@ equation is written twice. A reading that is far off (NIS above GATE) is not thr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from uavbatt.battery import belief as b
-from uavbatt.battery import model
 from uavbatt.battery.belief import SIZE, Belief, C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
-from uavbatt.estimation import noise
+from uavbatt.estimation import ahead, noise
+from uavbatt.estimation.ahead import Row
+from uavbatt.estimation.recursion import (
+    BLOCK_S,
+    FULL_SOC_SD,
+    GATE,
+    NO_SUMMARY,
+    NOTHING,
+    NUDGE,
+    Block,
+    Moments,
+    Postponed,
+    Shown,
+    Standing,
+    is_complete,
+    summary,
+)
 from uavbatt.estimation.skew import Skew
 from uavbatt.records import NAN, Estimate, Sample, Status
 
-# Steps of the difference quotients: far above rounding, far below any curvature of the model.
-NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
-GATE = 16.0
-BLOCK_S = 2.0
+if TYPE_CHECKING:
+    from filterpy.kalman import ExtendedKalmanFilter
+
 CONVERGED_SOC_SD = 0.06
 REFUSED_SOC_SD = 0.20
 ROOM_TEMP_C = 22.0
-FULL_SOC_SD = 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """Rows that are taken in together: fast telemetry is averaged to BLOCK_S before the filter sees it.
-
-    The row-to-row noise of a current sensor, multiplied by the resistance, would look like a voltage that does not
-    answer the current: a resistance too small. Means over two seconds leave little of it, and cost less.
-    """
-
-    rows: int = 0
-    duration_s: float = 0.0
-    charge_As: float = 0.0
-    sum_V: float = 0.0
-    sum_A: float = 0.0
-    sum_C: float = 0.0
-    temps: int = 0
-
-    def after(self, sample: Sample, current_A: float, dt_s: float, previous_A: float) -> Block:
-        """The block with one more row, `dt_s` after a row of `previous_A` (trapezium rule)."""
-        has_temp = math.isfinite(sample.temp_C)
-        return Block(
-            self.rows + 1,
-            self.duration_s + dt_s,
-            self.charge_As + 0.5 * (previous_A + current_A) * dt_s,
-            self.sum_V + sample.voltage_V,
-            self.sum_A + current_A,
-            self.sum_C + (sample.temp_C if has_temp else 0.0),
-            self.temps + has_temp,
-        )
-
-    @property
-    def voltage_V(self) -> float:
-        """Mean voltage [V]."""
-        return self.sum_V / self.rows
-
-    @property
-    def current_A(self) -> float:
-        """Mean of the rows' currents [A]."""
-        return self.sum_A / self.rows
-
-    @property
-    def temp_C(self) -> float:
-        """Mean temperature [°C], NaN when no row had one."""
-        return self.sum_C / self.temps if self.temps else NAN
 
 
 class SocFilter:
@@ -87,12 +55,16 @@ class SocFilter:
     def __init__(self, pack: Pack, *, ambient_C: float = NAN) -> None:
         self.pack = pack
         self.given_ambient_C = ambient_C
-        self._kalman: ExtendedKalmanFilter | None = None
+        self._kalman: ExtendedKalmanFilter | Moments | None = None
         self._time_s = NAN
         self._current_A = self._block_A = NAN
         self._block = Block()
         self._ambient_C = ambient_C
         self._skew = Skew(float(pack.installation.delay_s))
+        self._ahead: deque[Row] = deque()
+        self._summary = NO_SUMMARY
+        self._after = self.standing
+        self.postponed: list[Postponed] | None = None  # what rows should show, when many are worked out at once
 
     @property
     def belief(self) -> Belief | None:
@@ -109,49 +81,82 @@ class SocFilter:
 
     def step(self, sample: Sample) -> Estimate:
         """Take one sample in; a sample without voltage or current moves nothing and says so."""
-        if not math.isfinite(sample.voltage_V) or not math.isfinite(sample.current_A):
-            missing = "voltage" if not math.isfinite(sample.voltage_V) else "current"
-            return self._estimate(sample, NAN, NAN, NAN, refusal=f"no {missing} in this row")
-        paired = self._skew.paired(sample)
-        estimate = self._taken(paired)
-        if paired is sample:
-            return estimate
-        power_W = sample.voltage_V * sample.current_A
-        return replace(estimate, voltage_V=sample.voltage_V, current_A=sample.current_A, power_W=power_W)
+        if self._ahead:
+            if self._ahead[0].sample is not sample:
+                raise RuntimeError("a filter that has looked ahead must be given the rows that it has seen")
+            return self._estimate(sample, self._looked_up().shown)
+        paired = self._skew.paired(sample) if is_complete(sample) else sample
+        return self._estimate(sample, self.take(paired))
 
-    def _taken(self, sample: Sample) -> Estimate:
-        """A sample whose voltage and current are of the same instant."""
-        current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
+    def look_ahead(self, samples: Sequence[Sample]) -> None:
+        """Work many rows out in one go; the next steps must be these samples, and the pack must stay as it is."""
+        if self._skew.delay_s == 0.0 and not self._ahead and samples:
+            before = self.standing
+            self._ahead = deque(ahead.rows(self, samples))
+            self._after, self.standing = self.standing, before
+
+    def _looked_up(self) -> Row:
+        row = self._ahead.popleft()
+        self._kalman, self._time_s, self._ambient_C = row.moments, row.time_s, self._after.ambient_C
+        if not self._ahead:
+            self.standing = self._after
+        return row
+
+    @property
+    def standing(self) -> Standing:
+        """Where the filter stands, as a value."""
+        kalman = self._kalman
+        moments = Moments(kalman.x, kalman.P) if kalman is not None else None
+        return Standing(moments, self._time_s, self._current_A, self._block_A, self._block, self._ambient_C)
+
+    @standing.setter
+    def standing(self, at: Standing) -> None:
+        self._kalman, self._time_s, self._current_A, self._block_A = at[:4]
+        self._block, self._ambient_C = at.block, at.ambient_C
+
+    def take(self, sample: Sample) -> Shown:
+        """A sample whose voltage and current are of the same instant; what it shows."""
+        if not is_complete(sample):
+            return NOTHING
         if self._kalman is None:
-            self._start(sample, current_A)
-            return self._update(sample, Block().after(sample, current_A, 0.0, current_A), step_A=0.0)
+            current_A = self.start(sample)
+            return self._update(Block().after(sample, current_A, 0.0, current_A), step_A=0.0)
+        current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
         dt_s = sample.time_s - self._time_s
         if dt_s < 0.0:
-            return self._estimate(sample, NAN, NAN, NAN, refusal="time went backwards")
+            return NOTHING
         if dt_s > BLOCK_S and self._block.duration_s > 0.0:
-            self._close(sample)  # rows before a gap belong to the time before it
+            self._close()  # rows before a gap belong to the time before it
         self._block = self._block.after(sample, current_A, dt_s, self._current_A)
         self._time_s, self._current_A = sample.time_s, current_A
-        block = self._block
-        if block.duration_s < BLOCK_S:
-            return self._between(sample, current_A, block)
-        return self._close(sample)
+        if self._block.duration_s < BLOCK_S:
+            return self._between(sample, current_A)
+        return self._close()
 
-    def _close(self, sample: Sample) -> Estimate:
+    def _close(self) -> Shown:
         """Take the rows of the block in."""
         block, self._block = self._block, Block()
         self._predict(block.charge_As / block.duration_s, block.duration_s)
         step_A, self._block_A = block.current_A - self._block_A, block.current_A
-        return self._update(sample, block, step_A)
+        return self._update(block, step_A)
 
     def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:
-        kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
-        kalman.x, kalman.P = mean, covariance
-        self._kalman, self._time_s, self._ambient_C = kalman, time_s, ambient_C
+        self._kalman, self._time_s, self._ambient_C = Moments(mean, covariance), time_s, ambient_C
 
-    def _start(self, sample: Sample, current_A: float) -> None:
-        """First belief: from the rested voltage, or wide from the voltage under load."""
+    def _filterpy(self) -> ExtendedKalmanFilter:
+        """The belief as filterpy's filter, which is loaded here: rows that compiled code works out do not need it."""
+        if isinstance(self._kalman, Moments):
+            from filterpy.kalman import ExtendedKalmanFilter
+
+            kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
+            kalman.x, kalman.P = self._kalman.x.copy(), self._kalman.P.copy()
+            self._kalman = kalman
+        return self._kalman
+
+    def start(self, sample: Sample) -> float:
+        """First belief: from the rested voltage, or wide from the voltage under load. Returns the true current [A]."""
         pack = self.pack
+        current_A = float(true_current(pack.installation, sample.current_A, sample.voltage_V))
         temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.temperature_sd_K
         if not math.isfinite(temp_C):
             temp_C, temp_sd_K = self.given_ambient_C, 3.0
@@ -168,21 +173,20 @@ class SocFilter:
         self._begin(mean, covariance, sample.time_s, ambient_C)
         self._current_A = self._block_A = current_A
         self._block = Block()
+        return current_A
 
     def _predict(self, mean_A: float, dt_s: float) -> None:
         """Carry the belief over dt under the mean current."""
-        assert self._kalman is not None
-        kalman = self._kalman
+        kalman = self._filterpy()
         kalman.F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), kalman.x)
         rate = float(c_rate(self.pack.installation, mean_A))
         kalman.Q = np.diag(noise.process_variances(self.pack, kalman.x, rate, dt_s))
         kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
         kalman.x = moved
 
-    def _update(self, sample: Sample, block: Block, step_A: float) -> Estimate:
+    def _update(self, block: Block, step_A: float) -> Shown:
         """Condition the belief on the means of a block of rows."""
-        assert self._kalman is not None
-        kalman, pack = self._kalman, self.pack
+        kalman, pack = self._filterpy(), self.pack
         current_A, temp_C = block.current_A, block.temp_C
         has_temp = math.isfinite(temp_C)
 
@@ -205,69 +209,68 @@ class SocFilter:
         kalman.update(measured, lambda x: observation, lambda x: expected, R=noise_R)
         self._keep_soc_possible()
         kalman.P = 0.5 * (kalman.P + kalman.P.T)
-        return self._estimate(sample, float(innovation[0]), nis, float(expected[0]))
+        return Shown(float(innovation[0]), nis, float(expected[0]), float(kalman.x[C.SOC]))
 
-    def _between(self, sample: Sample, current_A: float, block: Block) -> Estimate:
+    def _between(self, sample: Sample, current_A: float) -> Shown:
         """Within a block: the last belief, less the charge drawn since."""
         assert self._kalman is not None
         x = self._kalman.x.copy()
         capacity_As = 3600.0 * self.pack.installation.present_capacity_Ah * math.exp(x[C.LOG_CAPACITY])
-        x[C.SOC] -= block.charge_As / capacity_As
+        x[C.SOC] -= self._block.charge_As / capacity_As
+        if self.postponed is not None:
+            self.postponed.append(Postponed(x, current_A, sample.voltage_V))
+            return Shown(NAN, NAN, NAN, float(x[C.SOC]))
         expected_V = float(b.voltage(self.pack, x, current_A))
-        return self._estimate(sample, sample.voltage_V - expected_V, NAN, expected_V, soc=float(x[C.SOC]))
+        return Shown(sample.voltage_V - expected_V, NAN, expected_V, float(x[C.SOC]))
 
     def _keep_soc_possible(self) -> None:
         """A cell is never more than full: told to the filter as a reading, so that what is correlated follows."""
-        assert self._kalman is not None
-        kalman = self._kalman
+        kalman = self._filterpy()
         excess = float(kalman.x[C.SOC]) - 1.0
         if excess > 0.0:
             row = np.zeros((1, SIZE))
             row[0, C.SOC] = 1.0
             kalman.update(np.array([-excess]), lambda x: row, lambda x: np.zeros(1), R=np.eye(1) * FULL_SOC_SD**2)
 
-    def _estimate(
-        self,
-        sample: Sample,
-        innovation_V: float,
-        nis: float,
-        predicted_V: float,
-        refusal: str = "",
-        soc: float = NAN,
-    ) -> Estimate:
-        mean = self._kalman.x if self._kalman is not None else np.full(SIZE, NAN)
-        covariance = self._kalman.P if self._kalman is not None else np.full((SIZE, SIZE), NAN)
-        sd = np.sqrt(np.diag(covariance))
-        soc_sd, resistance, capacity = float(sd[C.SOC]), float(mean[C.LOG_RESISTANCE]), float(mean[C.LOG_CAPACITY])
-        shared = covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY]
+    def _estimate(self, sample: Sample, shown: Shown) -> Estimate:
+        if self._kalman is not None and self._summary.x is not self._kalman.x:
+            self._summary = summary(self._kalman.x, self._kalman.P)
+        known = self._summary
         status, reason = Status.OK, ""
-        if refusal or self._kalman is None:
-            status, reason = Status.REFUSED, refusal or "no usable sample yet"
-        elif soc_sd > REFUSED_SOC_SD:
-            status, reason = Status.REFUSED, f"state of charge known only to ±{soc_sd:.0%}"
-        elif soc_sd > CONVERGED_SOC_SD:
-            status, reason = Status.CONVERGING, f"state of charge known only to ±{soc_sd:.0%}"
+        if self._kalman is None or not math.isfinite(shown.soc):
+            status, reason = Status.REFUSED, _why_nothing(sample)
+        elif known.soc_sd > REFUSED_SOC_SD:
+            status, reason = Status.REFUSED, f"state of charge known only to ±{known.soc_sd:.0%}"
+        elif known.soc_sd > CONVERGED_SOC_SD:
+            status, reason = Status.CONVERGING, f"state of charge known only to ±{known.soc_sd:.0%}"
         return Estimate(
             time_s=sample.time_s,
-            soc=float(np.clip(soc if math.isfinite(soc) else mean[C.SOC], 0.0, 1.0)),
-            soc_sd=soc_sd,
+            soc=min(max(shown.soc if math.isfinite(shown.soc) else known.soc, 0.0), 1.0),
+            soc_sd=known.soc_sd,
             voltage_V=sample.voltage_V,
             current_A=sample.current_A,
             temp_C=sample.temp_C,
             power_W=sample.voltage_V * sample.current_A,
-            innovation_V=innovation_V,
-            nis=nis,
+            innovation_V=shown.innovation_V,
+            nis=shown.nis,
             status=status,
             reason=reason,
-            predicted_voltage_V=predicted_V,
-            core_temp_C=float(mean[C.CORE]),
-            resistance_scale=math.exp(resistance),
-            capacity_scale=math.exp(capacity),
-            resistance_scale_sd=math.exp(resistance) * float(sd[C.LOG_RESISTANCE]),
-            capacity_scale_sd=math.exp(capacity) * float(sd[C.LOG_CAPACITY]),
-            wear=math.expm1(resistance - capacity),
-            wear_sd=math.sqrt(max(sd[C.LOG_RESISTANCE] ** 2 + sd[C.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
+            predicted_voltage_V=shown.expected_V,
+            core_temp_C=known.core_C,
+            resistance_scale=known.resistance_scale,
+            capacity_scale=known.capacity_scale,
+            resistance_scale_sd=known.resistance_scale_sd,
+            capacity_scale_sd=known.capacity_scale_sd,
+            wear=known.wear,
+            wear_sd=known.wear_sd,
         )
+
+
+def _why_nothing(sample: Sample) -> str:
+    """Why a row moved nothing."""
+    if is_complete(sample):
+        return "time went backwards"
+    return "no voltage in this row" if not math.isfinite(sample.voltage_V) else "no current in this row"
 
 
 def _jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:

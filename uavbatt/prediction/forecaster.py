@@ -7,7 +7,6 @@ which counts down between two.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -121,25 +120,22 @@ class Forecaster:
 
     def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
         """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
-        refusal, question = self.ask(sample, estimate, lambda: belief)
+        refusal, question = self.ask(sample, estimate, belief)
         return self.say(sample, estimate, refusal, question and (question, answer(question)))
 
-    def ask(
-        self, sample: Sample, estimate: Estimate, belief: Callable[[], Belief | None]
-    ) -> tuple[str, Question | None]:
+    def ask(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> tuple[str, Question | None]:
         """What there is to work out after `sample`, taken into the memory: a refusal, a question, or neither.
 
         Nothing of it depends on an answer, so that a replay may ask many times and answer all at once.
         """
         self._remember(sample)
         refusal, question = self._refusal(sample, estimate), None
-        if not refusal and not sample.time_s - self._asked_s < self.settings.period_s:
-            known = belief()
-            question = None if known is None else self.question(known, sample.time_s)
-            if known is None:
-                refusal = "no belief about the pack yet"
-            elif question is None:
-                refusal = "the end lies beyond six hours: the load is not that of a flight"
+        if not refusal and belief is None:
+            refusal = "no belief about the pack yet"
+        elif not refusal and not sample.time_s - self._asked_s < self.settings.period_s:
+            assert belief is not None
+            question = self.question(belief, sample.time_s)
+            refusal = "" if question else "the end lies beyond six hours: the load is not that of a flight"
         if refusal:
             self._asked_s = NAN
         elif question is not None:

@@ -1,0 +1,154 @@
+"""Values that the filter, its look-ahead and its compiled twin share, beside the model and the noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.belief import SIZE, C
+from uavbatt.battery.model import Array
+from uavbatt.records import Sample
+
+# Steps of the difference quotients: far above rounding, far below any curvature of the model.
+NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
+GATE = 16.0
+BLOCK_S = 2.0
+FULL_SOC_SD = 0.01
+
+
+class Block(NamedTuple):
+    """Rows that are taken in together: fast telemetry is averaged to BLOCK_S before the filter sees it.
+
+    The row-to-row noise of a current sensor, multiplied by the resistance, would look like a voltage that does not
+    answer the current: a resistance too small. Means over two seconds leave little of it, and cost less.
+    """
+
+    rows: int = 0
+    duration_s: float = 0.0
+    charge_As: float = 0.0
+    sum_V: float = 0.0
+    sum_A: float = 0.0
+    sum_C: float = 0.0
+    temps: int = 0
+
+    def after(self, sample: Sample, current_A: float, dt_s: float, previous_A: float) -> Block:
+        """The block with one more row, `dt_s` after a row of `previous_A` (trapezium rule)."""
+        has_temp = math.isfinite(sample.temp_C)
+        return Block(
+            self.rows + 1,
+            self.duration_s + dt_s,
+            self.charge_As + 0.5 * (previous_A + current_A) * dt_s,
+            self.sum_V + sample.voltage_V,
+            self.sum_A + current_A,
+            self.sum_C + (sample.temp_C if has_temp else 0.0),
+            self.temps + has_temp,
+        )
+
+    @property
+    def voltage_V(self) -> float:
+        """Mean voltage [V]."""
+        return self.sum_V / self.rows
+
+    @property
+    def current_A(self) -> float:
+        """Mean of the rows' currents [A]."""
+        return self.sum_A / self.rows
+
+    @property
+    def temp_C(self) -> float:
+        """Mean temperature [°C], NaN when no row had one."""
+        return self.sum_C / self.temps if self.temps else math.nan
+
+
+class Begun(NamedTuple):
+    """Where the filter stands between two rows: time and current of the last, mean current of the last block."""
+
+    time_s: float
+    current_A: float
+    block_A: float
+    is_first: bool  # the belief comes from the row that follows
+    block: Array  # the open `Block`
+
+
+@dataclass(slots=True)
+class Moments:
+    """Mean and covariance, where filterpy's filter is not needed."""
+
+    x: Array
+    P: Array
+
+
+class Standing(NamedTuple):
+    """All that a filter carries from row to row."""
+
+    moments: Moments | None
+    time_s: float
+    current_A: float
+    block_A: float
+    block: Block
+    ambient_C: float
+
+
+class Shown(NamedTuple):
+    """What a row shows: innovation [V], its NIS (NaN within a block), expected voltage [V], soc."""
+
+    innovation_V: float
+    nis: float
+    expected_V: float
+    soc: float
+
+
+NOTHING = Shown(math.nan, math.nan, math.nan, math.nan)
+
+
+class Postponed(NamedTuple):
+    """A row whose expected voltage is worked out later, with those of other rows."""
+
+    x: Array
+    current_A: float
+    voltage_V: float
+
+
+def is_complete(sample: Sample) -> bool:
+    """Whether the row can move the belief."""
+    return math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)
+
+
+class Summary(NamedTuple):
+    """What estimates say of a belief: the same for all rows between two updates."""
+
+    x: Array
+    soc: float
+    soc_sd: float
+    core_C: float
+    resistance_scale: float
+    resistance_scale_sd: float
+    capacity_scale: float
+    capacity_scale_sd: float
+    wear: float
+    wear_sd: float
+
+
+NO_SUMMARY = Summary(np.full(SIZE, math.nan), *(math.nan,) * 9)
+
+
+def summary(x: Array, covariance: Array) -> Summary:
+    """Mean and spread of what is told of a belief."""
+    sd = np.sqrt(np.diag(covariance))
+    resistance, capacity = float(x[C.LOG_RESISTANCE]), float(x[C.LOG_CAPACITY])
+    shared = covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY]
+    return Summary(
+        x=x,
+        soc=float(x[C.SOC]),
+        soc_sd=float(sd[C.SOC]),
+        core_C=float(x[C.CORE]),
+        resistance_scale=math.exp(resistance),
+        resistance_scale_sd=math.exp(resistance) * float(sd[C.LOG_RESISTANCE]),
+        capacity_scale=math.exp(capacity),
+        capacity_scale_sd=math.exp(capacity) * float(sd[C.LOG_CAPACITY]),
+        wear=math.expm1(resistance - capacity),
+        wear_sd=math.sqrt(max(sd[C.LOG_RESISTANCE] ** 2 + sd[C.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
+    )

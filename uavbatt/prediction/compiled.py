@@ -1,0 +1,125 @@
+"""When each draw of a forecast ends, compiled: the twin of `endurance.time_to_end`, equal to it to rounding.
+
+The model's functions are those of `battery`; the walk along the steps stands here a second time, draw by draw, so
+that each stops at its own end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uavbatt import fast
+from uavbatt.battery import belief as b
+from uavbatt.battery import model
+from uavbatt.battery.belief import C
+from uavbatt.battery.build import Pack
+from uavbatt.battery.compiled import as_numbers, compiled
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import metered_voltage, terminal_voltage
+from uavbatt.prediction import spread
+from uavbatt.prediction.endurance import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
+from uavbatt.prediction.questions import Question
+
+
+def answer(q: Question) -> EndTimes:
+    """When each draw ends."""
+    steps, drawn = q.dt_s.size, spread.wander()
+    ends = time_to_end(
+        as_numbers(q.pack),
+        np.ascontiguousarray(q.x),
+        np.ascontiguousarray(q.power_W),
+        float(q.ambient_C),
+        np.ascontiguousarray(q.dt_s),
+        float(q.reserve_soc),
+        drawn.bias[:steps],
+        drawn.row[:steps],
+        q.by_rows,
+    )
+    fast.is_made("forecast")
+    return EndTimes(*ends)
+
+
+@compiled
+def time_to_end(
+    pack: Pack,
+    x: Array,
+    power_W: Array,
+    ambient_C: float,
+    dt_s: Array,
+    reserve_soc: float,
+    bias: Array,
+    row: Array,
+    by_rows: bool,
+) -> tuple[Array, Array]:
+    """End of flight and of the low-voltage warning [s] of each column; inf beyond the horizon."""
+    batch = x.shape[1]
+    memory, end_s, low_s = np.exp(-dt_s / pack.bias_tau_s), np.empty(batch), np.empty(batch)
+    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    for j in range(batch):
+        end_s[j], low_s[j] = one(
+            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, memory, kick_V, bias[:, j], row[:, j], by_rows
+        )
+    return end_s, low_s
+
+
+@compiled
+def one(
+    pack: Pack,
+    x: Array,
+    power_W: Array,
+    ambient_C: float,
+    dt_s: Array,
+    reserve_soc: float,
+    memory: Array,
+    kick_V: Array,
+    bias: Array,
+    row: Array,
+    by_rows: bool,
+) -> tuple[float, float]:
+    """One column of it."""
+    cell, installation, state = b.unpack(pack, x)
+    present_Ah, cells = installation.present_capacity_Ah, installation.cells
+    size, harness_ohmAh = cells * present_Ah, installation.harness_ohm * present_Ah / cells
+    steps = min(dt_s.size, bias.size)
+    bias_V, before, at_s, end_s, low_s = x[C.BIAS], 0.0, 0.0, np.inf, np.inf
+    last_end, last_low, below_end, below_low = 0.0, 0.0, 0, 0
+    for k in range(steps):
+        emf_V, r_ohmAh = model.source(cell, state)
+        emf_V = emf_V + bias_V
+        rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, power_W[k] / size)
+        true_V = terminal_voltage(installation, cell, state, rate * present_Ah)
+        volts = metered_voltage(installation, true_V + cells * bias_V)
+        if by_rows and k > 0:
+            volts += cells * pack.row_share * abs(rate - before) * (r_ohmAh + harness_ohmAh) * row[k]
+        before = rate
+        margin, above_low = volts - pack.cutoff_V, volts - pack.low_V
+        if reserve_soc > 0.0:
+            margin = min(margin, (state.soc - reserve_soc) * SOC_IN_VOLTS)
+        earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0
+        if by_rows:  # the last three rows as bits: two of three below make the middle one's median below
+            below_end, below_low = (2 * below_end + (margin < 0.0)) % 8, (2 * below_low + (above_low < 0.0)) % 8
+            if k > 1 and low_s == np.inf and below_low in (3, 5, 6, 7):
+                low_s = earlier_s
+            if k > 1 and below_end in (3, 5, 6, 7):
+                end_s = earlier_s
+        else:
+            if low_s == np.inf and above_low < 0.0:
+                low_s = crossing(k, last_low, above_low, earlier_s, at_s)
+            if margin < 0.0:
+                end_s = crossing(k, last_end, margin, earlier_s, at_s)
+        if end_s < np.inf:
+            break
+        last_end, last_low = margin, above_low
+        if by_rows:
+            mean_W = 0.5 * (power_W[k] + power_W[min(k + 1, dt_s.size - 1)])
+            rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, mean_W / size)
+        state = model.step_against(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
+        bias_V = memory[k] * bias_V + kick_V[k] * bias[k]
+        at_s += dt_s[k]
+    return end_s, min(low_s, end_s)
+
+
+@compiled
+def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
+    """As `endurance._mean_crossing`: when the fall from `above` to `under` passed zero, and the lag of the mean."""
+    return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0
