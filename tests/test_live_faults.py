@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file, model
 from uavbatt.battery.build import pack_of
-from uavbatt.config import FeedSection, RecordSection, StateSection
+from uavbatt.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.feed import sinks
 from uavbatt.feed.now import Report
 from uavbatt.feed.web import content
@@ -204,6 +204,36 @@ def test_a_state_with_damage_inside_is_left_alone(tmp_path: Path) -> None:
         bench = Bench(OPTIONS, start_s=first.now_s + 1.0, state=StateSection(file=str(path)))
         bench.play(flight()[121:127])
         assert bench.daemon.board.reports[0].estimate.soc > 0.5, key
+
+
+def test_a_state_of_another_battery_file_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    first = Bench(OPTIONS, state=StateSection(file=str(path)))
+    first.play(flight()[:60])
+    first.daemon.close()
+    saved = json.loads(path.read_text())
+    path.write_text(json.dumps(saved | {"battery_sha256": "0" * 64}))
+    second = Bench(OPTIONS, start_s=first.now_s + 1.0, state=StateSection(file=str(path)))
+    second.daemon.turn()
+    assert second.daemon.board.notes == ("saved state is of another battery file",)
+    path.write_text(json.dumps(saved | {"boot_id": "another boot", "monotonic_s": 1e9}))
+    third = Bench(OPTIONS, start_s=first.now_s + 2.0, state=StateSection(file=str(path)))
+    third.daemon.turn()
+    assert third.daemon.board.notes == ("resumed from a state 2 s old",)  # by the wall clock
+
+
+def test_the_vehicle_that_is_named_is_the_one() -> None:
+    """Two autopilots on one port: the first heard, or the one whose system is given."""
+    for system, wanted_V in ((None, 16.0), (7, 15.0)):
+        bench = Bench(OPTIONS, link=LinkSection(endpoint="x", gcs=["y"], system=system))
+        for k in range(10):
+            for sender, volts in ((1, 16.0), (7, 15.0)):
+                bench.send(heartbeat(True), system=sender)
+                bench.send(battery_status(Sample(0.0, volts, 12.0, 25.0, k / 3000), 0), system=sender)
+            bench.daemon.turn()
+            bench.now_s += 0.1
+        assert [r.estimate.voltage_V for r in bench.daemon.board.reports] == [pytest.approx(wanted_V)]
+        assert {m.get_srcSystem() for m in bench.to_gcs() if m.get_type() == "NAMED_VALUE_FLOAT"} == {system or 1}
 
 
 def test_a_state_is_too_old_when_the_telemetry_begins_too_late(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import itertools
 import os
 import pty
 import socket
+import subprocess
+import sys
 import time
 import tty
 import urllib.error
@@ -14,7 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from live_rig import OPTIONS, Bench, FakeLink, Vehicle, free_port, until
+from live_rig import OPTIONS, ROOT, Bench, FakeLink, Vehicle, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file
@@ -24,6 +26,8 @@ from uavbatt.errors import BadInput, UsageError
 from uavbatt.feed.web import serve
 from uavbatt.mavlink.endpoint import parse
 from uavbatt.mavlink.links import open_link
+from uavbatt.pipeline import PackOptions
+from uavbatt.telemetry import read_log
 
 KEY = bytes(range(32))
 
@@ -47,6 +51,26 @@ class StreamVehicle(Vehicle):
             return self.end.recv(4096) if self.end is not None else b""
         except OSError:
             return b""
+
+
+class CalledVehicle(Vehicle):
+    """The same quad on UDP, but it waits to be called: the far end of a `udpout`."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(port)
+        self.line.bind(self.to)
+        self.caller: Any = None
+
+    def write(self, data: bytes) -> None:
+        if self.caller is not None:
+            self.line.sendto(data, self.caller)
+
+    def read(self) -> bytes:
+        try:
+            data, self.caller = self.line.recvfrom(4096)
+        except (BlockingIOError, ConnectionRefusedError):
+            return b""
+        return data
 
 
 class Pty:
@@ -96,7 +120,7 @@ def at(kind: str) -> tuple[str, StreamVehicle | Vehicle]:
         return f"tcp:127.0.0.1:{port}", StreamVehicle(listening(port))
     if kind == "tcpin":
         return f"tcpin:127.0.0.1:{port}", StreamVehicle(connecting(port))
-    return f"{kind}:127.0.0.1:{port}", Vehicle(port)
+    return f"{kind}:127.0.0.1:{port}", CalledVehicle(port) if kind == "udpout" else Vehicle(port)
 
 
 @pytest.fixture
@@ -120,13 +144,40 @@ def rows(daemon: Daemon) -> int:
     return int(daemon.board.counts.get("rows", 0))
 
 
-@pytest.mark.parametrize("flown", ["udpin", "tcp", "tcpin", "serial"], indirect=True)
+@pytest.mark.parametrize("flown", ["udpin", "udpout", "tcp", "tcpin", "serial"], indirect=True)
 def test_every_kind_of_endpoint_brings_rows_and_takes_a_heartbeat(flown: tuple[Daemon, Any]) -> None:
     daemon, vehicle = flown
     until(lambda: rows(daemon) >= 5)
     until(lambda: (daemon.turn(), vehicle.heard)[1])
     assert {m.get_type() for m in vehicle.heard} == {"HEARTBEAT"}
     assert daemon.board.reports[0].estimate.current_A == 12.0
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [("udpin", "udpout"), ("tcpin", "tcp"), ("tcp", "tcpin")])
+def test_a_log_that_is_played_on_a_socket_gives_its_rows(ours: str, theirs: str) -> None:
+    """scripts/play_tlog.py as the vehicle: a minute of the sample log at twentyfold speed."""
+    port, station = free_port(), FakeLink()
+    log = ROOT / "logs/quad_4s.tlog"
+    link = open_link(f"{ours}:127.0.0.1:{port}")
+    settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
+    daemon = Daemon(settings, file.read("lipo-generic"), PackOptions(), link, [station])
+    command = [sys.executable, str(ROOT / "scripts/play_tlog.py"), str(log), f"{theirs}:127.0.0.1:{port}"]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    player = subprocess.Popen([*command, "--speed", "20", "--seconds", "60"], env=env)
+    wanted = [s.voltage_V for s in read_log(log).samples if s.time_s <= 60.0]
+    seen: list[float] = []
+    step = daemon._step
+    daemon._step = lambda row, now_s: (seen.append(row.sample.voltage_V), step(row, now_s))[1]  # type: ignore[method-assign]
+    try:
+        until(lambda: (daemon.turn(), len(seen) >= 0.6 * len(wanted))[1], 20.0)
+    finally:
+        player.terminate()
+        player.wait(5.0)
+        daemon.close()
+    begins = range(len(wanted)) if ours == "tcp" else [0]  # before the connection it plays to nobody
+    assert any(seen == wanted[k : k + len(seen)] for k in begins)
+    assert ours == "tcp" or daemon._reader.parameters["BATT_CAPACITY"] == 5000.0
+    assert daemon.board.reports[0].battery == "lipo-generic"
 
 
 @pytest.mark.parametrize("flown", ["tcp", "tcpin"], indirect=True)

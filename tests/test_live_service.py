@@ -189,6 +189,26 @@ def test_every_key_stands_in_the_sample_with_its_default() -> None:
     assert shown == known
 
 
+def test_options_go_before_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import typer.testing
+
+    from uavbatt.cli import app, live
+
+    become: list[Config] = []
+    monkeypatch.setattr(live, "_become", become.append)
+    path = tmp_path / "u.toml"
+    path.write_text('[link]\nendpoint = "tcp:a:1"\ngcs = ["udpout:b:2"]\n[pack]\ncells = 6\ncapacity_Ah = 9.0\n')
+    monkeypatch.setenv("UAVBATT_CONFIG", str(path))
+    run = typer.testing.CliRunner().invoke
+    assert run(app.app, ["live"]).exit_code == 0
+    assert run(app.app, ["live", "udpin:c:3", "--cells", "4", "--feed", "battery", "--record", "d"]).exit_code == 0
+    first, second = become
+    assert (first.link.endpoint, first.pack.cells, first.pack.capacity_Ah) == ("tcp:a:1", 6, 9.0)
+    assert first.feed.kinds == ("named",)
+    assert (second.link.endpoint, second.link.gcs, second.pack.cells) == ("udpin:c:3", ["udpout:b:2"], 4)
+    assert (second.pack.capacity_Ah, list(second.feed.kinds), second.record.folder) == (9.0, ["battery"], "d")
+
+
 @pytest.mark.parametrize(
     ("text", "key"),
     [
