@@ -101,8 +101,8 @@ CELL_EFFECTS = (
         "the electrodes react sluggishly: a drop that saturates with the load",
         "cell",
         (
-            Quantity("transfer_V", "V", 0.0, 0.0, 0.3, 0.02, 0.03),
-            Quantity("transfer_half_rate", "1/h", 0.4, 0.05, 5.0, 0.4, 0.7, log=True),
+            Quantity("transfer_V", "V", 0.0, 0.0, 0.3, 0.0, 0.03),
+            Quantity("transfer_half_rate", "1/h", 0.3, 0.05, 5.0, 0.3, 0.0, log=True),
         ),
     ),
     Effect(
@@ -148,7 +148,7 @@ INSTALLATION_EFFECTS = (
         "current_offset",
         "the current sensor adds a constant",
         "installation",
-        (Quantity("offset_A", "A", 0.0, -5.0, 5.0, 0.0, 1.0),),
+        (Quantity("offset_A", "A", 0.0, -5.0, 5.0, 0.0, 0.5),),
     ),
     Effect(
         "unmetered_load",

@@ -53,7 +53,7 @@ class Parameters(NamedTuple):
     rate_gain_h: Number = 0.0
     sensor_lag_s: Number = 1.0
     transfer_V: Number = 0.0  # drop of a sluggish reaction at a large load
-    transfer_half_rate: Number = 0.4  # C-rate at which half of it shows
+    transfer_half_rate: Number = 0.3  # C-rate at which half of it shows
     hysteresis_V: Number = 0.0  # from the charge branch, which the table of the OCV then is, to the discharge branch
 
 

@@ -21,7 +21,7 @@ from uavbatt.cli.options import (
 from uavbatt.errors import NotEnoughData, UsageError
 
 if TYPE_CHECKING:
-    from uavbatt.battery.file import BatteryFile, Verdict
+    from uavbatt.battery.file import BatteryFile
     from uavbatt.dataset import DataSet
     from uavbatt.fitting.observed import Observed
     from uavbatt.loop.close import Closed
@@ -89,13 +89,15 @@ def _run(
     without: tuple[str, ...],
     gate: Path | None,
 ) -> tuple[Diagnosis, Closed, BatteryFile]:
+    from uavbatt import dataset as data
     from uavbatt.fitting import observed
     from uavbatt.loop import close
     from uavbatt.loop.diagnosis import diagnose as find
     from uavbatt.loop.diagnosis import pack_for
+    from uavbatt.loop.gate import verdicts
     from uavbatt.pipeline import PackOptions
 
-    verdicts = _gated(gate) if gate is not None else None
+    tests = data.load(gate) if gate is not None else None
     sizes = {_size(f.source, f, content, stated) for f in flights} | {_size_of(d, content, stated) for d in datasets}
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
@@ -108,7 +110,11 @@ def _run(
         found = find(records, content, pack, without, tell)
         options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
         closed = close.judge(found, content, flights, options, tell)
-    return found, closed, close.extended(content, found, verdicts)
+    new = close.extended(content, found)
+    if tests is not None:
+        print(f"gating with {gate} ...", file=sys.stderr)
+        new = close.gated(new, found, verdicts(tests, new))
+    return found, closed, new
 
 
 def _observed(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
@@ -164,18 +170,6 @@ def _rest(
         raise UsageError(f"{name}: capacity: neither the vehicle nor the battery file states it: give --capacity-ah")
     cutoffs = (stated[2], cutoff_V, typed.cutoff_V * series / typed.cells_series)
     return round(capacity, 4), round(next(v for v in cutoffs if math.isfinite(v)), 3)
-
-
-def _gated(path: Path) -> list[Verdict]:
-    """The gate's verdicts on the bench tests; the effects of an aircraft change nothing of them."""
-    from uavbatt import dataset as data
-    from uavbatt.battery.file import Verdict as Entry
-    from uavbatt.validation.validate import validate as judge
-
-    print(f"gating with {path} ...", file=sys.stderr)
-    result = judge(data.load(path), close_loop=False)
-    gating = [c for c in result.claims if c.gates]
-    return [Entry(claim=c.claim, verdict=c.verdict, ambient_C=c.ambient_C, reason=c.reason) for c in gating]
 
 
 class _Progress:

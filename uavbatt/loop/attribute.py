@@ -1,12 +1,14 @@
 """Which refit explains the records best, which others cannot be told from it, and whether it can be believed.
 
 Rank: chi-square + k ln(n), n the number of independent stretches of the records (Schwarz 1978, with the
-autocorrelation-corrected n). The whitening is only as good as the battery's model, so a rival is excluded only when
-it falls short by more than `INSIGHT` of what the winner explains, never by a bare difference of ten.
+autocorrelation-corrected n). A rival is excluded only when it falls short by more than `INSIGHT` of what the winner
+explains, and by more than the battery file's own errors could turn round, see `apart`. Among those that remain, what
+is the same in all records goes before what is not, and a new effect before another size of one in the file.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +16,12 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.loop.candidates import Candidate
 from uavbatt.loop.problem import Problem, Refit
-from uavbatt.loop.refit import refit
+from uavbatt.loop.refit import refit, slopes_on_file
 
 LEAST_GAIN = 10.0  # of BIC: "very strong" (Kass & Raftery 1995)
 INSIGHT = 0.09
 LEAST_SIGMAS = 2.5  # beyond what errors of the battery file alone would feign
+APART_SIGMAS = 4.0
 LARGEST_CLASS = 3
 UNSTEADY = 0.35  # spread between records, relative to the value
 FIRST_TURNS, FURTHER_TURNS = 14, 8
@@ -106,8 +109,13 @@ def at_bound(fit: Refit) -> bool:
     return False
 
 
-def find(problem: Problem, known: list[Refit], options: list[Candidate]) -> Finding | None:
-    """The best effect to add to each of the `known` models; None when none earns its place."""
+def find(
+    problem: Problem, known: list[Refit], options: list[Candidate], explains: Callable[[Refit], bool]
+) -> Finding | None:
+    """The best effect to add to each of the `known` models; None when none earns its place.
+
+    explains : whether a model leaves no more than what the battery's own model leaves anyway.
+    """
     tried, starts = [], []
     for model in known:
         for option in options:
@@ -121,41 +129,96 @@ def find(problem: Problem, known: list[Refit], options: list[Candidate]) -> Find
     before = min(known, key=lambda f: bic(f, problem))
     floor = bic(before, problem)
     earned = [f for f in fits if floor - bic(f, problem) > LEAST_GAIN and not at_bound(f)]
-    if not earned or sigmas(earned[0], problem) < LEAST_SIGMAS:  # what errors of the file alone could feign
+    earned = [f for f in earned if sigmas(f, problem) >= LEAST_SIGMAS]  # less, errors of the file alone could feign
+    if not earned:
         return None
-    best = earned[0]
-    gain = floor - bic(best, problem)
-    tolerance = max(LEAST_GAIN, INSIGHT * gain)
-    behind = np.array([bic(f, problem) - bic(best, problem) for f in earned])
-    members = _distinct([f for f, d in zip(earned, behind, strict=True) if d <= tolerance])
-    steady = constancy(problem, best, before)
-    if steady is not None and not steady.predicts:
+    earned = _distinct(earned)
+    gain = floor - bic(earned[0], problem)
+    behind = np.array([bic(f, problem) - bic(earned[0], problem) for f in earned])
+    far = apart(problem, earned, behind) / APART_SIGMAS
+    alike = [i for i in range(len(earned)) if far[i] < 1.0 or behind[i] <= max(LEAST_GAIN, INSIGHT * gain)]
+    checks = dict(zip(alike, constancies(problem, [earned[i] for i in alike], before), strict=True))
+    alike = [i for i in alike if _predicts(checks[i])]
+    if not alike:
         return None
-    probability = _weight(earned, members, behind / tolerance)
-    return Finding(members, before, gain, sigmas(best, problem), steady, tuple(earned), probability)
+    whole = {i: _steady(checks[i]) and explains(earned[i]) for i in alike}
+    refuted = [i for i in alike if any(whole.values()) and not whole[i]]
+    # errors of the model are the same in all records, so that chi-squares count as those of one
+    unlikely = behind / len(problem.evidence.names) + np.array([implausible(f) for f in earned])
+    order = sorted(
+        (i for i in alike if i not in refuted),  # where one explains all, in all records, what does not is no rival
+        key=lambda i: (not _steady(checks[i]), earned[i].candidate.resized, unlikely[i]),
+    )
+    members, best = order[:LARGEST_CLASS], order[0]
+    weights = np.exp(-0.5 * (2.0 * far) ** 2)
+    weights[refuted] = 0.0
+    return Finding(
+        members=tuple(earned[i] for i in members),
+        before=before,
+        gain=floor - bic(earned[best], problem),
+        sigmas=sigmas(earned[best], problem),
+        constancy=checks[best],
+        fits=tuple(earned),
+        probability=float(np.sum(weights[members]) / np.sum(weights)),
+    )
 
 
-def _weight(fits: list[Refit], members: tuple[Refit, ...], behind: Array) -> float:
-    """Share of the members in exp(-2 behind/tolerance) over all that earned a place."""
-    weights: dict[str, float] = {}
-    for fit, far in zip(fits, behind, strict=True):
-        weights.setdefault(fit.candidate.name, float(np.exp(-2.0 * far)))
-    return sum(weights[m.candidate.name] for m in members) / sum(weights.values())
+def apart(problem: Problem, fits: list[Refit], behind: Array) -> Array:
+    """Sigmas by which the best of `fits` is told from each: the first is the best, `behind` in BIC are the others.
+
+    Were the other the truth, the difference of chi-squares would be D = |d|² with d what the two leave differently;
+    it is -behind. An error b of the battery's model turns that round by 2 b·d. What b is: the same in all records
+    (it is one model), so that unit numbers add up to R D instead of D over R records; and what the file's stated
+    errors J do, |J'd|².
+    """
+    best = fits[0].residual
+    slopes = slopes_on_file(problem, fits[0])
+    out = np.zeros(len(fits))
+    for i, fit in enumerate(fits):
+        d = fit.residual - best
+        size = float(np.sum(d**2))
+        stated = np.einsum("rme,rm->e", slopes, d)
+        spread = np.sqrt(len(best) * size + float(np.sum(stated**2)))
+        out[i] = (size + behind[i]) / max(2.0 * spread, 1e-6)
+    return out
 
 
-def _distinct(fits: list[Refit]) -> tuple[Refit, ...]:
-    """The best refit of each name added last, at most LARGEST_CLASS."""
+def implausible(fit: Refit) -> float:
+    """Squared sizes of the effect added last in units of what is usual: decides between what fits alike."""
+    first = len(fit.candidate.freed) - fit.candidate.last
+    sizes = [
+        (value - freed.start) / freed.scale
+        for value, freed in zip(fit.values()[0][first:], fit.candidate.freed[first:], strict=True)
+        if not freed.log
+    ]
+    return float(np.sum(np.square(sizes)))
+
+
+def _predicts(check: Constancy | None) -> bool:
+    return check is None or check.predicts
+
+
+def _steady(check: Constancy | None) -> bool:
+    return check is None or check.steady
+
+
+def _distinct(fits: list[Refit]) -> list[Refit]:
+    """The best refit of each name added last."""
     kept: dict[str, Refit] = {}
     for fit in fits:
         kept.setdefault(fit.candidate.name, fit)
-    return tuple(list(kept.values())[:LARGEST_CLASS])
+    return list(kept.values())
 
 
-def constancy(problem: Problem, fit: Refit, before: Refit) -> Constancy | None:
+def constancies(problem: Problem, fits: list[Refit], before: Refit) -> list[Constancy | None]:
     """Refit every record by itself, the errors of the file held; None for a single record or a bare start."""
-    if not fit.candidate.last or len(problem.evidence.names) < 2:
-        return None
-    own = refit(problem, [fit.candidate], own=True, start=[fit], iterations=8)[0]
+    useful = [f for f in fits if f.candidate.last and len(problem.evidence.names) > 1]
+    owns = refit(problem, [f.candidate for f in useful], own=True, start=useful, iterations=8) if useful else []
+    known = {id(f): _constancy(problem, f, own, before) for f, own in zip(useful, owns, strict=True)}
+    return [known.get(id(f)) for f in fits]
+
+
+def _constancy(problem: Problem, fit: Refit, own: Refit, before: Refit) -> Constancy:
     first = len(fit.columns) - len(fit.candidate.freed)
     k = len(fit.columns) - fit.candidate.last
     u, size = own.u[:, first:], len(fit.candidate.freed)

@@ -10,7 +10,7 @@ one as long as the battery file lacks it, but for the sensor's lag, which a file
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,6 +65,7 @@ class Candidate:
     freed: tuple[Freed, ...]
     free_start: bool = False
     last: int = 0  # quantities of the effect that was added last
+    resized: bool = False  # the effect added last is in the battery file already, with another size
 
     @property
     def name(self) -> str:
@@ -74,7 +75,7 @@ class Candidate:
     def plus(self, other: Candidate) -> Candidate:
         """Both together."""
         free_start = self.free_start or other.free_start
-        return Candidate(self.names + other.names, self.freed + other.freed, free_start, other.last)
+        return Candidate(self.names + other.names, self.freed + other.freed, free_start, other.last, other.resized)
 
 
 NOTHING = Candidate((), ())
@@ -110,8 +111,13 @@ def base_values(cell: Parameters, installation: Installation) -> Array:
     return np.array([float(known.get(q.name, 0.0)) for q in QUANTITIES])
 
 
-def candidates(file: BatteryFile, base: Array, *, has_temperature: bool, without: tuple[str, ...]) -> list[Candidate]:
-    """Every effect worth trying on a battery of this file."""
+def candidates(
+    file: BatteryFile, base: Array, *, has_temperature: bool, idle_A: float, without: tuple[str, ...]
+) -> list[Candidate]:
+    """Every effect worth trying on a battery of this file.
+
+    idle_A : what the current sensor reports at rest: it adds no more than that, since no pack charges on the ground.
+    """
     listed = {entry.name for entry in file.effects}
     found = []
     for effect in EFFECTS.values():
@@ -125,7 +131,10 @@ def candidates(file: BatteryFile, base: Array, *, has_temperature: bool, without
         free = [q for q in effect.quantities if q.prior_sd > 0.0]
         free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
-        found.append(Candidate((effect.name,), freed, last=len(freed)))
+        if effect.name == "current_offset":
+            freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
+        resized = effect.name in listed and effect.name != "temperature_lag"
+        found.append(Candidate((effect.name,), freed, last=len(freed), resized=resized))
     return found
 
 

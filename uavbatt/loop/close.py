@@ -81,8 +81,10 @@ def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors
     return msgspec.structs.replace(file, effects=list(entries.values()))
 
 
-def extended(file: BatteryFile, found: Diagnosis, verdicts: list[Verdict] | None = None) -> BatteryFile:
-    """The battery file with what was found; `certified` only with gate verdicts that all pass."""
+def extended(file: BatteryFile, found: Diagnosis) -> BatteryFile:
+    """The battery file with what was found; flights alone do not certify it. The file itself when nothing was."""
+    if found.verdict == "no_missing_effect":
+        return file
     fit = found.after
     names = [QUANTITIES[f.index].name for f in fit.candidate.freed]
     errors = dict(zip(names, map(float, fit.errors()), strict=True)) if names else {}
@@ -102,19 +104,24 @@ def extended(file: BatteryFile, found: Diagnosis, verdicts: list[Verdict] | None
     remark = f"diagnosed on {len(found.problem.evidence.names)} records: {', '.join(carried) or 'nothing to add'}"
     lost = [n for n in fit.candidate.names if not by_name[n]]
     remarks = [*file.battery.remarks, remark, *(f"found, but each flight has its own: {n}" for n in lost)]
-    passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts or [])
-    old = file.certificate
     return msgspec.structs.replace(
         new,
         battery=msgspec.structs.replace(file.battery, remarks=remarks),
         discrepancy=left,
-        certificate=Certificate(
-            status="certified" if passed and found.verdict != "undeclared_effect" else "fitted",
-            validated_ambient_C=old.validated_ambient_C if passed else [],
-            verdicts=verdicts or [],
-            data_sha256=old.data_sha256,
-        ),
+        certificate=Certificate(status="fitted", data_sha256=file.certificate.data_sha256),
     )
+
+
+def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> BatteryFile:
+    """The extended file with the gate's verdicts: `certified` when all pass and nothing is left unexplained."""
+    passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts)
+    certificate = msgspec.structs.replace(
+        new.certificate,
+        status="certified" if passed and found.verdict != "undeclared_effect" else "fitted",
+        validated_ambient_C=sorted({v.ambient_C for v in verdicts if v.ambient_C is not None}) if passed else [],
+        verdicts=verdicts,
+    )
+    return msgspec.structs.replace(new, certificate=certificate)
 
 
 def _known(value: float) -> float:

@@ -22,7 +22,7 @@ from uavbatt.loop import attribute, residual
 from uavbatt.loop.attribute import Finding
 from uavbatt.loop.candidates import NOTHING, UNITS, Candidate, base_values, candidates, nuisances
 from uavbatt.loop.candidates import QUANTITIES as EVERY_QUANTITY
-from uavbatt.loop.evidence import NOT_HELD_OUT, prepare
+from uavbatt.loop.evidence import IDLE_NOISE_A, NOT_HELD_OUT, idle_A, prepare
 from uavbatt.loop.problem import Problem, Refit, TableErrors
 from uavbatt.loop.refit import at_best, refit
 from uavbatt.loop.residual import Residual, Shape
@@ -110,7 +110,13 @@ def diagnose(
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack)
-    options = candidates(file, problem.base, has_temperature=problem.evidence.has_temperature, without=without)
+    options = candidates(
+        file,
+        problem.base,
+        has_temperature=problem.evidence.has_temperature,
+        idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
+        without=without,
+    )
     nothing = refit(problem, [NOTHING])[0]
     floor_V, floor_K = floors(file, problem)
     best, findings = _search(problem, options, nothing, (floor_V, floor_K), tell)
@@ -155,24 +161,25 @@ def _search(
 ) -> tuple[Refit, list[Finding]]:
     """Add effects while the residual stands above the floor and each earns its place."""
     tell(f"{len(options)} candidate effects")
-    step = attribute.find(problem, [nothing], options)
+    explains = _explaining(problem, floor)
+    step = attribute.find(problem, [nothing], options, explains)
     if step is None:
         return nothing, []
-    if step.constancy is not None and not step.constancy.steady:
-        return nothing, [step]  # a suspect, but no value that could stand in a battery file
+    alone = step.constancy is None or step.constancy.steady
     findings = [step]
     best = step.members[0]
-    while len(findings) < MOST_EFFECTS and _above(problem, best, floor):
+    while len(findings) < MOST_EFFECTS and not explains(best):
         tell(f"a further effect beside {', '.join(best.candidate.names)}")
-        further = attribute.find(problem, _rivals(findings[-1]), options)
+        further = attribute.find(problem, _rivals(findings[-1]), options, explains)
         explained = nothing.total - best.total
         if further is None or further.gain < max(attribute.FURTHER_GAIN, attribute.FURTHER_SHARE * explained):
             break
         if further.constancy is not None and not further.constancy.steady:
             break
-        best = further.members[0]
-        findings = _reweighed(problem, best, options) or [further]
-    return best, findings
+        best, alone = further.members[0], True
+        findings = _reweighed(problem, best, options, explains) or [further]
+    # a value that differs from record to record makes a suspect, and cannot stand in a battery file
+    return (best, findings) if alone else (nothing, [step])
 
 
 def _rivals(finding: Finding) -> list[Refit]:
@@ -184,7 +191,9 @@ def _rivals(finding: Finding) -> list[Refit]:
     return kept[: attribute.RIVALS]
 
 
-def _reweighed(problem: Problem, best: Refit, options: list[Candidate]) -> list[Finding]:
+def _reweighed(
+    problem: Problem, best: Refit, options: list[Candidate], explains: Callable[[Refit], bool]
+) -> list[Finding]:
     """For every effect of the model: which others could stand in its place, the rest kept; most evidence first."""
     by_name = {o.name: o for o in options}
     found = []
@@ -194,17 +203,23 @@ def _reweighed(problem: Problem, best: Refit, options: list[Candidate]) -> list[
             if kept != name:
                 others = others.plus(by_name[kept])
         rest = refit(problem, [others])[0]
-        again = attribute.find(problem, [rest], options)
+        again = attribute.find(problem, [rest], options, explains)
         if again is not None:
             found.append(again)
     return sorted(found, key=lambda f: -f.gain)
 
 
-def _above(problem: Problem, fit: Refit, floor: tuple[float, float]) -> bool:
-    left = residual.residuals(problem.evidence, at_best(problem, fit))
-    if residual.structure(problem.evidence, fit.residual) > STRUCTURED:
-        return True
-    return residual.size_V(left) > ABOVE_FLOOR * floor[0] or residual.size_K(left) > ABOVE_FLOOR * floor[1]
+def _explaining(problem: Problem, floor: tuple[float, float]) -> Callable[[Refit], bool]:
+    """The test whether a model leaves no more than the floor: size of voltage and temperature, and their shape."""
+
+    def explains(fit: Refit) -> bool:
+        if residual.structure(problem.evidence, fit.residual) > STRUCTURED:
+            return False
+        left = residual.residuals(problem.evidence, at_best(problem, fit))
+        small_V = residual.size_V(left) <= ABOVE_FLOOR * floor[0]
+        return small_V and not residual.size_K(left) > ABOVE_FLOOR * floor[1]  # NaN: not measured
+
+    return explains
 
 
 def _doubts(
@@ -253,11 +268,16 @@ def _class_of(problem: Problem, finding: Finding, doubted: bool) -> EffectClass:
 
 
 def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
-    """A lag of a minute is the fast end of diffusion as much as the slow end of polarisation: both are named."""
+    """The members, with the other name of what goes by two.
+
+    A lag of a minute is the fast end of diffusion as much as the slow end of polarisation. And slower reactions are how
+    the resistance of most packs grows: a charger that reads it shows both.
+    """
     slow = float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S
-    if slow and "polarisation" in members and "slow_diffusion" not in members:
-        at = members.index("polarisation") + 1
-        members = (*members[:at], "slow_diffusion", *members[at:])
+    twins = {"charge_transfer": "resistance_growth"} | ({"polarisation": "slow_diffusion"} if slow else {})
+    for name, twin in twins.items():
+        if name in members and twin not in members:
+            members = (*members, twin)
     return members[: attribute.LARGEST_CLASS]
 
 

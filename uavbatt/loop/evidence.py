@@ -20,6 +20,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.start import IDLE_C_RATE
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed
 from uavbatt.fitting.observed import Observed, Stack
@@ -32,6 +33,7 @@ LEAST_TEMP_SD_K, TEMP_TAU_S, WHITE_K = 0.5, 400.0, 0.15
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LEAST_RECORDS = 2
 LEAST_CHANGE = 0.04  # of the current, relative, over the records
+IDLE_NOISE_A = 0.15
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 
 
@@ -68,6 +70,15 @@ class Evidence:
     def has_temperature(self) -> bool:
         """Whether every record has a temperature."""
         return all(t is not None for t in self.temps)
+
+
+def idle_A(evidence: Evidence) -> float:
+    """The smallest mean current that the sensor reports before take-off; inf when no record begins at rest."""
+    stack = evidence.stack
+    seen = np.abs(stack.current_A) < IDLE_C_RATE * stack.capacity_Ah
+    lengths = np.argmin(seen, axis=0)  # rows before the first under load
+    means = [float(np.mean(stack.current_A[:n, j])) for j, n in enumerate(lengths) if n and seen[0, j]]
+    return min(means, default=float("inf"))
 
 
 def check(records: list[Observed]) -> None:
@@ -149,7 +160,7 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array]:
 def _voltage_whitener(stack: Stack, j: int, cells: float, tau_s: float) -> Whitener:
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
-    loaded = np.maximum.accumulate(np.abs(amps) > observed.IDLE_C_RATE * stack.capacity_Ah[j])
+    loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
     sd = np.where(loaded, stack.sigma_V[rows, j], REST_CELL_SD_V * cells)
     kernel = np.exp(-np.abs(time_s[:, None] - time_s) / tau_s) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
@@ -186,5 +197,6 @@ def _shifted(records: list[Observed], stack: Stack) -> Array:
             ends_s = np.clip(np.stack([at_s - bin_s / 2, at_s + bin_s / 2]), *record.time_s[[0, -1]])
             width_s = np.diff(ends_s, axis=0)[0]
             drawn = np.diff(np.interp(ends_s, record.time_s, charge), axis=0)[0]
-            out[i, :, j] = np.where(width_s > 0.5, drawn / np.maximum(width_s, 0.5), 0.0)
+            held_A = np.where(at_s < record.time_s[0], record.current_A[0], stack.current_A[-1, j])
+            out[i, :, j] = np.where(width_s > 0.5, drawn / np.maximum(width_s, 0.5), held_A)
     return out

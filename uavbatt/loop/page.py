@@ -12,7 +12,7 @@ import tomli_w
 from uavbatt.battery.file import BatteryFile
 from uavbatt.loop.close import Closed
 from uavbatt.loop.diagnosis import Diagnosis, EffectClass
-from uavbatt.loop.words import MEANING
+from uavbatt.loop.words import CHECK, MEANING, QUANTITY
 from uavbatt.report.diagnosis import DiagnosisPage, Suspect, Track
 
 
@@ -26,10 +26,10 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
         ("truth inside the 90 % interval", 100.0 * b.coverage, 100.0 * a.coverage, "%", 0),
     )
     tracks = tuple(
-        Track(r.name, r.time_s - r.time_s[0], r.voltage_V, s.voltage_V, r.temp_K, s.temp_K)
+        Track(Path(r.name).stem, r.time_s - r.time_s[0], r.voltage_V, s.voltage_V, r.temp_K, s.temp_K)
         for r, s in zip(found.residual_before, found.residual_after, strict=True)
     )
-    notes = tuple(f"record {i + 1} is {Path(t.name).name}" for i, t in enumerate(tracks))
+    notes: tuple[str, ...] = ()
     if not found.problem.evidence.has_temperature:
         notes += ("No temperature was measured: effects that show in it only are not among the candidates.",)
     return DiagnosisPage(
@@ -47,8 +47,11 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
 
 
 def _suspect(one: EffectClass) -> Suspect:
-    values = tuple((name, i.value, i.lo, i.hi, i.unit) for name, i in one.parameters.items())
-    return Suspect(tuple((m, MEANING[m]) for m in one.members), one.probability, values, one.would_separate)
+    values = tuple(
+        (QUANTITY.get(name, name), name, i.value, i.lo, i.hi, "" if i.unit == "1" else i.unit)
+        for name, i in one.parameters.items()
+    )
+    return Suspect(tuple((m, MEANING[m], CHECK[m]) for m in one.members), one.probability, values)
 
 
 def difference(old: BatteryFile, new: BatteryFile) -> tuple[str, ...]:

@@ -119,6 +119,20 @@ def at_best(problem: Problem, fit: Refit) -> Shown:
     return batch.shown(fit.u[None, None], fit.v[None, None])
 
 
+def slopes_on_file(problem: Problem, fit: Refit) -> Array:
+    """What one sd of each error of the battery file does to `fit.residual`, [records, numbers, errors]."""
+    batch = _Batch(problem, [fit.candidate])
+    u = np.zeros((1, len(fit.u), batch.size))
+    batch.place(u[0], fit)
+    held = np.flatnonzero(~fit.moves[: len(fit.columns)])
+    us = np.repeat(u[None], 1 + held.size, axis=0)
+    us[1 + np.arange(held.size), ..., held] += NUDGE
+    values, tables = batch.residuals(us, np.repeat(fit.v[None, None], 1 + held.size, axis=0))
+    shared = np.moveaxis(values[1:, 0] - values[0, 0], 0, -1) / NUDGE
+    both: Array = np.concatenate([shared, tables[0]], axis=-1)
+    return both
+
+
 def whitened(evidence: Evidence, shown: Shown, width: int) -> Array:
     """Model minus measurement as independent unit numbers, [variants, records, width]."""
     stack = evidence.stack

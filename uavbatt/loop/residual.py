@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.start import IDLE_C_RATE
 from uavbatt.loop.evidence import Evidence
 from uavbatt.loop.simulation import Shown
 
@@ -57,7 +58,7 @@ def residuals(evidence: Evidence, shown: Shown, variant: int = 0) -> list[Residu
     for j, (name, volts) in enumerate(zip(evidence.names, evidence.volts, strict=True)):
         rows = volts.rows
         amps = stack.current_A[rows, j]
-        loaded = np.maximum.accumulate(np.abs(amps) > 0.15 * stack.capacity_Ah[j])
+        loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
         sigma = stack.sigma_V[rows, j]
         out.append(
             Residual(

@@ -14,6 +14,7 @@ from uavbatt.battery import model, pack
 from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.pack import Installation
+from uavbatt.battery.start import underway
 from uavbatt.loop.candidates import INDEX, QUANTITIES
 from uavbatt.loop.evidence import SHIFTS_S, Evidence
 
@@ -77,7 +78,8 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
     start_C = np.tile(stack.start_temp_C, variants) - installation.offset_K + own.start_K.ravel()
     ambient_C = np.where(np.tile(evidence.known_ambient, variants), np.tile(stack.ambient_C, variants), start_C)
     ambient_C = ambient_C + own.ambient_K.ravel()
-    states = _states(cell, model.rested(own.soc.ravel(), start_C), rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
+    start = underway(cell, own.soc.ravel(), start_C, rate[0])
+    states = _states(cell, start, rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
     true_V = _voltages(cell, installation, states, rate, current_A)
     shape = (*stack.time_s.shape[:1], variants, records)
     return Shown(

@@ -49,6 +49,30 @@ MEANING = {
     "self_heating": "the pack warms otherwise than the file says",
 }
 
+QUANTITY = {
+    "gain_I": "current read, as a share of the true one",
+    "offset_A": "added by the current sensor",
+    "unmetered_W": "power that the sensor does not see",
+    "fade": "share of the capacity that is lost",
+    "deficit": "share of its capacity that the weak cell lacks",
+    "growth": "growth of the resistance, as a share",
+    "harness_ohm": "resistance of the leads",
+    "gain_V": "voltage read, as a share of the true one",
+    "offset_V": "added by the voltage sensor",
+    "offset_K": "added by the temperature sensor",
+    "sensor_lag_s": "time by which the sensor is late",
+    "airflow_gain_h": "growth of cooling per C of load",
+    "rate_gain_h": "share of charge lost per C of load",
+    "start_soc_shift": "charge at the start, less that of a full pack",
+    "delay_s": "time by which the current is late",
+    "hysteresis_V": "drop of a cell after charging",
+    "transfer_V": "drop of a cell under a large load",
+    "polarisation_ratio": "size of the polarisation, of the resistance",
+    "diffusion_ratio": "size of the diffusion, of the resistance",
+    "activation_K": "growth of the resistance in the cold",
+    "diffusion_activation_K": "growth of the diffusion in the cold",
+}
+
 
 def separating(members: tuple[str, ...], outside: str | None) -> str:
     """The readings that tell the members apart; for a lone member, the one that confirms it."""

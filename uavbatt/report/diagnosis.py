@@ -43,10 +43,9 @@ COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 class Suspect:
     """One class of effects that the records cannot tell apart."""
 
-    members: tuple[tuple[str, str], ...]  # name, meaning
+    members: tuple[tuple[str, str, str], ...]  # name, meaning, what to check
     probability: float
-    values: tuple[tuple[str, float, float, float, str], ...]  # quantity, value, lo, hi, unit
-    check: str
+    values: tuple[tuple[str, str, float, float, float, str], ...]  # quantity in words, its name, value, lo, hi, unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +99,21 @@ def diagnosis_report(d: DiagnosisPage) -> str:
 
 
 def _suspect(s: Suspect) -> Html:
-    names = " or ".join(name for name, _ in s.members)
-    rows = [(q, number(v, _decimals(v)), f"{number(lo, _decimals(v))} to {number(hi, _decimals(v))}", unit)
-            for q, v, lo, hi, unit in s.values]  # fmt: skip
+    (name, meaning, _), others = s.members[0], s.members[1:]
+    rows = [
+        (words, q, number(v, _decimals(v)), f"{number(lo, _decimals(v))} to {number(hi, _decimals(v))}", unit)
+        for words, q, v, lo, hi, unit in s.values
+    ]
+    sure = f"The cause is {'among these' if others else 'this'} with a probability of {s.probability:.0%}."
+    rivals = [paragraph("These records cannot tell it from:"), bullets(f"{m} ({n})" for n, m, _ in others)]
     return element(
         "div",
-        paragraph(strong(names), f", probability {s.probability:.0%}."),
-        bullets(f"{name}: {meaning}" for name, meaning in s.members),
-        table(("quantity", "value", "95 % interval", "unit"), rows, text_columns=(0, 3)),
-        paragraph(strong("Check: "), s.check),
+        paragraph(strong(f"{meaning[0].upper()}{meaning[1:]}"), f" ({name})."),
+        *(rivals if others else []),
+        paragraph(sure),
+        paragraph(strong("What to check")),
+        bullets(f"{c[0].upper()}{c[1:]} ({n})." for n, _, c in s.members),
+        table(("if it is so", "quantity", "value", "95 % interval", "unit"), rows, text_columns=(0, 1, 4)),
     )
 
 
@@ -151,7 +156,7 @@ def _panel(d: DiagnosisPage, title: str, field: str, scale: float, unit: str) ->
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
         for i, t in enumerate(d.tracks[:6]):
             colour = COLOURS[i % len(COLOURS)]
-            axes.plot(t.time_s / 60.0, scale * getattr(t, field), color=colour, linewidth=1.0, label=f"record {i + 1}")
+            axes.plot(t.time_s / 60.0, scale * getattr(t, field), color=colour, linewidth=1.0, label=t.name)
         axes.set_ylim(-limit, limit)
 
     alt = f"{title}: measured minus modelled against time, {len(d.tracks)} records"
