@@ -36,6 +36,7 @@ from uavbatt.telemetry.recording import PERIOD_NAME
 from uavbatt.tracked import TrackedBattery
 
 LONGEST_WAIT_S = 0.05
+REST_S = 0.005  # a busy link wakes the loop 200 times a second at most
 MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
 NOTE_S = 60.0
@@ -96,6 +97,7 @@ class Daemon:
             except InterruptedError:
                 continue
             self.turn()
+            time.sleep(REST_S)
         notify("STOPPING=1")
         self.close()
 
