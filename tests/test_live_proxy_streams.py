@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
 import struct
 import subprocess
@@ -12,17 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from live_rig import Station, Vehicle, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.feed import proxy, rewriter
+from uavbatt.feed.proxy_client import ProxyClient
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.records import Sample
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def framed(message: Any) -> bytes:
@@ -131,3 +129,28 @@ def test_a_client_that_does_not_read_is_dropped_and_nobody_waits(around: Around)
     while data := slow.recv(1 << 20):
         received += len(data)
     assert received < 1500 * len(block)
+
+
+def test_a_proxy_that_is_killed_is_started_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the estimator, which then hears the autopilot through the new one."""
+    monkeypatch.setattr(os, "nice", lambda step: 0)  # the tests are not made to wait
+    vehicle, station = Vehicle(free_port()), Station()
+    endpoints = (f"udpin:127.0.0.1:{vehicle.to[1]}", [f"udpout:127.0.0.1:{station.port}"])
+    client = ProxyClient(proxy.Settings(*endpoints, str(tmp_path / "control.sock")))
+    vehicle.start()
+
+    def heard() -> int:
+        client.read(time.monotonic())
+        return client.pid
+
+    try:
+        first = until(heard)
+        station.until(lambda m: m.get_type() == "BATTERY_STATUS")
+        os.kill(first, signal.SIGKILL)
+        second = until(lambda: heard() if heard() != first else 0)
+        station.line.settimeout(0.01)
+        assert second and until(lambda: client.read(time.monotonic()))
+        station.until(lambda m: m.get_type() == "BATTERY_STATUS")
+    finally:
+        vehicle.is_over = True
+        client.stop()
