@@ -8,7 +8,8 @@ is missing for a moment is held; one that is never there is worked out from the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
@@ -20,8 +21,7 @@ CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class Intake:
+class Intake(NamedTuple):
     """Last plausible readings and what was noticed about the sensors; `after` gives the next one."""
 
     stated_power_W: float = NAN
@@ -42,12 +42,13 @@ class Intake:
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample)
-        return now._with_cells(sample), replace(sample, temp_C=temp_C, current_A=current_A)
+        if temp_C is not sample.temp_C or current_A is not sample.current_A:
+            sample = replace(sample, temp_C=temp_C, current_A=current_A)
+        return now._with_cells(sample), sample
 
     def moved(self, shift_s: float) -> Intake:
         """The same memory on a clock that shows `shift_s` more."""
-        return replace(
-            self,
+        return self._replace(
             voltage_s=self.voltage_s + shift_s,
             temp_s=self.temp_s + shift_s,
             current_s=self.current_s + shift_s,
@@ -60,20 +61,20 @@ class Intake:
             return self, sample
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
         if is_soon and not any(_is_near(was_V, sample.voltage_V) for was_V in (self.voltage_V, self.odd_V)):
-            return replace(self, odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
-        return replace(self, voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
+            return self._replace(odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
+        return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
 
     def _with_temperature(self, sample: Sample) -> tuple[Intake, float]:
         temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
         if not math.isfinite(temp_C):
             return self, NAN
         is_board = self.is_board_sensor or (not math.isfinite(self.temp_C) and temp_C > BOARD_START_C)
-        now = replace(self, temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
+        now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
         return now, NAN if is_board else temp_C
 
     def _with_current(self, sample: Sample) -> tuple[Intake, float]:
         if math.isfinite(sample.current_A):
-            return replace(self, current_A=sample.current_A, current_s=sample.time_s, metered=True), sample.current_A
+            return self._replace(current_A=sample.current_A, current_s=sample.time_s, metered=True), sample.current_A
         if sample.time_s - self.current_s <= HELD_CURRENT_S:
             return self, self.current_A
         if self.metered or not math.isfinite(self.stated_power_W) or not sample.voltage_V > 0.0:
@@ -87,10 +88,10 @@ class Intake:
             return self
         spread_V = sum(cells) / len(cells) - min(cells)
         if not math.isfinite(self.spread_s):
-            return replace(self, cell_spread_V=spread_V, spread_s=sample.time_s)
+            return self._replace(cell_spread_V=spread_V, spread_s=sample.time_s)
         keep = math.exp(-max(sample.time_s - self.spread_s, 0.0) / CELL_SPREAD_TAU_S)
         blended_V = keep * self.cell_spread_V + (1.0 - keep) * spread_V
-        return replace(self, cell_spread_V=blended_V, spread_s=sample.time_s)
+        return self._replace(cell_spread_V=blended_V, spread_s=sample.time_s)
 
     @property
     def notices(self) -> tuple[str, ...]:

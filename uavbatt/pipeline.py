@@ -189,9 +189,10 @@ class Estimator:
         if self._swap.is_another:
             self._begin(self._pack(self.resolved), sample)
             estimate = self._filter.step(sample)
+            belief = self._filter.belief
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
         estimate = replace(estimate, warnings=self._warnings(sample, estimate))
-        refusal, question = self._forecaster.ask(sample, estimate, self._filter.belief)
+        refusal, question = self._forecaster.ask(sample, estimate, belief)
         return Asked(sample, estimate, self._forecaster, refusal, question)
 
     def _begin(self, pack: Pack, first: Sample | None = None) -> None:

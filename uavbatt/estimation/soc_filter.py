@@ -71,7 +71,10 @@ class SocFilter:
         """Mean and covariance after the last sample; None before the first usable one."""
         if self._kalman is None:
             return None
-        return Belief(self._time_s, self._kalman.x.copy(), self._kalman.P.copy(), self._ambient_C)
+        x, P = self._kalman.x, self._kalman.P
+        if not isinstance(self._kalman, Moments):  # filterpy's filter goes on in place
+            x, P = x.copy(), P.copy()
+        return Belief(self._time_s, x, P, self._ambient_C)
 
     def restore(self, belief: Belief, current_A: float = 0.0) -> None:
         """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A`."""

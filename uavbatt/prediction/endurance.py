@@ -63,19 +63,18 @@ def time_to_end(
     harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
     memory = np.exp(-dt_s / pack.bias_tau_s)
     kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
-    drawn = power_W / size
-    along = np.concatenate([0.5 * (drawn[:-1] + drawn[1:]), drawn[-1:]]) if by_rows else drawn
     at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)])[:-1].reshape(
         steps, *(dt_s.shape[1:] or ones)
     )
     judge = _median_crossing if by_rows else _mean_crossing
-    rates, recent = np.empty_like(drawn), _Way(*np.empty((len(_Way._fields), JUDGED_AT_ONCE, *x.shape[1:])))
-    margin_V, above_low_V = np.empty_like(drawn), np.empty_like(drawn)
-    bias_V = x[C.BIAS]
+    rates, recent = np.empty_like(power_W), _Way(*np.empty((len(_Way._fields), JUDGED_AT_ONCE, *x.shape[1:])))
+    margin_V, above_low_V = np.empty_like(power_W), np.empty_like(power_W)
+    bias_V, drawn = x[C.BIAS], power_W[0] / size
+    crossed = np.zeros(x.shape[1:], dtype=bool)
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
         emf_V = emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, drawn[k])
+        rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, drawn)
         rates[k], row = rate, k % JUDGED_AT_ONCE
         for column, value in zip(recent, (*state[:4], bias_V, r_ohmAh), strict=True):
             column[row] = value
@@ -90,10 +89,13 @@ def time_to_end(
                 margin = np.minimum(margin, (seen.soc - reserve_soc) * SOC_IN_VOLTS)
             margin_V[part] = np.where(in_sight, margin, np.inf)
             above_low_V[part] = np.where(in_sight, volts - pack.low_V, np.inf)
-            if np.isfinite(judge(margin_V[: k + 1], at_s)).all():
+            new = slice(max(part.start - 2, 0), part.stop)  # a median of three reaches back two rows
+            crossed |= np.isfinite(judge(margin_V[new], at_s[new]))
+            if crossed.all():
                 break
+        before, drawn = drawn, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
-            rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, along[k])
+            rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, 0.5 * (before + drawn))
         state = model.step_against(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
         bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
     end_s = judge(margin_V[: k + 1], at_s)

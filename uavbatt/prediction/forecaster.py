@@ -7,7 +7,7 @@ which counts down between two.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +73,7 @@ class Memory(NamedTuple):
     def moved(self, shift_s: float) -> Memory:
         """The same past on a clock that shows `shift_s` more."""
         return self._replace(
-            load=replace(self.load, time_s=self.load.time_s + shift_s),
+            load=self.load._replace(time_s=self.load.time_s + shift_s),
             flying_since_s=self.flying_since_s + shift_s,
             loaded_s=self.loaded_s + shift_s,
             time_s=self.time_s + shift_s,

@@ -60,8 +60,7 @@ class Load(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class RecentLoad:
+class RecentLoad(NamedTuple):
     """Exponentially weighted memory of the power [W]; a value, replaced by `after`."""
 
     time_s: float = math.nan
