@@ -2,9 +2,8 @@
 
 tlog: `time (u64, big endian, microseconds since 1970) | frame`. A recording begins with the vehicle's battery
 parameters and its heartbeat as they are known, so that it can be replayed on its own; times of the JSON lines count
-from its first frame. A new one begins when a file has grown to its limit, when the pack was changed and, for
-`while-armed`, at every arming. The oldest go when there are more than `max_files`. A full disk stops the recording,
-never the process: it is tried again later.
+from its first frame. A new one begins when a file has grown to its limit and, for `while-armed`, at every arming. The
+oldest go when there are more than `max_files`. A full disk stops the recording, never the process: it is tried again.
 """
 
 from __future__ import annotations
