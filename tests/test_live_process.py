@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import random
 import signal
 import subprocess
 import time
@@ -15,8 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from live_rig import PROGRAM, Station, Vehicle, free_port, manager_at, running, until
+from live_rig import PROGRAM, Bench, Station, Vehicle, free_port, manager_at, running, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.mavlink.tlog_writer import battery_status
+from uavbatt.records import Sample
+from uavbatt.telemetry import read_log
 
 
 @pytest.fixture
@@ -83,6 +88,62 @@ def test_what_reaches_the_autopilot_with_every_feed_and_requests(vehicle: Vehicl
     ours = {(1, 193, kind) for kind in ("HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ")}
     assert heard == {*ours, (255, 190, "PARAM_SET")}
     assert {m.command for m in vehicle.heard if m.get_type() == "COMMAND_LONG"} == {511}
+
+
+class BadRadio(Vehicle):
+    """A tenth is lost, a tenth comes twice, a tenth late; between come noise and another vehicle's low battery."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(port)
+        self._dice, self._late, self.is_silent = random.Random(4), b"", False
+        self._other: Any = dialect.MAVLink(None, srcSystem=2, srcComponent=1)
+
+    def write(self, data: bytes) -> None:
+        if self.is_silent:
+            return
+        chance = self._dice.random()
+        if chance < 0.1:
+            return
+        if 0.2 < chance < 0.3:
+            data, self._late = self._late, data
+        for piece in (data, data if chance < 0.2 else b"", self._late if chance > 0.6 else b""):
+            if piece:
+                super().write(piece)
+        super().write(self._dice.randbytes(self._dice.randrange(60)))
+        other = battery_status(Sample(0.0, 13.4, 40.0, 25.0, 4.5), 0)
+        super().write(bytes(other.pack(self._other)))
+
+
+def test_a_bad_radio_over_a_real_socket(tmp_path: Path) -> None:
+    """The time is that of a good link, stale when nothing comes, back when it does."""
+    vehicle, station = BadRadio(free_port()), Station()
+    vehicle.start()
+
+    def is_time(message: Any) -> bool:
+        return message.get_type() == "NAMED_VALUE_FLOAT" and message.name == "REM_S"
+
+    arguments = [f"udpin:127.0.0.1:{vehicle.to[1]}", "--gcs", f"udpout:127.0.0.1:{station.port}"]
+    try:
+        with running(*arguments, "--system", "1", "--capacity-ah", "5", "--record", str(tmp_path)):
+            station.until(lambda m: is_time(m) and m.value > 60)
+            end_s = time.monotonic() + 3.0
+            station.until(lambda m: time.monotonic() > end_s)
+            flown = dict(station.named)
+            vehicle.is_silent = True
+            station.until(lambda m: is_time(m) and m.value != m.value, 6.0)
+            vehicle.is_silent = False
+            again = station.until(lambda m: is_time(m) and m.value > 60)
+    finally:
+        vehicle.is_over = True
+    good = Bench()
+    good.fly(6.0)
+    clean = good.daemon.board.reports[0]
+    assert clean.remaining.remaining_lo_s < flown["REM_S"] < clean.remaining.remaining_hi_s
+    assert flown["SOC"] == pytest.approx(clean.estimate.soc, abs=0.03)
+    assert flown["REM_LO_S"] < again.value + 7.0 < flown["REM_HI_S"]
+    assert set(station.named) == {"REM_S", "REM_LO_S", "REM_HI_S", "SOC"}
+    (log,) = tmp_path.glob("*.tlog")
+    assert {s.voltage_V for s in read_log(log).samples if s.voltage_V < 14.0} == set()
 
 
 def test_requests_are_answered_and_the_page_shows_it(vehicle: Vehicle, tmp_path: Path) -> None:
