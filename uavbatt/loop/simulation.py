@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery import model, pack
+from uavbatt.battery import model, openloop, pack
 from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.pack import Installation
@@ -96,14 +96,7 @@ def _states(cell: Parameters, start: State, rate: Array, dt_s: Array, ambient_C:
     """
     between = rate.copy()
     between[1:] = 0.5 * (rate[1:] + rate[:-1])
-    out = State(*(np.empty_like(rate) for _ in State._fields))
-    state = start
-    for k in range(rate.shape[0]):
-        if k:
-            state = model.step(cell, state, between[k], ambient_C, dt_s[k])
-        for column, value in zip(out, state, strict=True):
-            column[k] = value
-    return out
+    return openloop.states(cell, start, between, dt_s, ambient_C)
 
 
 def _voltages(cell: Parameters, installation: Installation, states: State, rate: Array, current_A: Array) -> Array:
