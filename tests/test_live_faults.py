@@ -151,6 +151,15 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
     assert now.soc == pytest.approx(landed.soc, abs=0.03) and now.soc_sd < 2.0 * landed.soc_sd
 
 
+def test_rows_that_are_always_slow_are_no_silence() -> None:
+    bench = Bench(OPTIONS)
+    bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(6)])
+    assert bench.daemon._tracked[0].estimator._swap.bounds is None
+    bench.now_s += 100.0
+    bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(3)])
+    assert bench.daemon._tracked[0].estimator._swap.bounds is not None
+
+
 @pytest.mark.parametrize("jump_s", [-7200.0, 86_400.0])
 def test_a_jump_of_the_wall_clock_moves_neither_estimate_nor_recording(tmp_path: Path, jump_s: float) -> None:
     bench = Bench(OPTIONS, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))

@@ -155,7 +155,7 @@ class Estimator:
         self._begin(self._pack(resolved))
         assert self._filter is not None and self._forecaster is not None
         self._filter.restore(belief, current_A)
-        self._swap = SwapWatch(belief.time_s, current_A, belief)
+        self._swap = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since is a silence
         if past is not None:
             self._forecaster.recall(past.forecaster)
 

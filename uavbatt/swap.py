@@ -21,7 +21,7 @@ RESTED_C_RATE, SWAP_ROWS = 0.15, 3
 FAR_CELL_V, ODD_CELL_V = 0.12, 0.05
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
-ROW_MEMORY = 0.9
+ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 
 
 class Bounds(NamedTuple):
@@ -54,10 +54,10 @@ class SwapWatch(NamedTuple):
             return self
         gap_s = estimate.time_s - self.seen_s
         row_s, bounds = self.row_s, self.bounds
-        if gap_s > max(SILENCE_S, SILENT_ROWS * row_s if math.isfinite(row_s) else 0.0):
+        if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
             bounds = self._bounds(gap_s, estimate.predicted_voltage_V / cells, pack)
         elif gap_s > 0.0:
-            row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else gap_s
+            row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             return SwapWatch(estimate.time_s, current_A, belief, row_s)
         other = estimate.innovation_V > FAR_CELL_V * cells
