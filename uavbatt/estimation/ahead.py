@@ -51,11 +51,11 @@ def rows(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     """Take `samples` in; the filter stands after the last of them."""
     blocks = min(len(samples), (samples[-1].time_s - samples[0].time_s) / BLOCK_S) if samples else 0
     if IN_REPLAY and fast.pays(PLAIN_ROW_S * len(samples) + PLAIN_BLOCK_S * blocks, "filter"):
-        return _compiled(filter, samples)
-    return _plain(filter, samples)
+        return by_twin(filter, samples)
+    return by_filterpy(filter, samples)
 
 
-def _plain(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
+def by_filterpy(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     """Row by row; the expected voltages of the rows within blocks afterwards."""
     postponed: list[Postponed] = []
     found: list[Row] = []
@@ -82,7 +82,7 @@ def _plain(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     return found
 
 
-def _compiled(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
+def by_twin(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     """All at once."""
     from uavbatt.battery.compiled import as_numbers
     from uavbatt.estimation import compiled
