@@ -36,7 +36,7 @@ from uavbatt.telemetry.recording import PERIOD_NAME
 from uavbatt.tracked import TrackedBattery
 
 LONGEST_WAIT_S = 0.05
-REST_S = 0.005  # a busy link wakes the loop 200 times a second at most
+REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
 MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
 NOTE_S = 60.0
@@ -96,15 +96,16 @@ class Daemon:
                 select.select(descriptors, [], [], LONGEST_WAIT_S)
             except InterruptedError:
                 continue
-            self.turn()
-            time.sleep(REST_S)
+            if self.turn() < FLOOD:
+                time.sleep(REST_S)
         notify("STOPPING=1")
         self.close()
 
-    def turn(self) -> None:
-        """Take in what has come, send what is due."""
+    def turn(self) -> int:
+        """Take in what has come, send what is due; how many pieces came."""
         now_s = self._clock_s()
-        for data, sender in self._link.read(now_s):
+        pieces = self._link.read(now_s)
+        for data, sender in pieces:
             if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
                 self._frames.pop(next(iter(self._frames)))
             frames = self._frames.setdefault(sender, framing.Frames())
@@ -118,6 +119,7 @@ class Daemon:
             station.read(now_s)  # its requests are not ours to answer
         self._sender.send(now_s, in_order(self._reports), self._reader)
         self._look_after(now_s)
+        return len(pieces)
 
     def close(self) -> None:
         """Write out what is held, release everything."""
