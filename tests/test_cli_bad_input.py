@@ -85,7 +85,6 @@ BYTES: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "nan": ("f.csv", (HEAD + ROWS + "30,nan,12\n").encode(), ("row 31 (line 32)", "voltage_V", "a number")),
     "text": ("f.csv", (HEAD + ROWS + "30,15.7,many\n").encode(), ("row 31 (line 32)", "current_A", "`many`")),
     "backwards": ("f.csv", (HEAD + ROWS + "7,15.7,12\n").encode(), ("row 31 (line 32)", "time_s", "found 7")),
-    "no current": ("f.csv", b"time_s,voltage_V\n0,16\n1,16\n2,15.9\n", ("battery 0", "a measured current")),
     "current never measured": ("f.csv", (HEAD + "0,16,\n1,16,nan\n").encode(), ("battery 0", "a measured current")),
     "header alone": ("f.csv", HEAD.encode(), ("battery messages",)),
     "semicolons": ("f.csv", b"time_s;voltage_V\n0;16\n", ("semicolons",)),

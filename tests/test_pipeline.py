@@ -16,7 +16,7 @@ import pytest
 import uavbatt
 from uavbatt.battery import file
 from uavbatt.battery.build import pack_of
-from uavbatt.errors import BadInput, UsageError
+from uavbatt.errors import UsageError
 from uavbatt.feed import sinks
 from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
@@ -242,12 +242,6 @@ def test_rows_without_a_voltage_come_first() -> None:
     assert estimate.status is remaining.status is Status.REFUSED and estimate.reason == "no voltage in this row"
     assert estimator.resolved is None and estimator.belief is None
     assert estimator.step(Sample(1.0, 16.4, 1.0))[0].soc > 0.5
-
-
-def test_a_log_without_current_is_refused_by_name() -> None:
-    samples = tuple(replace(s, current_A=NAN) for s in flown()[:20])
-    with pytest.raises(BadInput, match="simulated: battery 0: expected a measured current"):
-        list(steps(as_flight(samples), Estimator(file.read("lipo-generic"), STATED)))
 
 
 def test_the_engine_in_three_lines() -> None:

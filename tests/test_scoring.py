@@ -21,7 +21,7 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.pipeline import Estimator, PackOptions
-from uavbatt.prediction.learned import learned_load
+from uavbatt.prediction.learned import UnknownAircraft, learned_load
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.records import Flight
 from uavbatt.replay import Step, steps
@@ -237,6 +237,21 @@ def test_a_new_pack_is_not_taken_for_an_aged_one() -> None:
     assert min(scales) > 0.96 and max(scales) < 1.04
     assert not any(warns_of_wear(s) for s in run)
     assert all(abs(error_s(at(run, flown(), share), flown())) < 15.0 for share in (0.1, 0.5, 0.9))
+
+
+def test_without_a_current_sensor_the_interval_is_wide_and_holds() -> None:
+    """The same flight without its current: a load is assumed, doubted, and never shown as measured."""
+    blind = replace(flown(), samples=tuple(replace(s, current_A=math.nan) for s in flown().samples))
+    run, metered = (replayed(f, known_pack(), UnknownAircraft()) for f in (blind, flown()))
+    for share in (0.3, 0.6, 0.9):
+        step, left_s = at(run, flown(), share), end_s(flown()) - at(run, flown(), share).estimate.time_s
+        assert step.remaining.remaining_lo_s <= left_s <= step.remaining.remaining_hi_s
+        assert step.estimate.soc_sd > 3.0 * at(metered, flown(), share).estimate.soc_sd
+        assert math.isnan(step.estimate.current_A) and math.isnan(step.estimate.power_W)
+        assert any("no current sensor" in w for w in step.estimate.warnings) and not warns_of_wear(step)
+    late = replace(blind, samples=blind.samples[:100] + flown().samples[100:])
+    found = replayed(late, known_pack(), UnknownAircraft())[-1].estimate
+    assert math.isfinite(found.current_A) and not any("no current sensor" in w for w in found.warnings)
 
 
 def test_it_is_not_charge_counting_in_disguise() -> None:

@@ -2,7 +2,8 @@
 
 A voltage that leaps between two rows and a cell voltage that no cell has are damage until they are repeated. A
 temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
-is missing for a moment is held; one that is never there is worked out from the power that the operator stated.
+is missing for a moment is held; one that is never there is worked out from the power that the operator stated, or from
+one that is assumed, which the filter then doubts as much as it deserves.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
 
 HELD_CURRENT_S = 5.0
+ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # a punch takes a fifth of the voltage, an empty pack's a quarter
 LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0
 CELL_SPREAD_TAU_S = 30.0
@@ -34,14 +36,16 @@ class Intake(NamedTuple):
     current_A: float = NAN
     current_s: float = NAN
     metered: bool = False
+    first_s: float = NAN
+    guessed: bool = False  # the current is one that nobody measured
     cell_spread_V: float = 0.0
     spread_s: float = NAN
 
-    def after(self, sample: Sample) -> tuple[Intake, Sample]:
-        """The next state, and the sample as the filter may have it."""
+    def after(self, sample: Sample, assumed_power_W: float = NAN) -> tuple[Intake, Sample]:
+        """The next state, and the sample as the filter may have it; a load is assumed where nothing tells any."""
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
-        now, current_A = now._with_current(sample)
+        now, current_A = now._with_current(sample, assumed_power_W)
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample), sample
@@ -52,6 +56,7 @@ class Intake(NamedTuple):
             voltage_s=self.voltage_s + shift_s,
             temp_s=self.temp_s + shift_s,
             current_s=self.current_s + shift_s,
+            first_s=self.first_s + shift_s,
             spread_s=self.spread_s + shift_s,
         )
 
@@ -72,14 +77,18 @@ class Intake(NamedTuple):
         now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
         return now, NAN if is_board else temp_C
 
-    def _with_current(self, sample: Sample) -> tuple[Intake, float]:
+    def _with_current(self, sample: Sample, assumed_power_W: float) -> tuple[Intake, float]:
         if math.isfinite(sample.current_A):
-            return self._replace(current_A=sample.current_A, current_s=sample.time_s, metered=True), sample.current_A
+            read_A = sample.current_A
+            return self._replace(current_A=read_A, current_s=sample.time_s, metered=True, guessed=False), read_A
         if sample.time_s - self.current_s <= HELD_CURRENT_S:
             return self, self.current_A
-        if self.metered or not math.isfinite(self.stated_power_W) or not sample.voltage_V > 0.0:
-            return self, NAN
-        return self, 0.0 if sample.armed is False else self.stated_power_W / sample.voltage_V
+        now = self if math.isfinite(self.first_s) else self._replace(first_s=sample.time_s)
+        is_absent = math.isfinite(self.stated_power_W) or sample.time_s - now.first_s >= ABSENT_S
+        power_W = self.stated_power_W if math.isfinite(self.stated_power_W) else assumed_power_W
+        if self.metered or not is_absent or not math.isfinite(power_W) or not sample.voltage_V > 0.0:
+            return now, NAN
+        return now._replace(guessed=True), 0.0 if sample.armed is False else power_W / sample.voltage_V
 
     def _with_cells(self, sample: Sample) -> Intake:
         """Memory of how far the weakest cell is below the mean [V]."""
@@ -99,8 +108,10 @@ class Intake(NamedTuple):
         found = []
         if self.is_board_sensor:
             found.append(f"the temperature started above {BOARD_START_C:.0f} °C: a board's, not the pack's, not used")
-        if not self.metered and math.isfinite(self.stated_power_W):
+        if self.guessed and math.isfinite(self.stated_power_W):
             found.append("no current sensor: current worked out from the stated power")
+        elif self.guessed:
+            found.append("no current sensor: a middling load is assumed, known to a factor; --load WATTS tells better")
         if self.cell_spread_V > NOTICED_CELL_SPREAD_V:
             found.append(f"the weakest cell is {1000 * self.cell_spread_V:.0f} mV below the mean and ends the flight")
         return tuple(found)

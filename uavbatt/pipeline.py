@@ -35,6 +35,10 @@ FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
 ALARM_S = 120.0
 NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
+# Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
+# power is right to a fifth. Around its mean the load wanders by a fifth for a minute at a time: as independent errors
+# of readings two seconds apart that is five times as much.
+ASSUMED_C_RATE, ASSUMED_CELL_V, ASSUMED_SD, STATED_SD = 2.5, 3.8, (0.5, 1.2), (0.2, 0.4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,20 +170,25 @@ class Estimator:
 
     def look_ahead(self, samples: Sequence[Sample]) -> None:
         """The next samples will be these, with the facts as they are now: the filter may take them in one go."""
-        intake = self._intake
+        intake, assumed_W = self._intake, self._assumed_W(samples)
         for sample in samples:
-            intake, cleaned = intake.after(sample)
+            intake, cleaned = intake.after(sample, assumed_W)
             self._coming.append((intake, cleaned))
         if self._filter is not None:
             self._filter.look_ahead([cleaned for _, cleaned in self._coming])
 
     def ask(self, sample: Sample) -> Asked:
         """One sample in; what there is to work out before more can be said. Depends on no answer: see `Forecaster`."""
-        self._intake, sample = self._coming.popleft() if self._coming else self._intake.after(sample)
-        if self._filter is None or self._forecaster is None:
+        was_guessed = self._intake.guessed
+        if self._coming:
+            self._intake, sample = self._coming.popleft()
+        else:
+            self._intake, sample = self._intake.after(sample, self._assumed_W([sample]))
+        if self._filter is None or self._forecaster is None or self._intake.guessed != was_guessed:
             if not math.isfinite(sample.voltage_V):
                 return Asked(sample, _unknown(sample), None, "no voltage in this row", None)
-            self.resolved = self._resolve(_cells_from_voltage(sample.voltage_V, self.battery.battery.cells_series))
+            self.resolved = self.resolved or self._resolved_by([sample])
+            assert self.resolved is not None
             self._begin(self._pack(self.resolved), sample)
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
         estimate = self._filter.step(sample)
@@ -192,6 +201,8 @@ class Estimator:
             belief = self._filter.belief
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
         estimate = replace(estimate, warnings=self._warnings(sample, estimate))
+        if self._intake.guessed:  # nobody measured these
+            estimate = replace(estimate, current_A=NAN, power_W=NAN)
         refusal, question = self._forecaster.ask(sample, estimate, belief)
         return Asked(sample, estimate, self._forecaster, refusal, question)
 
@@ -205,11 +216,30 @@ class Estimator:
         )
         self._swap = SwapWatch()
 
+    def _assumed_W(self, coming: Sequence[Sample]) -> float:
+        """The power of a middling multirotor on this pack; NaN before a voltage tells the pack."""
+        pack = self.resolved or self._resolved_by(coming)
+        return ASSUMED_C_RATE * pack.capacity_Ah * pack.cells * ASSUMED_CELL_V if pack is not None else NAN
+
+    def _resolved_by(self, coming: Sequence[Sample]) -> Resolved | None:
+        """The pack by the first voltage that there is; None without one."""
+        first_V = next((s.voltage_V for s in coming if math.isfinite(s.voltage_V)), NAN)
+        if not math.isfinite(first_V):
+            return None
+        return self._resolve(_cells_from_voltage(first_V, self.battery.battery.cells_series))
+
     def _pack(self, resolved: Resolved) -> Pack:
         pack = pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
-        if math.isfinite(self._intake.stated_power_W) and not self._intake.metered:
-            # The current is a guess from the stated power: known to a fifth, and so is all that scales with it.
-            pack = pack._replace(resistance_scale_sd=max(pack.resistance_scale_sd, 0.2), capacity_scale_sd=0.2)
+        if self._intake.guessed:
+            # A current that is k times what we think is a capacity and an ohmic drop k times less: the filter doubts
+            # the capacity scale, which scales both, and the voltage's fall tells k as the flight goes on.
+            is_stated = math.isfinite(self._intake.stated_power_W)
+            level_sd, about_it_sd = STATED_SD if is_stated else ASSUMED_SD
+            pack = pack._replace(
+                resistance_scale_sd=math.hypot(pack.resistance_scale_sd, level_sd),
+                capacity_scale_sd=level_sd,
+                guess_sd=about_it_sd,
+            )
         return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
 
     def _resolve(self, guessed_cells: int) -> Resolved:
@@ -277,6 +307,8 @@ class Estimator:
         """More resistance than the packs of this type are spread by, and surely so."""
         assert self._filter is not None
         unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
+        if self._intake.guessed:
+            return False
         return estimate.wear > unusual and estimate.wear > WEAR_IS_SURE * estimate.wear_sd
 
 

@@ -12,10 +12,8 @@ import numpy as np
 
 from uavbatt import fast
 from uavbatt.battery.model import Array
-from uavbatt.errors import BadInput
 from uavbatt.pipeline import Asked, Estimator, say
 from uavbatt.prediction import score
-from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.questions import SIDE_BY_SIDE, answers
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 
@@ -34,10 +32,6 @@ class Step:
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
     """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
-    states_power = isinstance(estimator.options.load, ConstantLoad)
-    if not states_power and not any(math.isfinite(s.current_A) for s in flight.samples):
-        expected = "a measured current, none of its rows has one (--load WATTS stands in for it)"
-        raise BadInput(flight.source, f"battery {flight.instance}", expected)
     fast.pays(_plain_s(flight, estimator), "forecast")
     for facts, samples in _windows(flight):
         estimator.update_facts(facts)
@@ -120,14 +114,17 @@ def outcome(run: list[Step], cutoff_V: float) -> Outcome:
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
     amps = np.array([s.estimate.current_A for s in run])
-    end_s = score.end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
+    if np.isfinite(amps).any():
+        end_s = score.end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
+    else:  # no current sensor: every row may be under load
+        end_s = score.end_of_flight(time_s, volts, cutoff_V=cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
     flying = np.nan_to_num(amps) > _loaded_A(amps)
     since_s = time_s[flying][0] + 60.0 if flying.any() else math.inf
     judged = [s for s, f in zip(run, flying, strict=True) if f and s.estimate.time_s > since_s]
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
-    take_off_s = float(time_s[flying][0]) if flying.any() else NAN
+    take_off_s = float(time_s[flying][0]) if flying.any() else float(time_s[0])
     return Outcome(
         rows=len(run),
         duration_s=float(time_s[-1] - time_s[0]),
@@ -142,8 +139,8 @@ def outcome(run: list[Step], cutoff_V: float) -> Outcome:
 
 
 def _loaded_A(amps: Array) -> float:
-    """The current above which a row counts as under load: a third of the flight's upper current."""
-    return float(np.nanpercentile(amps, 90)) / 3.0
+    """The current above which a row counts as under load: a third of the flight's upper current; ∞ without one."""
+    return float(np.nanpercentile(amps, 90)) / 3.0 if np.isfinite(amps).any() else math.inf
 
 
 def _checkpoints(run: list[Step], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:

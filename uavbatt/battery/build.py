@@ -32,6 +32,7 @@ class Pack(NamedTuple):
     row_share: float  # part of a change of current between rows that a row's voltage does not show
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
+    guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
 
 # The status widens the belief: what was not gated may be another battery than it says. (A generic file states

@@ -94,7 +94,7 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
 
     Over a long gap nothing says that the load went on.
     """
-    share = snapshot(dt_s, SNAPSHOT_SHARE)
+    share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
     q = np.zeros(SIZE)
     q[C.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
     if dt_s > LONGEST_GAP_S:
@@ -124,5 +124,5 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
 
 def voltage_variance(pack: Pack, drop_V: float, step_V: float) -> float:
     """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
-    share = COMPENSATED_SHARE if pack.sag_compensated else DROP_SHARE
+    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else DROP_SHARE, pack.guess_sd)
     return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2
