@@ -20,9 +20,9 @@ from uavbatt.mavlink import fields
 from uavbatt.records import Sample
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import chain, dataflash_binary, read_log, tlog_frames, tlog_payloads
-from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.checksum import checksums
-from uavbatt.telemetry.columns import UNKNOWN, Rows, add_rows, times_s
+from uavbatt.telemetry.columns import UNKNOWN, Rows, add_rows, rows_of, times_s
 
 NUMBERS = st.one_of(st.floats(-10, 300), st.sampled_from([math.nan, 0.0, -1.0, 200.0, 5000.0, -2500.0]))
 CLOCK = st.one_of(st.floats(0, 200), st.sampled_from([3.0, 4e5, math.nan]))
@@ -39,7 +39,10 @@ def test_columns_keep_the_rules_of_rows(rows: list[tuple[float, float, float, in
     time_s = times_s(many, raw_s)
     columns = Rows(time_s, volts, amps, empty, empty, empty, armed.astype(np.int8))
     add_rows(many, instance.astype(np.int64), columns)
-    assert repr(many.rows) == repr(one.rows) and list(many.rows) == list(one.rows)
+    assert list(many.columns) == list(one.rows)
+    assert repr({number: kept.samples() for number, kept in many.columns.items()}) == repr(one.rows)
+    assert repr({number: rows_of(kept).samples() for number, kept in one.rows.items()}) == repr(one.rows)
+    assert not one.rows or default_instance(many) == default_instance(one)
     assert many.all_notes() == one.all_notes() and many.now_s == one.now_s
 
 

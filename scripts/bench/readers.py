@@ -2,18 +2,21 @@
 
     python scripts/bench/readers.py [REPEATS]
 
-Both sides give time, voltage, current, charge and temperature of every battery row; the rows are compared before they
-are timed. `warm`: modules loaded, the file in the system's cache. `cold`: a new process with all its imports. Medians;
-read the ratios, the seconds are this machine's.
+Both sides give time, voltage, current, charge and temperature of every battery row, ours as columns and, in brackets,
+as the objects that a replay takes; the rows are compared before they
+are timed. `warm`: modules loaded, the file in the system's cache. `cold`: a new process with all its imports. Medians
+of processor time, which all of them spend in one thread, so that other work on the machine bends them less; read the
+ratios, the seconds are this machine's.
 """
 
 from __future__ import annotations
 
+import gc
 import os
+import resource
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,6 +24,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -30,13 +34,22 @@ from bench.logs import make_bin, make_tlog  # found by the line above
 REPEATS = 5
 ULOG = "flights/px4/hexa_6s_33s.ulg"
 Rows = list[tuple[float, ...]]
+Reader = Callable[[str], Any]
 
 
-def ours(path: str) -> Rows:
-    """Battery rows by our readers."""
-    from uavbatt.telemetry import read_log
+def ours(path: str) -> NDArray[np.float64]:
+    """Battery rows by our readers, as columns."""
+    from uavbatt.telemetry.read import read_columns
 
-    return [(s.time_s, s.voltage_V, s.current_A, s.consumed_Ah, s.temp_C) for s in read_log(path).samples]
+    rows = read_columns(path)
+    return np.column_stack((rows.time_s, rows.voltage_V, rows.current_A, rows.consumed_Ah, rows.temp_C))
+
+
+def ours_samples(path: str) -> tuple[Any, ...]:
+    """Battery rows by our readers, an object a row, with all else that a replay needs."""
+    from uavbatt.telemetry.read import read_log
+
+    return read_log(path).samples
 
 
 def pymavlink_bin(path: str) -> Rows:
@@ -81,8 +94,8 @@ PEERS: dict[str, tuple[str, Callable[[str], Rows]]] = {
 }  # fmt: skip
 
 
-def warm_s(reads: Sequence[Callable[[str], Rows]], path: str, repeats: int) -> list[float]:
-    """Median time [s] of each reader in this process, after one that does not count; they take turns."""
+def warm_s(reads: Sequence[Reader], path: str, repeats: int) -> list[float]:
+    """Median processor time [s] of each reader in this process, after one that does not count; they take turns."""
     for read in reads:
         read(path)
     turns = [[_timed(partial(read, path)) for read in reads] for _ in range(repeats)]
@@ -90,7 +103,7 @@ def warm_s(reads: Sequence[Callable[[str], Rows]], path: str, repeats: int) -> l
 
 
 def cold_s(names: Sequence[str], path: str, repeats: int) -> list[float]:
-    """Median time [s] of a new process for each function of `names`: imports what it needs, reads the file."""
+    """Median processor time [s] of a new process for each function of `names`: its imports, then the file."""
     code = "import sys; sys.path.insert(0, {!r})\nfrom bench.readers import {}; {}({!r})"
     here = str(Path(__file__).parents[1])
     commands = [[sys.executable, "-c", code.format(here, name, name, path)] for name in names]
@@ -99,16 +112,23 @@ def cold_s(names: Sequence[str], path: str, repeats: int) -> list[float]:
 
 
 def _timed(work: Callable[[], Any]) -> float:
-    begin = time.perf_counter()
+    """Processor time [s] of this process and of those that it waited for; nobody pays for the last one's rubbish."""
+    gc.collect()
+    before_s = _spent_s()
     work()
-    return time.perf_counter() - begin
+    return _spent_s() - before_s
 
 
-def same(one: Rows, other: Rows) -> bool:
+def _spent_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in used)
+
+
+def same(a: NDArray[np.float64], other: Rows) -> bool:
     """The same rows: equal values, times by their differences to the first row."""
-    if len(one) != len(other):
+    if len(a) != len(other):
         return False
-    a, b = np.array(one), np.array(other)
+    b = np.array(other)
     return bool(np.allclose(a[:, 0] - a[0, 0], b[:, 0] - b[0, 0], atol=2e-6, rtol=0) and np.all(a[:, 1:] == b[:, 1:]))
 
 
@@ -128,12 +148,12 @@ def lines(repeats: int = REPEATS) -> Iterator[str]:
             rows = ours(str(path))
             equal = "rows equal" if same(rows, read(str(path))) else "ROWS DIFFER"
             equal = "by pyulog itself, its unknowns made NaN" if suffix == ".ulg" else equal
-            warm = warm_s((read, ours), str(path), repeats)
-            cold = cold_s((read.__name__, "ours"), str(path), repeats)
-            for what, (theirs_s, ours_s) in (("warm", warm), ("cold", cold)):
+            warm = warm_s((read, ours, ours_samples), str(path), repeats)
+            cold = cold_s((read.__name__, "ours", "ours_samples"), str(path), repeats)
+            for what, (theirs_s, ours_s, samples_s) in (("warm", warm), ("cold", cold)):
                 yield (
                     f"{suffix:5s} {told}, {len(rows)} battery rows ({equal}), {what}: {peer} {theirs_s:.3f} s, "
-                    f"ours {ours_s:.3f} s, ratio {theirs_s / ours_s:.1f}"
+                    f"ours {ours_s:.3f} s ({samples_s:.3f}), ratio {theirs_s / ours_s:.1f} ({theirs_s / samples_s:.1f})"
                 )
 
 

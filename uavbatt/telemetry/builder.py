@@ -13,8 +13,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from uavbatt.records import NAN, Identity, Sample
+
+if TYPE_CHECKING:
+    from uavbatt.telemetry.columns import Rows
 
 REBOOT_STEP_S = 1.0
 LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
@@ -28,6 +32,7 @@ class LogBuilder:
     """What was read so far; mutable, and never leaves the reader of one file."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
+    columns: dict[int, Rows] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
     parameters: list[tuple[float, str, float]] = field(default_factory=list)
     armed: bool | None = None
     notes: list[str] = field(default_factory=list)
@@ -99,11 +104,13 @@ def known(value: float) -> float:
     return value if math.isfinite(value) else NAN
 
 
-def default_instance(rows: dict[int, list[Sample]]) -> int:
+def default_instance(log: LogBuilder) -> int:
     """The first instance in the log that reports a current; if none does, the first with a voltage."""
-    with_current = [(t, i) for i, samples in rows.items() if not math.isnan(t := _first_current_s(samples))]
+    there = {number: rows.first_current_s for number, rows in log.columns.items()}
+    there |= {number: _first_current_s(rows) for number, rows in log.rows.items()}
+    with_current = [(time_s, number) for number, time_s in there.items() if not math.isnan(time_s)]
     # min() keeps the first of equals, and a dict keeps the log's order: a tie goes to the earlier one.
-    return min(with_current, key=lambda pair: pair[0])[1] if with_current else next(iter(rows))
+    return min(with_current, key=lambda pair: pair[0])[1] if with_current else next(iter(there))
 
 
 def _first_current_s(samples: Iterable[Sample]) -> float:

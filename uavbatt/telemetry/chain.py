@@ -7,6 +7,7 @@ is a candidate judged singly. A file is walked window by window, so that the arr
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from copy import copy
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Vouch = Callable[[Places], Mask]  # indices of candidates -> are they sound, given that the last record ended there?
 Judge = Callable[[int, bool], bool]  # (index of the candidate, did the last record end here?) -> is it sound?
 
 _FIRST_WINDOW, _WINDOW = 1 << 18, 1 << 22  # bytes; the second keeps all arrays of a window in a processor's cache
@@ -31,37 +33,44 @@ class Chain:
         self.skipped = 0
         self.gap_start = 0  # of the gap that ends at `position`, if it is one
 
-    def take(self, starts: Places, ends: Places, sure: Mask | None, judge: Judge, until: int) -> Mask:
+    def take(self, starts: Places, ends: Places, sure: Mask | None, vouch: Vouch, judge: Judge, until: int) -> Mask:
         """Which of the candidates are records, from `position` on until one ends at or behind `until`.
 
         starts, ends: ascending, one candidate each; all that begin before `until` must be there. sure: inside the
-        chain, these need no judge when the next candidate begins where they end (None: all of them).
+        chain, these are records when the next candidate begins where they end (None: all of them). vouch: the same
+        for those where it does not. judge: everything else, one by one.
         """
         taken = np.zeros(len(starts), np.bool_)
-        joined = np.zeros(len(starts), np.bool_)
-        joined[:-1] = ends[:-1] == starts[1:]
+        if not len(starts):
+            self._skip(until)
+            return taken
+        joined = np.append(ends[:-1] == starts[1:], False)
         if sure is not None:
             joined &= sure
-        stops = np.flatnonzero(~joined)
+        places = np.flatnonzero(~joined)
+        stops, vouched = places.tolist(), vouch(places).tolist()
+        following = starts.searchsorted(ends[places]).tolist()  # what begins where a stop ends, or behind it
+        stop, index = 0, int(starts.searchsorted(self.position))
         while self.position < until:
-            index = int(starts.searchsorted(self.position))
             if index == len(starts):
                 self._skip(until)
                 break
             if starts[index] > self.position:
-                self._skip(int(starts[index]))
-            if not self.in_chain and not judge(index, False):
-                self._skip(min(int(starts[index + 1]), until) if index + 1 < len(starts) else until)
+                self._skip(min(int(starts[index]), until))
                 continue
-            last = int(stops[stops.searchsorted(index)])
-            if last > index:
-                taken[index:last] = True
-                self.position, self.in_chain = int(starts[last]), True
-            elif not self.in_chain or judge(index, True):
-                taken[index] = True
-                self.position, self.in_chain = int(ends[index]), True
+            if not self.in_chain and not judge(index, False):
+                index += 1
+                self._skip(min(int(starts[index]), until) if index < len(starts) else until)
+                continue
+            stop = bisect_left(stops, index, stop)
+            last = stops[stop]
+            taken[index:last] = True
+            if (index == last and not self.in_chain) or vouched[stop] or judge(last, True):
+                taken[last] = True
+                self.position, self.in_chain, index = int(ends[last]), True, following[stop]
             else:
-                self._skip(min(int(starts[index + 1]), until) if index + 1 < len(starts) else until)
+                self.position, self.in_chain, index = int(starts[last]), True, last + 1
+                self._skip(min(int(starts[index]), until) if index < len(starts) else until)
         return taken
 
     def copy(self) -> Chain:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.chain import Bytes, Chain, Mask, Places, gathered, windows
+from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, windows
 from uavbatt.telemetry.dataflash_identity import TELLING, identity
 from uavbatt.telemetry.dataflash_rows import USED, WANTED, Layout, Moment, Table, fold
 
@@ -124,7 +123,7 @@ class _Records:
             possible = (found != _UNKNOWN) & (ends <= len(self.data))
             chain = self._chain.copy()
             where, which = starts[possible], found[possible]
-            taken = chain.take(where, ends[possible], None, self._judge(ends[possible]), end)
+            taken = chain.take(where, ends[possible], None, *self._sound(ends[possible]), end)
             where, which = where[taken], which[taken]
             records = set(where[which == 0].tolist())
             # what looked like a definition inside another record is none: then once more without it
@@ -138,7 +137,7 @@ class _Records:
     def _keep(self, where: Places, which: NDArray[np.int64]) -> None:
         layouts = [known.layout for known in self._definitions.known]
         timed = np.array([layout is not None and layout.ticks_per_s > 0 for layout in layouts])
-        for index in np.unique(which).tolist():
+        for index in np.flatnonzero(np.bincount(which)).tolist():
             layout = layouts[index]
             if layout is not None and (WANTED.match(layout.name) or TELLING.match(layout.name)):
                 self._places.setdefault(index, []).append(where[which == index])
@@ -162,8 +161,18 @@ class _Records:
                     found.append((position, said))
         return found
 
-    def _judge(self, ends: Places) -> Callable[[int, bool], bool]:
-        return lambda index, _: self._continues(int(ends[index]))
+    def _sound(self, ends: Places) -> tuple[Vouch, Judge]:
+        """A record is sound if the log goes on where it ends, whatever stood before it."""
+
+        def judge(index: int, _: bool) -> bool:
+            return self._continues(int(ends[index]))
+
+        def vouch(chosen: Places) -> Mask:
+            end = np.minimum(ends[chosen], len(self.data) - 2)
+            follows: Mask = (self.data[end] == HEADER[0]) & (self.data[end + 1] == HEADER[1])
+            return np.asarray(follows | (ends[chosen] >= min(len(self.data) - 1, self._padding)), np.bool_)
+
+        return vouch, judge
 
     def _continues(self, end: int) -> bool:
         """Is `end` a place where a sound record may end: before a header, the end, or padding to it."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, add_rows, latest_before, times_s
+from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, add_rows, distinct, latest_before, times_s
 from uavbatt.telemetry.parameters import VOLTAGE_ONLY, monitor_parameter
 
 WANTED = re.compile(r"(CURR|CUR\d|BAT\d?|BCL\d?|PARM|ARM|EV)$")
@@ -166,7 +166,7 @@ def _counted(tables: Sequence[Table]) -> _Change:
     """Battery records without a time: one second a record of each battery."""
     order, instance = _change([(t.order, _instance(t)) for t in tables])
     count = np.zeros(len(order))
-    for number in np.unique(instance):
+    for number in distinct(instance):
         own = instance == number
         count[own] = np.arange(np.count_nonzero(own))
     return _Change(order, count)
@@ -189,7 +189,7 @@ def _names(table: Table) -> Sequence[str]:
 def _without_current(order: Order, instance: Order, parameters: Sequence[_Timed]) -> NDArray[np.bool_]:
     """Rows of batteries whose monitor is known, by then, to measure no current."""
     blind = np.zeros(len(order), np.bool_)
-    for number in np.unique(instance).tolist():
+    for number in distinct(instance):
         wanted = monitor_parameter(number)
         parts = []
         for t in parameters:
@@ -251,7 +251,7 @@ def _cells(order: Order, instance: Order, time_s: Column, cells: Sequence[_Timed
         cells_mV = np.column_stack([t.table.column(name) for name in names] or [np.zeros((len(t.time_s), 0))])
         cells_V = np.where((cells_mV > 1) & (cells_mV < 65535), cells_mV / 1000, np.nan)
         said_of = _instance(t.table)
-        for number in np.unique(said_of).tolist():
+        for number in distinct(said_of):
             rows, own = np.flatnonzero(instance == number), np.flatnonzero(said_of == number)
             before = latest_before(t.table.order[own], order[rows])
             own, rows = own[before >= 0], rows[before[before >= 0]]

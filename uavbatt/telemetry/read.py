@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path, PurePath
+from typing import TYPE_CHECKING
 
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.records import Flight
-from uavbatt.telemetry import csv_table, ulog
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
+
+if TYPE_CHECKING:
+    from uavbatt.telemetry.columns import Rows
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
+_ULOG = b"ULog\x01\x12\x35"
 _DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFlash log
 _ODD_IN_TEXT = bytes(byte for byte in range(32) if not 9 <= byte <= 13)
 
@@ -27,25 +32,39 @@ def read_log(path: str | Path, instance: int | None = None) -> Flight:
     first in the log that reports a current; if none does, the first with a voltage.
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
-    return read_bytes(str(path), _bytes(path), instance)
+    return read_bytes(str(path), _bytes(Path(path)), instance)
 
 
 def read_bytes(source: str, data: bytes, instance: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
-    if not data.strip():
-        raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
-    kind = _kind(source, data)
-    log = _read(kind, source, data)
-    if not log.rows:
-        dropped = "; ".join(log.all_notes())
-        raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
-    return _flight(source, kind, log, instance)
+    kind, log = _read(source, data)
+    chosen = _chosen(source, log, instance)
+    return Flight(
+        source=source,
+        kind=kind,
+        samples=tuple(log.columns[chosen].samples() if log.columns else log.rows[chosen]),
+        instance=chosen,
+        instances=tuple(sorted(log.columns or log.rows)),
+        facts=facts_timeline(log.parameters, chosen, is_telemetry=kind == "tlog"),
+        duration_s=log.now_s,
+        skipped_bytes=log.skipped_bytes,
+        notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
+        identity=completed(log.identity, log.parameters, chosen),
+    )
+
+
+def read_columns(path: str | Path, instance: int | None = None) -> Rows:
+    """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
+    from uavbatt.telemetry.columns import rows_of
+
+    _, log = _read(str(path), _bytes(Path(path)))
+    chosen = _chosen(str(path), log, instance)
+    return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
 
 def _bytes(path: Path) -> bytes:
+    if path.is_dir():
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -58,7 +77,7 @@ def _bytes(path: Path) -> bytes:
 def _kind(source: str, data: bytes) -> str:
     """The kind of log, from its content; the suffix only where the head is damaged."""
     head = data[:_HEAD_BYTES]
-    if data.startswith(ulog.MAGIC):
+    if data.startswith(_ULOG):
         return "ulog"
     if data.startswith(_DATAFLASH):
         return "dataflash-binary"
@@ -93,34 +112,42 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(kind: str, source: str, data: bytes) -> LogBuilder:
-    if kind == "ulog":
-        return ulog.read(source, data)
-    if kind == "csv":
-        return csv_table.read(source, data)
-    from uavbatt.telemetry import dataflash_binary, dataflash_text, tlog  # these load numpy
+def _read(source: str, data: bytes) -> tuple[str, LogBuilder]:
+    """The kind of a log, and its rows; BadInput if it is none or has none."""
+    if not data or data.isspace():
+        raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
+    kind = _kind(source, data)
+    log = _reader(kind)(source, data)
+    if not (log.rows or log.columns):
+        dropped = "; ".join(log.all_notes())
+        raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
+    return kind, log
 
-    readers = {"dataflash-binary": dataflash_binary.read, "dataflash-text": dataflash_text.read, "tlog": tlog.read}
-    return readers[kind](data)
+
+def _reader(kind: str) -> Callable[[str, bytes], LogBuilder]:
+    """What reads logs of a kind; only that is imported."""
+    if kind == "dataflash-binary":
+        from uavbatt.telemetry.dataflash_binary import read
+    elif kind == "dataflash-text":
+        from uavbatt.telemetry.dataflash_text import read
+    elif kind == "tlog":
+        from uavbatt.telemetry.tlog import read
+    elif kind == "ulog":
+        from uavbatt.telemetry.ulog import read as read_ulog
+
+        return read_ulog
+    else:
+        from uavbatt.telemetry.csv_table import read as read_csv
+
+        return read_csv
+    return lambda _, data: read(data)
 
 
-def _flight(source: str, kind: str, log: LogBuilder, instance: int | None) -> Flight:
-    """The rows of the asked or default instance, with the facts that concern it."""
-    there = tuple(sorted(log.rows))
-    chosen = default_instance(log.rows) if instance is None else instance
-    if chosen not in log.rows:
-        named = ", ".join(str(i) for i in there)
+def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:
+    """The asked instance, which must be there, or the default one."""
+    chosen = default_instance(log) if instance is None else instance
+    there = log.columns or log.rows
+    if chosen not in there:
+        named = ", ".join(str(i) for i in sorted(there))
         raise UsageError(f"{source}: no battery instance {chosen}; the log has: {named}")
-    facts = facts_timeline(log.parameters, chosen, is_telemetry=kind == "tlog")
-    return Flight(
-        source=source,
-        kind=kind,
-        samples=tuple(log.rows[chosen]),
-        instance=chosen,
-        instances=there,
-        facts=facts,
-        duration_s=log.now_s,
-        skipped_bytes=log.skipped_bytes,
-        notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
-        identity=completed(log.identity, log.parameters, chosen),
-    )
+    return chosen

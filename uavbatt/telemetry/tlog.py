@@ -19,7 +19,7 @@ from uavbatt.records import Identity
 from uavbatt.telemetry import tlog_payloads
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.chain import Mask
-from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, latest_before, times_s
+from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct, latest_before, times_s
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.tlog_frames import AUTOPILOT_VERSION, Frames, frames
 
@@ -61,8 +61,7 @@ def _autopilot(found: Frames, log: LogBuilder) -> int:
     beating = found.of(fields.HEARTBEAT)
     is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
     beaters, autopilots = set(beating.source.tolist()), set(beating.source[is_autopilot].tolist())
-    senders, first = np.unique(found.source[np.isin(found.message_id, _BATTERY_IDS)], return_index=True)
-    in_order = senders[np.argsort(first)].tolist()
+    in_order = distinct(found.source[np.isin(found.message_id, _BATTERY_IDS)])
     candidates = [s for s in in_order if s in autopilots]
     # A short or cut log may hold no heartbeat: then component 1 is believed to be the autopilot.
     candidates = candidates or [s for s in in_order if s not in beaters and s & 0xFF == _AUTOPILOT_COMPONENT]
@@ -72,7 +71,7 @@ def _autopilot(found: Frames, log: LogBuilder) -> int:
     for other in in_order:
         if other != chosen:
             log.notes.append(f"battery messages of {_named(other)} ignored (read: {_named(chosen)})")
-    of_chosen = set(np.unique(found.message_id[found.source == chosen]).tolist())
+    of_chosen = distinct(found.message_id[found.source == chosen])
     if fields.BATTERY_STATUS not in of_chosen and fields.SYS_STATUS in of_chosen:
         log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
     return chosen
@@ -112,7 +111,7 @@ def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder)
 def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
     """The rows of every battery message that counts, in order."""
     places, parts = [], []
-    ids: set[int] = set()
+    ids: list[int] = []
     for message_id, kind in tlog_payloads.KINDS.items():
         place = own.places(message_id)
         is_told = bool(ids) if message_id == fields.SYS_STATUS else message_id == fields.BATTERY2 and 1 in ids
@@ -120,7 +119,7 @@ def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> No
             continue
         said = kind.said(own.at(place).payloads(kind.layout.itemsize))
         if message_id == fields.BATTERY_STATUS:
-            ids = set(np.unique(said.instance).tolist())
+            ids = distinct(said.instance)
         places.append(place)
         parts.append(said)
     if not parts:

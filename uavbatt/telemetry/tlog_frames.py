@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
-from uavbatt.telemetry.chain import Bytes, Chain, Mask, Places, gathered, windows
+from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, windows
 from uavbatt.telemetry.checksum import checksums
 
 AUTOPILOT_VERSION = 148
@@ -31,11 +31,14 @@ SEEDS = {
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _STAMP = 8
+_HEAD, _HEAD_V1, _SIGNATURE = _STAMP + 10, _STAMP + 6, 13
 _LATEST_US = 4_102_444_800_000_000  # the year 2100; early times are real: a clock never set starts in 1970
 _DAY_US = 86_400_000_000
 _HEAD_BYTES = 65_536
 _NO_SEED = -1
 _BLOCK = 64  # candidates
+_SEEDS = np.full(257, _NO_SEED, np.int64)  # by message; the last stands for all beyond
+_SEEDS[list(SEEDS)] = list(SEEDS.values())
 
 Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `False` if its type is unknown
 
@@ -91,21 +94,15 @@ class _Candidates:
 
     start: Places
     end: Places
-    is_v2: Mask
+    payload: Places
     length: NDArray[np.int64]
+    message_id: NDArray[np.int64]
 
     def at(self, chosen: Any) -> _Candidates:
-        return _Candidates(self.start[chosen], self.end[chosen], self.is_v2[chosen], self.length[chosen])
-
-    @property
-    def payload(self) -> Places:
-        return self.start + np.where(self.is_v2, _STAMP + 10, _STAMP + 6)
-
-    def message_id(self, data: Bytes) -> NDArray[np.int64]:
-        low = data[self.payload - np.where(self.is_v2, 3, 1)].astype(np.int64)
-        middle = data[self.payload - 2].astype(np.int64) << 8
-        high = data[self.payload - 1].astype(np.int64) << 16
-        return np.where(self.is_v2, low | middle | high, low)
+        """Some of the candidates."""
+        return _Candidates(
+            self.start[chosen], self.end[chosen], self.payload[chosen], self.length[chosen], self.message_id[chosen]
+        )
 
     def is_sound(self, data: Bytes, seed: NDArray[np.int64]) -> Mask:
         """Whether the checksum is right."""
@@ -139,12 +136,12 @@ def frames(raw: bytes) -> Frames:
     first_us, last_us = -1, -1
     for begin, end in windows(len(data)):
         found = _candidates(data, begin, end)
-        ids = found.message_id(data)
-        wanted = np.isin(ids, list(SEEDS))
-        sound = np.ones(len(ids), np.bool_)
+        wanted = _is_wanted(found.message_id)
+        sound = np.ones(len(wanted), np.bool_)
         chosen = found.at(wanted)
-        sound[wanted] = chosen.is_sound(data, _seeds(ids[wanted]))
-        taken = chain.take(found.start, found.end, sound, _judge(data, found, ids, wanted, sound), end)
+        sound[wanted] = chosen.is_sound(data, _SEEDS[chosen.message_id])
+        vouch, judge = _vouch(data, found, wanted, sound), _judge(data, found, wanted, sound)
+        taken = chain.take(found.start, found.end, sound, vouch, judge, end)
         places = np.flatnonzero(taken)
         if len(places):
             ends_us = stamps_us(data, found.start[places[[0, -1]]])
@@ -157,11 +154,10 @@ def looks_like_tlog(raw: bytes) -> bool:
     """True if the head of `raw` holds at least one time-stamped frame with a good checksum."""
     data = np.frombuffer(raw[:_HEAD_BYTES], np.uint8)
     found = _candidates(data, 0, len(data))
-    ids = found.message_id(data)
-    wanted = np.isin(ids, list(SEEDS))
-    if np.any(found.at(wanted).is_sound(data, _seeds(ids[wanted]))):
+    chosen = found.at(_is_wanted(found.message_id))
+    if np.any(chosen.is_sound(data, _SEEDS[chosen.message_id])):
         return True
-    seeds = np.array([_seed(int(number)) for number in ids], np.int64)
+    seeds = np.array([_seed(number) for number in found.message_id.tolist()], np.int64)
     known = seeds != _NO_SEED
     return bool(np.any(found.at(known).is_sound(data, seeds[known])))
 
@@ -175,30 +171,57 @@ def _candidates(data: Bytes, begin: int, end: int) -> _Candidates:
     """Every place from `begin` to `end` where a frame could begin that ends inside the file."""
     size = len(data)
     mark = data[begin + _STAMP : end + _STAMP]
-    start = np.flatnonzero((mark == _V1) | (mark == _V2)) + begin
-    start = start[start + _STAMP + 6 < size]
+    start = np.flatnonzero(mark - np.uint8(_V2) <= _V1 - _V2) + begin  # unsigned: what is below wraps around
     # a stamp before 2100 has 0 in its first byte and at most 14 in its second
     start = start[(data[start] == 0) & (data[start + 1] <= _LATEST_US >> 48)]
-    is_v2 = data[start + _STAMP] == _V2
-    flags = data[start + _STAMP + 2]
-    length = data[start + _STAMP + 1].astype(np.int64)
-    stop = start + _STAMP + length + np.where(is_v2, 12 + 13 * flags.astype(np.int64), 8)
-    possible = (stop <= size) & (~is_v2 | (flags <= _SIGNED))
-    late = np.flatnonzero(data[start + 1] == _LATEST_US >> 48)
+    head = gathered(data, start, _HEAD)
+    v1 = np.flatnonzero(head[:, _STAMP] == _V1)
+    length, flags = head[:, _STAMP + 1].astype(np.int64), head[:, _STAMP + 2].copy()
+    flags[v1] = 0
+    payload = start + _HEAD
+    payload[v1] -= _HEAD - _HEAD_V1
+    stop = payload + length + 2
+    stop[flags == _SIGNED] += _SIGNATURE
+    possible = (stop <= size) & (flags <= _SIGNED)
+    late = np.flatnonzero(head[:, 1] == _LATEST_US >> 48)
     possible[late] &= stamps_us(data, start[late]) <= _LATEST_US
-    return _Candidates(start, stop, is_v2, length).at(possible)
+    found = _Candidates(start, stop, payload, length, _message_ids(head, v1))
+    return found if possible.all() else found.at(possible)
 
 
-def _judge(
-    data: Bytes, found: _Candidates, ids: NDArray[np.int64], wanted: Mask, sound: Mask
-) -> Callable[[int, bool], bool]:
+def _message_ids(head: Bytes, v1: Places) -> NDArray[np.int64]:
+    """Three bytes, of which mostly only the first is used; in version 1 it is one, and stands elsewhere."""
+    found = head[:, _HEAD - 3].astype(np.int64)
+    wide = np.flatnonzero(head[:, _HEAD - 2] | head[:, _HEAD - 1])
+    found[wide] |= head[wide, _HEAD - 2].astype(np.int64) << 8 | head[wide, _HEAD - 1].astype(np.int64) << 16
+    found[v1] = head[v1, _HEAD_V1 - 1]
+    return found
+
+
+def _is_wanted(message_id: NDArray[np.int64]) -> Mask:
+    return np.asarray(_SEEDS[np.minimum(message_id, len(_SEEDS) - 1)] != _NO_SEED, np.bool_)
+
+
+def _vouch(data: Bytes, found: _Candidates, wanted: Mask, sound: Mask) -> Vouch:
+    """Inside the chain a wanted frame needs its checksum, any other one a mark where the next frame has it."""
+
+    def vouch(chosen: Places) -> Mask:
+        mark = found.end[chosen] + _STAMP
+        following = data[np.minimum(mark, len(data) - 1)]
+        follows = (mark >= len(data)) | (following == _V1) | (following == _V2)
+        return np.where(wanted[chosen], sound[chosen], follows)
+
+    return vouch
+
+
+def _judge(data: Bytes, found: _Candidates, wanted: Mask, sound: Mask) -> Judge:
     """Is one candidate a frame? Its checksum says so; a type that nobody knows counts if a frame may follow it."""
 
     @cache
     def block(number: int) -> list[bool | None]:
         """Verdicts of the checksums of a block of candidates, None for unknown types: one by one is far slower."""
         chosen = slice(number * _BLOCK, (number + 1) * _BLOCK)
-        seeds = np.array([_seed(message_id) for message_id in ids[chosen].tolist()])
+        seeds = np.array([_seed(message_id) for message_id in found.message_id[chosen].tolist()])
         is_sound = found.at(chosen).is_sound(data, seeds).tolist()
         return [None if seed == _NO_SEED else good for seed, good in zip(seeds.tolist(), is_sound, strict=True)]
 
@@ -209,8 +232,6 @@ def _judge(
             return False
         if wanted[index]:
             return bool(sound[index])
-        if in_chain and follows:
-            return True
         verdict = block(index // _BLOCK)[index % _BLOCK]
         return follows if verdict is None else verdict
 
@@ -226,28 +247,22 @@ def _is_stamp_torn(data: Bytes, start: int, next_mark: int) -> bool:
 
 
 def _frames(data: Bytes, kept: list[_Candidates], first_us: int, last_us: int, skipped_bytes: int) -> Frames:
-    start = np.concatenate([k.start for k in kept]) if kept else np.zeros(0, np.int64)
-    payload = np.concatenate([k.payload for k in kept]) if kept else start
-    is_v2 = np.concatenate([k.is_v2 for k in kept]) if kept else start
-    all_kept = _Candidates(start, start, np.asarray(is_v2, np.bool_), start)
-    system = start + np.where(all_kept.is_v2, _STAMP + 5, _STAMP + 3)
+    start, payload, length, message_id = (
+        np.concatenate([np.zeros(0, np.int64), *(getattr(k, name) for k in kept)])
+        for name in ("start", "payload", "length", "message_id")
+    )
+    system = payload - np.where(payload - start == _HEAD, 5, 3)
     return Frames(
         data=data,
         start=start,
         payload=payload,
-        length=np.concatenate([k.length for k in kept]) if kept else start,
-        message_id=all_kept.message_id(data),
+        length=length,
+        message_id=message_id,
         source=data[system].astype(np.int64) << 8 | data[system + 1],
         first_s=first_us / 1e6 if first_us >= 0 else float("nan"),
         last_s=last_us / 1e6 if last_us >= 0 else float("nan"),
         skipped_bytes=skipped_bytes,
     )
-
-
-def _seeds(ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    table = np.zeros(256, np.int64)
-    table[list(SEEDS)] = list(SEEDS.values())
-    return np.asarray(table[ids], np.int64)
 
 
 def _seed(message_id: int) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
 from uavbatt.telemetry.chain import Bytes, Mask
-from uavbatt.telemetry.columns import Column
+from uavbatt.telemetry.columns import Column, distinct
 
 HEARTBEAT = np.dtype([("custom_mode", "<u4"), ("type", "u1"), ("autopilot", "u1"), ("base_mode", "u1")])
 PARAM_VALUE = np.dtype([("value", "<f4"), ("count", "<u2"), ("index", "<u2"), ("id", "S16"), ("type", "u1")])
@@ -78,9 +78,8 @@ def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
     """`is_so` of every heartbeat; asked once for each kind of heartbeat there is."""
     beats = payloads.view(HEARTBEAT)[:, 0]
     packed = beats["type"].astype(np.int32) << 16 | beats["autopilot"].astype(np.int32) << 8 | beats["base_mode"]
-    kinds, which = np.unique(packed, return_inverse=True)
-    asked = [is_so(_Beat(kind >> 16, kind >> 8 & 0xFF, kind & 0xFF)) for kind in kinds.tolist()]
-    return np.array(asked, np.bool_)[which]
+    asked = {kind: is_so(_Beat(kind >> 16, kind >> 8 & 0xFF, kind & 0xFF)) for kind in distinct(packed)}
+    return np.array([asked[kind] for kind in packed.tolist()], np.bool_)
 
 
 def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, float]]:

@@ -16,7 +16,6 @@ from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, known
 from uavbatt.telemetry.identity import utc_s, version
 
-MAGIC = b"ULog\x01\x12\x35"
 _TOPICS = ["battery_status", "vehicle_status", "vehicle_gps_position"]
 _ARMED_STATE = 2  # vehicle_status.arming_state
 _US = 1e6
