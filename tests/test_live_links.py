@@ -230,6 +230,13 @@ def test_our_frames_are_signed_with_the_key_at_the_time_of_the_clock(tmp_path: A
         verified(bench.station.sent, KEY[::-1])
 
 
+def test_a_vehicle_that_signs_is_heard() -> None:
+    bench = Bench()
+    bench._out.signing.secret_key, bench._out.signing.sign_outgoing = KEY, True
+    bench.fly(3.0)
+    assert bench.daemon.board.counts["rows"] == 15 and bench.daemon.board.counts["bad_checksums"] == 0
+
+
 @pytest.mark.parametrize("text", ["", "00", "zz" * 32, None])
 def test_a_key_that_is_none_is_refused(tmp_path: Any, text: str | None) -> None:
     path = tmp_path / "key"
