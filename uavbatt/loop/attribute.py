@@ -211,9 +211,13 @@ def _distinct(fits: list[Refit]) -> list[Refit]:
 
 
 def constancies(problem: Problem, fits: list[Refit], before: Refit) -> list[Constancy | None]:
-    """Refit every record by itself, the errors of the file held; None for a single record or a bare start."""
+    """Refit the effect added last to every record by itself, what else the model has held at the shared values.
+
+    None for a single record, and for a start, which each record has of its own anyway.
+    """
     useful = [f for f in fits if f.candidate.last and len(problem.evidence.names) > 1]
-    owns = refit(problem, [f.candidate for f in useful], own=True, start=useful, iterations=8) if useful else []
+    candidates = [f.candidate for f in useful]
+    owns = refit(problem, candidates, own=True, last_only=True, start=useful, iterations=8) if useful else []
     known = {id(f): _constancy(problem, f, own, before) for f, own in zip(useful, owns, strict=True)}
     return [known.get(id(f)) for f in fits]
 

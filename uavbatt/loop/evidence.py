@@ -34,6 +34,7 @@ SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LEAST_RECORDS = 2
 LEAST_CHANGE = 0.04  # of the current, relative, over the records
 IDLE_NOISE_A = 0.15
+FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 
 
@@ -125,6 +126,7 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
     strict = 1.0 if left.held_out else NOT_HELD_OUT
     cell_sd_V = max(left.voltage_rmse_V / file.battery.cells_series * strict, LEAST_CELL_SD_V)
     tau_s = max(left.voltage_autocorrelation_s, LEAST_TAU_S)
+    ohm = float(np.mean(file.parameters.resistance_ohmAh)) * cells / records[0].capacity_Ah
     temp_sd_K = max(left.temperature_rmse_K * strict, LEAST_TEMP_SD_K)
     stack = observed.stack(records, voltage_sd_V=cell_sd_V, timing_sd_s=TIMING_SD_S)
     numbers = range(len(records))
@@ -132,7 +134,10 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
     duration_s = sum(float(r.time_s[-1] - r.time_s[0]) for r in records)
     return Evidence(
         stack=stack,
-        volts=tuple(_voltage_whitener(stack, j, cells, tau_s) for j in numbers),
+        volts=tuple(
+            _voltage_whitener(stack, j, tau_s, max(WHITE_CELL_SD_V * cells, noise_V(r, ohm)))
+            for j, r in enumerate(records)
+        ),
         temps=tuple(_temperature_whitener(stack, j, temp_sd_K) for j in numbers),
         shifted_A=_shifted(records, stack),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
@@ -157,14 +162,27 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array]:
     return centre, np.where(full, 0.008, np.where(stack.rested, 0.03, 0.06))
 
 
-def _voltage_whitener(stack: Stack, j: int, cells: float, tau_s: float) -> Whitener:
+def noise_V(record: Observed, ohm: float) -> float:
+    """Noise of both sensors that a mean over BIN_S keeps [V]; 0 where rows are too slow to tell it from the load.
+
+    From second differences, which a load that moves over many rows hardly has. The current's, through the pack's
+    resistance, is a voltage that the model says and the pack does not show: without it, resistances come out too small.
+    """
+    spacing_s = float(np.median(np.diff(record.time_s)))
+    if spacing_s > FAST_ROW_S:
+        return 0.0
+    bent = [np.median(np.abs(np.diff(column, 2))) for column in (record.voltage_V, ohm * record.current_A)]
+    return float(1.4826 * np.hypot(*bent) / np.sqrt(6.0 * observed.BIN_S / spacing_s))
+
+
+def _voltage_whitener(stack: Stack, j: int, tau_s: float, white_V: float) -> Whitener:
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
-    sd = np.where(loaded, stack.sigma_V[rows, j], REST_CELL_SD_V * cells)
+    sd = np.where(loaded, stack.sigma_V[rows, j], REST_CELL_SD_V * stack.cells[j])
     kernel = np.exp(-np.abs(time_s[:, None] - time_s) / tau_s) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
-    return _whitener(rows, kernel, WHITE_CELL_SD_V * cells)
+    return _whitener(rows, kernel, white_V)
 
 
 def _temperature_whitener(stack: Stack, j: int, sd_K: float) -> Whitener | None:

@@ -26,10 +26,10 @@ AGEING = frozenset({"capacity_fade", "resistance_growth", "weak_cell"})
 
 def verdicts(tests: DataSet, file: BatteryFile) -> list[Verdict]:
     """The gating claims of the tests for the cells of `file`. Raises NotEnoughData without repeated tests."""
+    if aged := sorted(AGEING.intersection(e.name for e in file.effects)):
+        return [_missing(None, f"the tests are of a pack that had not aged yet: {', '.join(aged)}")]
     result = validate(tests, close_loop=False)
     ambient_C, shipped = result.ambient_C, result.battery
-    if aged := sorted(AGEING.intersection(e.name for e in file.effects)):
-        return [_missing(ambient_C, f"the tests are of a pack that had not aged yet: {', '.join(aged)}")]
     claims = [c for c in result.claims if c.gates]
     if shipped is not None and not _same_cells(shipped, file):
         if not is_metered(tests):
@@ -48,7 +48,7 @@ def _same_cells(one: BatteryFile, other: BatteryFile) -> bool:
     return all(np.array_equal(a, b) for a, b in pairs)
 
 
-def _missing(ambient_C: float, reason: str) -> Verdict:
+def _missing(ambient_C: float | None, reason: str) -> Verdict:
     return Verdict(claim="the extended model", verdict="not enough data", ambient_C=ambient_C, reason=reason)
 
 

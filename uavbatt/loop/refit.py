@@ -62,10 +62,16 @@ class _Batch:
         self.start_sd = np.array([[max(s, FREE_START_SD) if c.free_start else s for s in evidence.start_sd]
                                   for c in candidates])
 
-    def hold(self, centre: Array, weight: float) -> None:
-        """Priors of the shared errors that are estimated: where, and how strong a record; the rest stays at zero."""
-        self.centre = np.where(self.shared[:, None], centre, 0.0)
-        self.stiffness = np.where(self.shared, weight, self.stiffness)
+    def hold(self, centre: Array, weight: float, earlier: bool = False) -> None:
+        """Priors of the shared errors that are estimated: where, and how strong a record; the rest stays at zero.
+
+        earlier : the same for the effects that were there before the last.
+        """
+        held = self.shared.copy()
+        for i, columns in enumerate(self.columns if earlier else ()):
+            held[i, len(columns) - len(self.candidates[i].freed) : len(columns) - self.candidates[i].last] = True
+        self.centre = np.where(held[:, None], centre, 0.0)
+        self.stiffness = np.where(held, weight, self.stiffness)
 
     def place(self, u: Array, given: Refit) -> None:
         """Start from an earlier refit with the same leading quantities: u [records, size] is filled."""
@@ -152,11 +158,12 @@ def refit(
     candidates: list[Candidate],
     *,
     own: bool = False,
+    last_only: bool = False,
     start: list[Refit] | None = None,
     progress: Callable[[int], None] | None = None,
     iterations: int = ITERATIONS,
 ) -> list[Refit]:
-    """Refit every candidate; `own` gives each record its own values of the quantities."""
+    """Refit every candidate; `own` gives each record its own values of the quantities, or of the last effect's only."""
     batch = _Batch(problem, candidates)
     count, records = len(candidates), batch.records
     u = np.zeros((count, records, batch.size))
@@ -166,7 +173,7 @@ def refit(
         v[i] = given.v
     damping = np.full((count, records) if own else (count, 1), 1e-2)
     held = HELD if own else 1.0 / records  # a shared error has one prior; in the test of constancy it stays put
-    batch.hold(u if own else np.zeros_like(u), held)
+    batch.hold(u if own else np.zeros_like(u), held, earlier=last_only)
     if not own:
         u = _scanned(batch, u, v)
     state = _linearised(batch, u, v)
