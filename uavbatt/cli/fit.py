@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -33,13 +34,13 @@ def fit(
     capacity_ah: CapacityOption = None,
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
-    instance: Annotated[int | None, typer.Option("--instance", min=0)] = None,
+    instance: InstanceOption = None,
+    join: JoinOption = "",
 ) -> None:
     """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
     from uavbatt import dataset
     from uavbatt.battery import file
     from uavbatt.fitting.battery import fit_battery, size_of
-    from uavbatt.telemetry import read_log
 
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
@@ -47,7 +48,7 @@ def fit(
         raise UsageError("-o fits a battery file and --battery names one: expected one of the two")
     check_writable(output, vehicle)
     datasets = [dataset.load(path) for path in sources if path.is_dir()]
-    flights = [read_log(path, instance) for path in sources if not path.is_dir()]
+    flights = [asked_flight(path, instance, join) for path in sources if not path.is_dir()]
     stated = (cells, known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
     if battery:
         content = file.read(battery, allow_uncertified=allow_uncertified)

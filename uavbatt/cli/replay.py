@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     BatteryOption,
@@ -40,7 +41,8 @@ def replay(
     cutoff_voltage: CutoffOption = None,
     reserve_soc: ReserveOption = 0.0,
     allow_uncertified: UncertifiedOption = False,
-    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
+    instance: InstanceOption = None,
+    join: JoinOption = "",
     load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
     vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
@@ -71,7 +73,7 @@ def replay(
     results = []
     for log in logs:
         targets = [_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)]
-        results.append(_one(log, content, options, (load, flown), instance, *targets))
+        results.append(_one(log, content, options, (load, flown), (instance, join), *targets))
     if summary is not None:
         from uavbatt.aside import written_aside
 
@@ -85,7 +87,7 @@ def _one(
     content: BatteryFile,
     options: PackOptions,
     load: tuple[str, VehicleFile | None],
-    instance: int | None,
+    chosen: tuple[int | None, str],
     jsonl: Path | None,
     csv: Path | None,
     report: Path | None,
@@ -96,10 +98,9 @@ def _one(
     from uavbatt.feed import sinks
     from uavbatt.pipeline import Estimator
     from uavbatt.replay import outcome, steps
-    from uavbatt.telemetry import read_log
     from uavbatt.telemetry.recording import forecast_period_s
 
-    flight = read_log(log, instance)
+    flight = asked_flight(log, *chosen)
     period_s = forecast_period_s(log)
     if math.isfinite(period_s):
         options = changed(options, forecast_period_s=period_s)
