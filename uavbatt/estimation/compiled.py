@@ -24,20 +24,38 @@ share(noise)
 
 
 @compiled
-def product(a: Array, b: Array) -> Array:
-    """Matrix product; for 8 x 8 as fast as a library's, and compiled in a tenth of the time."""
-    out = np.zeros((a.shape[0], b.shape[1]))
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            for j in range(b.shape[1]):
-                out[i, j] += a[i, k] * b[k, j]
+def sandwich(a: Array, p: Array) -> Array:
+    """a p aᵀ of 8 x 8 matrices, in loops of fixed length, which become a few wide instructions each."""
+    half, out = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    for i in range(SIZE):
+        for k in range(SIZE):
+            for j in range(SIZE):
+                half[i, j] += a[i, k] * p[k, j]
+    turned = np.empty((SIZE, SIZE))
+    for i in range(SIZE):
+        for j in range(SIZE):
+            turned[j, i] = a[i, j]
+    for i in range(SIZE):
+        for k in range(SIZE):
+            for j in range(SIZE):
+                out[i, j] += half[i, k] * turned[k, j]
     return out
 
 
 @compiled
-def sandwich(a: Array, p: Array) -> Array:
-    """a p aᵀ."""
-    return product(product(a, p), np.ascontiguousarray(a.T))
+def gains(P: Array, H: Array) -> tuple[Array, Array]:
+    """P Hᵀ, transposed [readings, 8], and H P Hᵀ."""
+    n = H.shape[0]
+    PHt, S = np.zeros((n, SIZE)), np.zeros((n, n))
+    for m in range(n):
+        for k in range(SIZE):
+            for j in range(SIZE):
+                PHt[m, j] += H[m, k] * P[k, j]
+    for m in range(n):
+        for other in range(n):
+            for j in range(SIZE):
+                S[m, other] += PHt[m, j] * H[other, j]
+    return PHt, S
 
 
 @compiled
@@ -81,28 +99,31 @@ def voltage(pack: Pack, x: Array, current_A: float) -> float:
 def joseph(x: Array, P: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
     """One measurement, covariance in Joseph's form as in filterpy; at most two readings."""
     n = y.size
-    PHt = product(P, np.ascontiguousarray(H.T))
-    S = product(H, PHt)
-    inverse = np.empty((n, n))
-    if n == 1:
-        inverse[0, 0] = 1.0 / (S[0, 0] + R[0, 0])
-    else:
-        a, b, c, d = S[0, 0] + R[0, 0], S[0, 1] + R[0, 1], S[1, 0] + R[1, 0], S[1, 1] + R[1, 1]
-        determinant = a * d - b * c
-        inverse[0, 0], inverse[0, 1] = d / determinant, -b / determinant
-        inverse[1, 0], inverse[1, 1] = -c / determinant, a / determinant
-    K = product(PHt, inverse)
-    keep = product(K, H)
-    later = x.copy()
+    PHt, S = gains(P, H)
+    K, keep, later = np.zeros((n, SIZE)), np.zeros((SIZE, SIZE)), x.copy()
+    for m in range(n):
+        for other in range(n):
+            S[m, other] += R[m, other]
+    determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0] if n == 2 else S[0, 0]
+    for j in range(SIZE):
+        if n == 2:
+            K[0, j] = (PHt[0, j] * S[1, 1] - PHt[1, j] * S[1, 0]) / determinant
+            K[1, j] = (PHt[1, j] * S[0, 0] - PHt[0, j] * S[0, 1]) / determinant
+        else:
+            K[0, j] = PHt[0, j] / determinant
     for i in range(SIZE):
-        for j in range(SIZE):
-            keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]
-        for j in range(n):
-            later[i] += K[i, j] * y[j]
-    spread, noise_P = sandwich(keep, P), sandwich(K, R)
-    for i in range(SIZE):
-        for j in range(SIZE):
-            spread[i, j] += noise_P[i, j]
+        keep[i, i] = 1.0
+    for m in range(n):
+        for i in range(SIZE):
+            later[i] += K[m, i] * y[m]
+            for j in range(SIZE):
+                keep[i, j] -= K[m, i] * H[m, j]
+    spread = sandwich(keep, P)
+    for m in range(n):
+        for other in range(n):
+            for i in range(SIZE):
+                for j in range(SIZE):
+                    spread[i, j] += K[m, i] * R[m, other] * K[other, j]
     return later, spread
 
 
@@ -125,12 +146,13 @@ def update(
         H[1, C.SENSOR] = 1.0
         y[1] = temp_C - (x[C.SENSOR] + pack.installation.offset_K)
         R[1, 1] = pack.temperature_sd_K**2
-    S = sandwich(H, P)
-    a = S[0, 0] + R[0, 0]
-    nis = y[0] ** 2 / a
+    _, S = gains(P, H)
+    volts_V2 = S[0, 0] + R[0, 0]
+    nis = y[0] ** 2 / volts_V2
     if size == 2:
-        b, d = S[0, 1], S[1, 1] + R[1, 1]
-        nis = (y[0] ** 2 * d - 2.0 * y[0] * y[1] * b + y[1] ** 2 * a) / (a * d - b * b)
+        both, warmth_K2 = S[0, 1], S[1, 1] + R[1, 1]
+        nis = y[0] ** 2 * warmth_K2 - 2.0 * y[0] * y[1] * both + y[1] ** 2 * volts_V2
+        nis /= volts_V2 * warmth_K2 - both * both
     if nis > GATE:  # believe it less, so that its normalised innovation is GATE
         for i in range(size):
             for j in range(size):

@@ -1,0 +1,243 @@
+"""The engine against its peers: a filter step, a forecast, a replay, and how the cost grows with the flight.
+
+Each figure is the median over repeats that take turns, so that what else the machine does hits both sides.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from uavbatt import fast
+from uavbatt.battery import file
+from uavbatt.battery.belief import SIZE, Belief, C
+from uavbatt.battery.build import Pack, pack_of
+from uavbatt.estimation import ahead
+from uavbatt.estimation.soc_filter import SocFilter
+from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.prediction import questions
+from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.questions import Question
+from uavbatt.records import Flight, Sample
+from uavbatt.replay import steps
+from uavbatt.simulate import Mission, fly
+
+Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio
+HAS_TWIN = fast.is_installed()
+PROGPY = Path(__file__).with_name("progpy_forecast.py")
+
+
+def pack() -> Pack:
+    """A 4S 5 Ah pack of the packaged file."""
+    return pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+
+
+def flight(minutes: float, rate_Hz: float = 10.0) -> list[Sample]:
+    """A flight that long and not to the end of its pack, which is as large as it takes."""
+    capacity_Ah = 5.0 * minutes / 20.0
+    made = pack_of(file.read("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
+    if minutes <= 30.0:
+        return fly(made, Mission(36.0 * capacity_Ah, rate_Hz=rate_Hz, seed=3))[: int(60.0 * minutes * rate_Hz)]
+    short = flight(20.0, rate_Hz)
+    times = int(minutes / 20.0)
+    drop_V = (short[int(60 * rate_Hz)].voltage_V - short[-1].voltage_V) / len(short)
+    return [  # the load again and again, the voltage sinking as slowly as the pack is large
+        replace(s, time_s=s.time_s + 1200.0 * n, voltage_V=s.voltage_V + drop_V * (k - (k + n * len(short)) / times))
+        for n in range(times)
+        for k, s in enumerate(short)
+    ]
+
+
+def in_turn(works: list[Callable[[], Any]], repeats: int) -> list[float]:
+    """Median seconds of each, taken in turn; the first round only warms up."""
+    spent: list[list[float]] = [[] for _ in works]
+    for n in range(repeats + 1):
+        for work, times in zip(works, spent, strict=True):
+            begin = time.perf_counter()
+            work()
+            if n:
+                times.append(time.perf_counter() - begin)
+    return [median(times) for times in spent]
+
+
+def filterpy_step() -> Callable[[], None]:
+    """One predict and update of filterpy's extended filter of our size, whose model costs nothing."""
+    from filterpy.kalman import ExtendedKalmanFilter
+
+    kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
+    kalman.Q, kalman.R = np.eye(SIZE) * 1e-6, np.eye(2)
+    observation, measured = np.eye(2, SIZE), np.zeros(2)
+
+    def step() -> None:
+        kalman.predict()
+        kalman.update(measured, lambda x: observation, lambda x: x[:2])
+
+    return step
+
+
+def filter_rows() -> Iterator[Row]:
+    """Microseconds a row: filterpy alone, our filter on filterpy, the twin."""
+    peer = filterpy_step()
+    for name, rows in (("10 Hz", flight(5.0)), ("a row every 2 s", flight(100.0, 0.5)[:1500])):
+
+        def alone(count: int = len(rows)) -> None:
+            for _ in range(count):
+                peer()
+
+        def one_by_one(samples: list[Sample] = rows) -> None:
+            made = SocFilter(pack())
+            for sample in samples:
+                made.step(sample)
+
+        works = [alone, one_by_one, lambda samples=rows: ahead.by_filterpy(SocFilter(pack()), samples)]
+        if HAS_TWIN:
+            works.append(lambda samples=rows: twin(samples))
+        took = [s / len(rows) * 1e6 for s in in_turn(works, 3)]
+        yield (
+            f"filter, {name}, row by row",
+            f"{took[1]:.1f} µs",
+            f"filterpy's EKF alone {took[0]:.1f} µs",
+            _ratio(took[0], took[1]),
+        )
+        yield f"filter, {name}, looking ahead", f"{took[2]:.1f} µs", f"{took[0]:.1f} µs", _ratio(took[0], took[2])
+        if HAS_TWIN:
+            yield (
+                f"filter, {name}, twin over arrays",
+                f"{took[3]:.2f} µs",
+                f"{took[0]:.1f} µs",
+                _ratio(took[0], took[3]),
+            )
+            yield (
+                "  the same against our filter on filterpy",
+                f"{took[3]:.2f} µs",
+                f"{took[1]:.1f} µs",
+                _ratio(took[1], took[3]),
+            )
+
+
+def twin(samples: list[Sample]) -> Any:
+    """The twin alone: arrays in, arrays out."""
+    from uavbatt.battery.compiled import as_numbers
+    from uavbatt.estimation import compiled
+    from uavbatt.estimation.recursion import Begun
+
+    made = SocFilter(pack())
+    made.start(samples[0])
+    now = made.standing
+    assert now.moments is not None
+    table = _table(samples)
+    begun = Begun(now.time_s, now.current_A, now.block_A, True, np.array(now.block, dtype=float))
+    return compiled.run(as_numbers(made.pack), now.ambient_C, table, begun, now.moments.x, now.moments.P)
+
+
+_TABLES: dict[int, Any] = {}
+
+
+def _table(samples: list[Sample]) -> Any:
+    """The rows as columns, which a reader gives; made once."""
+    if id(samples) not in _TABLES:
+        _TABLES[id(samples)] = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
+    return _TABLES[id(samples)]
+
+
+def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
+    """A forecast whose end is `minutes` away, and from what it is made."""
+    forecaster = Forecaster(
+        pack(), Settings(ConstantLoad(pack().installation.capacity_Ah * 14.8 * 0.9 * 60.0 / minutes, 0.15))
+    )
+    mean = np.zeros(SIZE)
+    mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = 0.95, 25.0, 25.0
+    sd = np.array([0.01, 0.003, 0.003, 1.0, 1.0, 0.05, 0.03, 0.005])
+    belief = Belief(0.0, mean, np.diag(sd**2), 20.0)
+    found = forecaster.question(belief, 0.0)
+    assert found is not None
+    return found, belief, forecaster
+
+
+def forecast_rows(progpy_s: float) -> Iterator[Row]:
+    """Milliseconds a forecast whose end is 20 minutes away."""
+    asked, belief, forecaster = question()
+    works: list[Callable[[], Any]] = [lambda: forecaster.forecast(belief, 0.0)]
+    works.append(lambda: questions.answers([asked] * questions.SIDE_BY_SIDE))
+    if HAS_TWIN:
+        from uavbatt.prediction import compiled
+
+        works.append(lambda: compiled.answer(asked))
+    with fast.left_out():
+        took = in_turn(works, 15)
+    took[1] /= questions.SIDE_BY_SIDE
+    peer = f"ProgPy, unscented, {progpy_s:.2f} s" if np.isfinite(progpy_s) else "ProgPy is not here"
+    names = ("one forecast, 128 draws, numpy", "  sixteen side by side, each", "  compiled")
+    for name, ours in zip(names, took, strict=False):
+        yield name, f"{1e3 * ours:.2f} ms", peer, _ratio(progpy_s, ours)
+
+
+def progpy_s(python: str) -> tuple[float, str]:
+    """Seconds of ProgPy's unscented prediction of 20 minutes, and what it found; NaN where it is not installed."""
+    done = subprocess.run([python, str(PROGPY)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        return float("nan"), done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "it failed"
+    seconds, words = done.stdout.strip().split(" ", 1)
+    return float(seconds), words
+
+
+def replay_rows() -> Iterator[Row]:
+    """A 20-minute flight at 10 Hz in memory: all its estimates and a forecast every 5 s."""
+    whole = Flight("simulated", "csv", tuple(flight(20.0)))
+
+    def plain() -> None:
+        with fast.left_out():
+            replayed(whole)
+
+    took = in_turn([plain, *([lambda: replayed(whole)] if HAS_TWIN else [])], 5)
+    names = ("replay of 20 min at 10 Hz, numpy", "  with numba")
+    for name, ours in zip(names, took, strict=False):
+        yield name, f"{ours:.2f} s", f"{1.0 / ours:.1f} flights/s a core", ""
+
+
+def replayed(flight: Flight) -> int:
+    """Rows of a replay; with numba from the first row where that is installed."""
+    fast.pays(float("inf"), "forecast")
+    estimator = Estimator(file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
+    return sum(1 for _ in steps(flight, estimator))
+
+
+def growth_rows() -> Iterator[Row]:
+    """Cost of flights 1, 10 and 100 times as long."""
+    base = 0.0
+    for minutes in (2.0, 20.0, 200.0):
+        whole = Flight("simulated", "csv", tuple(flight(minutes)))
+        begin = time.perf_counter()
+        estimator = Estimator(
+            file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0 * minutes / 20.0, cutoff_V=13.2)
+        )
+        rows = sum(1 for _ in steps(whole, estimator))
+        took = time.perf_counter() - begin
+        base = base or took
+        yield (
+            f"replay of {minutes:.0f} min at 10 Hz",
+            f"{took:.2f} s",
+            f"{1e6 * took / rows:.0f} µs a row",
+            f"{took / base:.1f}",
+        )
+
+
+def _ratio(theirs: float, ours: float) -> str:
+    return f"{theirs / ours:.3g}" if np.isfinite(theirs) else ""
+
+
+def run_cli(arguments: list[str], plain: bool) -> float:
+    """Wall seconds of a whole `uavbatt` command in a new process."""
+    code = "import sys; from uavbatt import fast; from uavbatt.cli import main; fast._allowed = " + str(not plain)
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code + "; main()", *arguments], check=True, capture_output=True)
+    return time.perf_counter() - begin
