@@ -21,6 +21,7 @@ WINDOW_TAU_S = 20.0
 SPREAD_TAU_S = 240.0
 GUST_TAU_S, PRIOR_GUST = 5.0, 0.12
 GUST_MEMORY_S = 8.0
+GUST_BLOCK = 16
 PRIOR_SPREAD = 0.15  # a multirotor's minute-to-minute power before this flight has shown its own
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
 SCENARIOS = 9
@@ -151,16 +152,31 @@ def _gust_normals(steps: int, scenarios: int) -> Array:
     return np.random.default_rng(scenarios).standard_normal((steps, scenarios))
 
 
+def _remembering(memory: Array, fresh: Array) -> Array:
+    """x[k] = memory[k-1] x[k-1] + fresh[k], [steps, n]; with equal steps a block of them in one product."""
+    out = fresh.copy()
+    if np.any(memory != memory[0]):
+        for k in range(1, out.shape[0]):
+            out[k] += memory[k - 1] * out[k - 1]
+        return out
+    powers = memory[0] ** np.arange(GUST_BLOCK + 1)
+    lag = np.subtract.outer(np.arange(GUST_BLOCK), np.arange(GUST_BLOCK))
+    within = np.where(lag >= 0, powers[np.maximum(lag, 0)], 0.0)
+    for first in range(0, out.shape[0], GUST_BLOCK):
+        block = out[first : first + GUST_BLOCK]
+        n = block.shape[0]
+        before = powers[1 : n + 1, None] * out[first - 1] if first else 0.0
+        block[:] = within[:n, :n] @ block + before
+    return out
+
+
 def gusty(scenarios: Scenarios, sd: float) -> Scenarios:
     """The scenarios with gusts of relative sd `sd` on them, correlated over GUST_MEMORY_S; their mean power stays."""
     steps, count = scenarios.power_W.shape
     normals = _gust_normals(1024, count)
     memory = np.exp(-scenarios.dt_s / GUST_MEMORY_S)
     fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, steps + 1) % 1024]
-    gust = np.empty((steps, count))
-    gust[0] = normals[0]
-    for k in range(1, steps):
-        gust[k] = memory[k - 1] * gust[k - 1] + fresh[k - 1]
+    gust = _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
     factor = np.exp(sd * gust - 0.5 * sd**2)
     return Scenarios(scenarios.power_W * factor, scenarios.weight, scenarios.dt_s)
 
