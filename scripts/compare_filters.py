@@ -45,15 +45,19 @@ class Unscented(ExtendedKalmanFilter):
 class UnscentedSocFilter(SocFilter):
     """SocFilter with the unscented transform for both steps."""
 
-    def _begin(self, mean, covariance, time_s, ambient_C):
-        super()._begin(mean, covariance, time_s, ambient_C)
-        self._kalman = Unscented(SIZE, 2)
-        self._kalman.x, self._kalman.P = mean, covariance
+    def _filterpy(self):
+        if not isinstance(self._kalman, Unscented):
+            kalman = Unscented(SIZE, 2)
+            kalman.x, kalman.P = self._kalman.x.copy(), self._kalman.P.copy()
+            self._kalman = kalman
+        return self._kalman
 
     def _predict(self, mean_A, dt_s):
-        kalman, ukf = self._kalman, self._kalman.ukf
+        kalman = self._filterpy()
+        ukf = kalman.ukf
         ukf.x, ukf.P = kalman.x.copy(), 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(SIZE)
-        ukf.Q = noise.process_covariance(self.pack, kalman.x, float(c_rate(self.pack.installation, mean_A)), dt_s)
+        rate = float(c_rate(self.pack.installation, mean_A))
+        ukf.Q = np.diag(noise.process_variances(self.pack, kalman.x, rate, dt_s))
         ukf.predict(fx=lambda x, dt: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s))
         kalman.x, kalman.P = ukf.x.copy(), ukf.P.copy()
         original = kalman.update
@@ -75,9 +79,9 @@ class UnscentedSocFilter(SocFilter):
 
         kalman.update = update
 
-    def _update(self, sample, block, step_A):
+    def _update(self, block, step_A):
         self._block_seen_A = block.current_A
-        return super()._update(sample, block, step_A)
+        return super()._update(block, step_A)
 
 
 def score(kind: type[SocFilter], battery: file.BatteryFile) -> tuple[float, float, float]:
