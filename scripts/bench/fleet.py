@@ -9,15 +9,13 @@ Flights are simulated by the model itself: good for time and memory, no evidence
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,29 +60,68 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
         write_tlog(target, noisy, parameters, epoch_us=FIRST_US + int(share * YEAR_US))
 
 
-def seconds(logs: Path, workers: int) -> tuple[float, float]:
-    """Wall time [s] of one whole `uavbatt fleet`, and the most memory [MB] that its main process held."""
+RUN = """
+import resource, sys, time
+begin = time.perf_counter()
+from pathlib import Path
+from uavbatt.battery import file
+from uavbatt.fleet import run
+from uavbatt.fleet.fly import Job
+from uavbatt.fleet.logs import find
+from uavbatt.pipeline import PackOptions
+if __name__ == "__main__":
+    logs, output, workers = sys.argv[1:]
+    found, rows = find([logs]), []
+    job = Job(file.read("lipo-generic"), PackOptions())
+    for finished in run.run(run.connected(int(workers)), found, job, Path(output)):
+        rows += [time.perf_counter()] if finished.row is not None else []
+    peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    workers_MB = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    skipped = len(rows) // 10
+    per_s = (len(rows) - 1 - skipped) / (rows[-1] - rows[skipped])
+    print(time.perf_counter() - begin, per_s, peak_MB, workers_MB)
+"""
+
+
+class Measured(NamedTuple):
+    """A whole run [s]; flights a second once the workers are warm; most memory of the main process and a worker."""
+
+    whole_s: float
+    per_s: float
+    main_MB: float
+    worker_MB: float
+
+
+def measured(logs: Path, workers: int) -> Measured:
+    """One fleet in processes of its own, from nothing to its tables."""
     with tempfile.TemporaryDirectory() as output:
-        command = [sys.executable, "-m", "uavbatt.cli", "fleet", str(logs), "-o", output, "--workers", str(workers)]
-        code = "import resource,sys;from uavbatt.cli import main;sys.argv=sys.argv[1:]\ntry: main()\nfinally: "
-        code += "print('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
-        begin = time.perf_counter()
-        done = subprocess.run([sys.executable, "-c", code, *command[2:]], capture_output=True, text=True, check=True)
-        took_s = time.perf_counter() - begin
-    found = re.search(r"^peak ([\d.]+)$", done.stdout, re.MULTILINE)
-    return took_s, float(found[1]) if found else float("nan")
+        script = Path(output) / "fleet_run.py"
+        script.write_text(RUN, encoding="utf-8")
+        command = [sys.executable, str(script), str(logs), f"{output}/out", str(workers)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return Measured(*map(float, done.stdout.split()))
 
 
 def lines(flights: int = FLIGHTS) -> Iterator[str]:
-    """The fleet on 1 and 2 workers, in words."""
+    """The fleet on 1 and 2 workers, in words; and the memory of a small one beside it."""
     with tempfile.TemporaryDirectory() as folder:
-        logs = Path(folder)
-        make(logs, flights)
-        rows = flights
-        one_s, one_MB = seconds(logs, 1)
-        two_s, two_MB = seconds(logs, 2)
-        yield f"fleet of {rows} flights: 1 worker {one_s:.1f} s, 2 workers {two_s:.1f} s, ratio {one_s / two_s:.2f}"
-        yield f"main process: at most {one_MB:.0f} MB with 1 worker, {two_MB:.0f} MB with 2"
+        few, many = Path(folder) / "few", Path(folder) / "many"
+        make(few, max(flights // 10, 4))
+        make(many, flights)
+        small = measured(few, 2)  # also fills the cache of compiled code, where numba is installed
+        one, two = measured(many, 1), measured(many, 2)
+        yield (
+            f"fleet of {flights} flights, whole: 1 worker {one.whole_s:.1f} s, 2 workers {two.whole_s:.1f} s, "
+            f"ratio {one.whole_s / two.whole_s:.2f}"
+        )
+        yield (
+            f"fleet of {flights} flights, after the start: {one.per_s:.1f} and {two.per_s:.1f} flights/s, "
+            f"ratio {two.per_s / one.per_s:.2f}"
+        )
+        yield (
+            f"memory at most: {flights // 10} flights {small.main_MB:.0f} MB main, {small.worker_MB:.0f} MB a worker; "
+            f"{flights} flights {two.main_MB:.0f} MB main, {two.worker_MB:.0f} MB a worker"
+        )
 
 
 if __name__ == "__main__":

@@ -23,6 +23,9 @@ from uavbatt.fleet.row import LOST, Row
 
 WAIT_FOR_WORKERS_S = 30
 _UNDER_WAY_PER_WORKER = 3
+# Dask lets its workers give every freed page back at once; a flight takes and frees the same few megabytes thousands
+# of times, which made the kernel work as long as half the flight.
+_MALLOC = {"MALLOC_TRIM_THRESHOLD_": 1 << 25, "MALLOC_MMAP_THRESHOLD_": 1 << 25}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +52,12 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Any]:
 
     Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
     """
+    import dask
     from distributed import Client, LocalCluster
 
     if scheduler is None:
         with (
+            dask.config.set({f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _MALLOC.items()}),
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
                 silence_logs=logging.CRITICAL,
