@@ -166,6 +166,18 @@ def test_verdicts_of_temperature_and_sag() -> None:
     assert math.isnan(sag_correlation(flown(10)))
 
 
+def test_who_flew_and_when(shared_data: Path) -> None:
+    def vehicle(name: str) -> str:
+        return next(line for line in lines(describe(read_log(shared_data / name))) if line.startswith("vehicle"))
+
+    assert vehicle("flights/ardupilot/quad_4s_3000_a.bin").endswith(
+        "system 1, ArduCopter V4.0.2 (2cb4b85a), started 2020-03-03 11:49:20 UTC"
+    )
+    assert vehicle("flights/ardupilot/quad_3s_4000_underpowered.log").endswith("system 1, ArduCopter V3.0.1")
+    assert "system 1, ArduPilot, started 2026-09-21 14:13:20 UTC" in vehicle("truth/blind/b1/flight_1.tlog")
+    assert vehicle("flights/m100/m100_001_752.csv").endswith("the log does not say who flew")
+
+
 def test_real_logs_are_described(shared_data: Path) -> None:
     solo = describe(read_log(shared_data / "flights/ardupilot/solo_4s_5200_smart.bin"))
     assert solo.trust == "with care" and any("hardly follows" in r for r in solo.reasons)

@@ -155,6 +155,17 @@ def test_parameters_of_px4_are_bit_patterns(tmp_path: Path) -> None:
     assert math.isnan(facts.capacity_Ah)
 
 
+def test_who_flew(tmp_path: Path) -> None:
+    said = dialect.MAVLink_autopilot_version_message(0, 0x04050100, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0xABC)
+    flight = read(
+        tmp_path, pack(heartbeat(), 0, 7), pack(said, 1, 7), pack(param("BATT_SERIAL_NUM", 77), 1, 7),
+        pack(battery(), 2, 7),
+    )  # fmt: skip
+    who = flight.identity
+    assert (who.system, who.firmware, who.hardware) == (7, "ArduPilot 4.5.1-dev", "0000000000000abc")
+    assert (who.battery_serial, who.start_utc_s) == ("77", EPOCH_S)
+
+
 def stream(rows: int = 400) -> list[bytes]:
     packed = [pack(heartbeat(), 0.0)]
     for n in range(rows):

@@ -6,9 +6,10 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from statistics import median
 
-from uavbatt.records import NAN, Flight, PackFacts, Sample
+from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
 from uavbatt.telemetry.trust import Findings, verdict
 
@@ -44,6 +45,7 @@ class LogInfo:
     trust: str
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
+    identity: Identity
 
 
 def describe(flight: Flight) -> LogInfo:
@@ -90,6 +92,7 @@ def describe(flight: Flight) -> LogInfo:
         trust=trust,
         reasons=reasons,
         notes=flight.notes,
+        identity=flight.identity,
     )
 
 
@@ -137,6 +140,7 @@ def lines(info: LogInfo) -> list[str]:
     others = ", ".join(str(i) for i in info.instances)
     text = [
         f"log          {info.source} ({info.kind})",
+        f"vehicle      {_vehicle(info.identity)}",
         f"battery      instance {info.instance} of {others}",
         f"rows         {info.rows} in {info.duration_s:.0f} s, median rate {info.rate_Hz:.3g} Hz",
         f"voltage      {_span(info.voltage_range_V, 'V')}",
@@ -151,6 +155,18 @@ def lines(info: LogInfo) -> list[str]:
     text += [f"note         {note}" for note in info.notes]
     text.append(f"trust        {info.trust}")
     return text + [f"             - {reason}" for reason in info.reasons]
+
+
+def _vehicle(who: Identity) -> str:
+    started = datetime.fromtimestamp(who.start_utc_s, UTC) if math.isfinite(who.start_utc_s) else None
+    said = [
+        f"system {who.system}" if who.system is not None else "",
+        f"hardware {who.hardware}" if who.hardware else "",
+        who.firmware,
+        f"battery serial {who.battery_serial}" if who.battery_serial else "",
+        started.strftime("started %Y-%m-%d %H:%M:%S UTC") if started else "",
+    ]
+    return ", ".join(s for s in said if s) or "the log does not say who flew"
 
 
 def _pairs(samples: Sequence[Sample]) -> Iterator[tuple[Sample, Sample]]:
