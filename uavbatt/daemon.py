@@ -35,7 +35,7 @@ from uavbatt.telemetry.live import LiveReader, Row, checksum
 from uavbatt.telemetry.recording import PERIOD_NAME
 from uavbatt.tracked import TrackedBattery
 
-LONGEST_WAIT_S = 0.05
+LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
 MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
@@ -96,7 +96,7 @@ class Daemon:
                 select.select(descriptors, [], [], LONGEST_WAIT_S)
             except InterruptedError:
                 continue
-            if self.turn() < FLOOD:
+            if 0 < self.turn() < FLOOD:
                 time.sleep(REST_S)
         notify("STOPPING=1")
         self.close()
