@@ -83,8 +83,9 @@ def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> 
 
     Beyond the largest power that the source can give, E²/4R, the current of that largest power, E/2R.
     """
-    root = np.sqrt(np.maximum(emf_V * emf_V - 4.0 * resistance_ohm * power_W, 0.0))
-    reachable = np.minimum(power_W, emf_V * emf_V / (4.0 * resistance_ohm))
+    square_V2, four_ohm = emf_V * emf_V, 4.0 * resistance_ohm
+    root = np.sqrt(np.maximum(square_V2 - four_ohm * power_W, 0.0))
+    reachable = np.minimum(power_W, square_V2 / four_ohm)
     return 2.0 * reachable / (emf_V + root)
 
 

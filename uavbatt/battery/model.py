@@ -139,19 +139,28 @@ def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Numbe
 
 def step_against(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number) -> State:
     """One step with the current held, where the state's resistance [ohm·Ah] is known already."""
+    later = unseen_step(p, s, c_rate, r_ohmAh, ambient_C, dt_s)
+    sensor_C = eq.relax(s.sensor_C, later.core_C, dt_s, p.sensor_lag_s)
+    return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
+
+
+def unseen_step(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number) -> State:
+    """As `step_against`, with the sensor left as it is: nobody reads it in a forecast."""
     drop_V = c_rate * r_ohmAh
     sluggish = eq.arrhenius(s.core_C, p.diffusion_activation_K)
-    lost_V = drop_V + transfer_drop(p, c_rate) + s.polarisation_V + s.diffusion_V
+    lost_V = drop_V + s.polarisation_V + s.diffusion_V
+    if eq.acts(p.transfer_V):
+        lost_V = lost_V + transfer_drop(p, c_rate)
     heat_W = p.heat_gain * c_rate * lost_V
     cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
-    drained = c_rate * p.charge_gain * eq.risen(p.rate_gain_h, c_rate)
+    drained = c_rate * (p.charge_gain * eq.risen(p.rate_gain_h, c_rate))
     core_C = eq.heat_step(s.core_C, heat_W, ambient_C, dt_s, p.heat_capacity_JpKAh, cooling)
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),
         polarisation_V=eq.relax(s.polarisation_V, drop_V * p.polarisation_ratio, dt_s, p.polarisation_tau_s),
         diffusion_V=eq.relax(s.diffusion_V, drop_V * p.diffusion_ratio * sluggish, dt_s, p.diffusion_tau_s),
         core_C=core_C,
-        sensor_C=eq.relax(s.sensor_C, core_C, dt_s, p.sensor_lag_s),
+        sensor_C=s.sensor_C,
     )
 
 

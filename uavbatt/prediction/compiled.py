@@ -113,7 +113,7 @@ def one(
         if by_rows:
             mean_W = 0.5 * (power_W[k] + power_W[min(k + 1, dt_s.size - 1)])
             rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, mean_W / size)
-        state = model.step_against(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
+        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
         bias_V = memory[k] * bias_V + kick_V[k] * bias[k]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)

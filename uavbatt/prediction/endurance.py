@@ -22,6 +22,8 @@ from uavbatt.battery.pack import Installation, metered_voltage, terminal_voltage
 
 MEAN_LAG_S = 2.5
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
+# Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
+SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "diffusion_activation_K", "heat_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
 
 
@@ -58,6 +60,7 @@ def time_to_end(
     which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's sight.
     """
     cell, installation, state = unpack(pack, x)
+    cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
     steps, ones = power_W.shape[0], (1,) * (x.ndim - 1)
     size = installation.cells * installation.present_capacity_Ah
     harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
@@ -76,7 +79,9 @@ def time_to_end(
         emf_V = emf_V + bias_V
         rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, drawn)
         rates[k], row = rate, k % JUDGED_AT_ONCE
-        for column, value in zip(recent, (*state[:4], bias_V, r_ohmAh), strict=True):
+        for column, value in zip(
+            recent, (*state[:4], bias_V, r_ohmAh) if by_rows else (*state[:4], bias_V), strict=False
+        ):
             column[row] = value
         if row == JUDGED_AT_ONCE - 1 or k == steps - 1:
             part, seen = slice(k - row, k + 1), _Way(*(column[: row + 1] for column in recent))
@@ -96,7 +101,7 @@ def time_to_end(
         before, drawn = drawn, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
             rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, 0.5 * (before + drawn))
-        state = model.step_against(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
+        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
         bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
     end_s = judge(margin_V[: k + 1], at_s)
     return EndTimes(end_s, np.minimum(judge(above_low_V[: k + 1], at_s), end_s))
