@@ -74,7 +74,7 @@ def test_two_packs_last_as_long_as_one_of_their_size() -> None:
         [s.remaining.remaining_s for s in steps(flight, Estimator(file.read("lipo-generic"), options))]
         for flight in (Flight("one", "csv", tuple(rows)), joined(halves, Wiring.PARALLEL))
     ]
-    assert np.allclose(said[0], said[1], atol=0.5, rtol=0.0, equal_nan=True) and np.isfinite(said[0]).any()
+    assert np.allclose(said[0], said[1], atol=2.0, rtol=0.0, equal_nan=True) and np.isfinite(said[0]).any()
 
 
 def test_packs_of_different_voltage_are_not_in_parallel() -> None:

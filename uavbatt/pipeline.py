@@ -297,18 +297,15 @@ class Estimator:
         if self._facts.sag_compensated:
             found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
         if self._is_worn(estimate):
-            found.append(
-                f"this pack has {estimate.wear:.0%} more ohms than its type: aged, or colder than it says; "
-                f"capacity taken as {estimate.capacity_scale:.0%} ± {estimate.capacity_scale_sd:.0%}"
-            )
+            found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
         return (*found, *self._intake.notices)
 
     def _is_worn(self, estimate: Estimate) -> bool:
         """More resistance than the packs of this type are spread by, and surely so."""
         assert self._filter is not None
         unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
-        if self._intake.guessed:
-            return False
+        if self._intake.guessed or self.battery.status == "generic":
+            return False  # nothing is known to compare with
         return estimate.wear > unusual and estimate.wear > WEAR_IS_SURE * estimate.wear_sd
 
 

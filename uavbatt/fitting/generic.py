@@ -7,8 +7,8 @@ import numpy as np
 from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy
 from uavbatt.fitting import assemble, prior
 
-# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.3, usable capacity by 6 %.
-RESISTANCE_SCALE_SD = 0.25
+# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.5, usable capacity by 6 %.
+RESISTANCE_SCALE_SD = 0.4
 CAPACITY_SCALE_SD = 0.05
 CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5
 
@@ -32,7 +32,7 @@ def generic_lipo() -> BatteryFile:
         effects=assemble.effect_entries(slots, x, error, prior.BASE_EFFECTS),
         discrepancy=Discrepancy(
             voltage_bias_V=0.0,
-            voltage_rmse_V=0.04,
+            voltage_rmse_V=0.07,
             voltage_autocorrelation_s=2000.0,
             temperature_rmse_K=1.5,
             held_out=False,
