@@ -162,7 +162,7 @@ class Forecaster:
             return None
         by_rows = self._row_s > SLOW_ROW_S
         dt_s = self._row_s if by_rows else min(max(typical_s / STEPS, SHORTEST_STEP_S), LONGEST_STEP_S)
-        steps = min(math.ceil(horizon_s / dt_s) + 2, spread.LONGEST)
+        steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, spread.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         return Question(
             time_s=time_s,

@@ -43,9 +43,13 @@ def shuffled(count: int) -> Array:
 
 
 def draws(belief: Belief) -> Array:
-    """Columns [8, DRAWS] of the belief; soc kept within 0..1.02."""
+    """Columns [8, DRAWS] of the belief; soc kept within 0..1.02.
+
+    By the symmetric root of the covariance, which moves when the covariance does and not with the signs that a
+    decomposition happens to give its vectors.
+    """
     values, vectors = np.linalg.eigh(belief.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     columns = belief.mean[:, None] + root @ normals()
     columns[C.SOC] = np.clip(columns[C.SOC], 0.0, 1.02)
     return np.asarray(columns)
