@@ -16,24 +16,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from uavbatt.asked import Asked, say, unknown
 from uavbatt.battery import file as battery_file
 from uavbatt.battery.belief import Belief
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UsageError
+from uavbatt.estimation.recursion import Summary
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
-from uavbatt.prediction.endurance import EndTimes
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import ConstantLoad, Load
-from uavbatt.prediction.questions import Question, answer
-from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.prediction.questions import answer
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
 from uavbatt.swap import SwapWatch
 
 FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
 EMPTIEST_CELL_V = 3.0
-ALARM_S = 120.0
 NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
 # Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
 # power is right to a fifth. Around its mean the load wanders by a fifth for a minute at a time: as independent errors
@@ -80,16 +80,6 @@ class Past(NamedTuple):
     def moved(self, shift_s: float) -> Past:
         """The same past on a clock that shows `shift_s` more."""
         return Past(self.forecaster.moved(shift_s), self.intake.moved(shift_s))
-
-
-class Asked(NamedTuple):
-    """A sample taken in, and what is still to be worked out to say all that is known after it."""
-
-    sample: Sample
-    estimate: Estimate
-    forecaster: Forecaster | None
-    refusal: str
-    question: Question | None
 
 
 class Estimator:
@@ -186,21 +176,20 @@ class Estimator:
             self._intake, sample = self._intake.after(sample, self._assumed_W([sample]))
         if self._filter is None or self._forecaster is None or self._intake.guessed != was_guessed:
             if not math.isfinite(sample.voltage_V):
-                return Asked(sample, _unknown(sample), None, "no voltage in this row", None)
+                return Asked(sample, unknown(sample), None, "no voltage in this row", None)
             self.resolved = self.resolved or self._resolved_by([sample])
             assert self.resolved is not None
             self._begin(self._pack(self.resolved), sample)
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
-        estimate = self._filter.step(sample)
+        estimate = self._filter.step(sample, self._warnings)
         belief = self._filter.belief
         if belief is not None:
             self._swap = self._swap.after(estimate, belief, self._filter.pack)
         if self._swap.is_another:
             self._begin(self._pack(self.resolved), sample)
-            estimate = self._filter.step(sample)
+            estimate = self._filter.step(sample, self._warnings)
             belief = self._filter.belief
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
-        estimate = replace(estimate, warnings=self._warnings(sample, estimate))
         if self._intake.guessed:  # nobody measured these
             estimate = replace(estimate, current_A=NAN, power_W=NAN)
         refusal, question = self._forecaster.ask(sample, estimate, belief)
@@ -278,7 +267,7 @@ class Estimator:
             low_from=low_from,
         )
 
-    def _warnings(self, sample: Sample, estimate: Estimate) -> tuple[str, ...]:
+    def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
         """What a reader of the number must know beside it."""
         assert self.resolved is not None
         certificate, typed = self.battery.certificate, self.battery.battery
@@ -289,42 +278,24 @@ class Estimator:
             size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
             found.append(f"the certificate is for a {size} pack; this one is scaled from it")
         validated = certificate.validated_ambient_C
-        known = estimate.core_temp_C
-        if validated and math.isfinite(known) and not min(validated) - 5.0 <= known <= max(validated) + 20.0:
-            found.append(f"pack at {known:.0f} °C is outside the validated range")
+        core_C = known.core_temp_C
+        if validated and math.isfinite(core_C) and not min(validated) - 5.0 <= core_C <= max(validated) + 20.0:
+            found.append(f"pack at {core_C:.0f} °C is outside the validated range")
         if not math.isfinite(sample.temp_C):
             found.append("no usable pack temperature")
         if self._facts.sag_compensated:
             found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
-        if self._is_worn(estimate):
+        if self._is_worn(known):
             found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
         return (*found, *self._intake.notices)
 
-    def _is_worn(self, estimate: Estimate) -> bool:
+    def _is_worn(self, known: Summary) -> bool:
         """More resistance than the packs of this type are spread by, and surely so."""
         assert self._filter is not None
         unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
         if self._intake.guessed or self.battery.status == "generic":
             return False  # nothing is known to compare with
-        return estimate.wear > unusual and estimate.wear > WEAR_IS_SURE * estimate.wear_sd
-
-
-def say(asked: Asked, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
-    """What is known after a sample, in the order of the samples; `ends` answers the question, if there was one."""
-    sample, estimate = asked.sample, asked.estimate
-    if asked.forecaster is None:
-        return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, asked.refusal)
-    answered = (asked.question, ends) if asked.question is not None and ends is not None else None
-    remaining = asked.forecaster.say(sample, estimate, asked.refusal, answered)
-    if remaining.remaining_alarm_s <= ALARM_S:
-        alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
-        estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
-    return estimate, remaining
-
-
-def _unknown(sample: Sample) -> Estimate:
-    reason, seen = "no voltage in this row", (sample.current_A, sample.temp_C)
-    return Estimate(sample.time_s, NAN, NAN, NAN, *seen, NAN, NAN, NAN, Status.REFUSED, reason)
+        return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd
 
 
 def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:

@@ -11,8 +11,9 @@ from itertools import groupby
 import numpy as np
 
 from uavbatt import fast
+from uavbatt.asked import Asked, say
 from uavbatt.battery.model import Array
-from uavbatt.pipeline import Asked, Estimator, say
+from uavbatt.pipeline import Estimator
 from uavbatt.prediction import score
 from uavbatt.prediction.questions import SIDE_BY_SIDE, answers
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status

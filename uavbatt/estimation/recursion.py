@@ -123,7 +123,7 @@ class Summary(NamedTuple):
     x: Array
     soc: float
     soc_sd: float
-    core_C: float
+    core_temp_C: float
     resistance_scale: float
     resistance_scale_sd: float
     capacity_scale: float
@@ -135,6 +135,11 @@ class Summary(NamedTuple):
 NO_SUMMARY = Summary(np.full(SIZE, math.nan), *(math.nan,) * 9)
 
 
+def no_warnings(sample: Sample, known: Summary) -> tuple[str, ...]:
+    """For those who do not ask."""
+    return ()
+
+
 def summary(x: Array, covariance: Array) -> Summary:
     """Mean and spread of what is told of a belief."""
     sd = np.sqrt(np.diag(covariance))
@@ -144,7 +149,7 @@ def summary(x: Array, covariance: Array) -> Summary:
         x=x,
         soc=float(x[C.SOC]),
         soc_sd=float(sd[C.SOC]),
-        core_C=float(x[C.CORE]),
+        core_temp_C=float(x[C.CORE]),
         resistance_scale=math.exp(resistance),
         resistance_scale_sd=math.exp(resistance) * float(sd[C.LOG_RESISTANCE]),
         capacity_scale=math.exp(capacity),

@@ -35,7 +35,9 @@ from uavbatt.estimation.recursion import (
     Postponed,
     Shown,
     Standing,
+    Summary,
     is_complete,
+    no_warnings,
     summary,
 )
 from uavbatt.estimation.skew import Skew
@@ -82,14 +84,17 @@ class SocFilter:
         self._current_A = self._block_A = current_A
         self._block = Block()
 
-    def step(self, sample: Sample) -> Estimate:
-        """Take one sample in; a sample without voltage or current moves nothing and says so."""
+    def step(self, sample: Sample, warn: Callable[[Sample, Summary], tuple[str, ...]] = no_warnings) -> Estimate:
+        """Take one sample in; a sample without voltage or current moves nothing and says so.
+
+        `warn` says what a reader must know beside the estimate.
+        """
         if self._ahead:
             if self._ahead[0].sample is not sample:
                 raise RuntimeError("a filter that has looked ahead must be given the rows that it has seen")
-            return self._estimate(sample, self._looked_up().shown)
+            return self._estimate(sample, self._looked_up().shown, warn)
         paired = self._skew.paired(sample) if is_complete(sample) else sample
-        return self._estimate(sample, self.take(paired))
+        return self._estimate(sample, self.take(paired), warn)
 
     def look_ahead(self, samples: Sequence[Sample]) -> None:
         """Work many rows out in one go; the next steps must be these samples, and the pack must stay as it is."""
@@ -235,7 +240,7 @@ class SocFilter:
             row[0, C.SOC] = 1.0
             kalman.update(np.array([-excess]), lambda x: row, lambda x: np.zeros(1), R=np.eye(1) * FULL_SOC_SD**2)
 
-    def _estimate(self, sample: Sample, shown: Shown) -> Estimate:
+    def _estimate(self, sample: Sample, shown: Shown, warn: Callable[[Sample, Summary], tuple[str, ...]]) -> Estimate:
         if self._kalman is not None and self._summary.x is not self._kalman.x:
             self._summary = summary(self._kalman.x, self._kalman.P)
         known = self._summary
@@ -259,7 +264,8 @@ class SocFilter:
             status=status,
             reason=reason,
             predicted_voltage_V=shown.expected_V,
-            core_temp_C=known.core_C,
+            core_temp_C=known.core_temp_C,
+            warnings=warn(sample, known),
             resistance_scale=known.resistance_scale,
             capacity_scale=known.capacity_scale,
             resistance_scale_sd=known.resistance_scale_sd,

@@ -266,17 +266,13 @@ def _refused(time_s: float, reason: str) -> Remaining:
 
 def _counted_down(last: Forecast, time_s: float, estimate: Estimate) -> Remaining:
     age_s = time_s - last.time_s
-
-    def left(value_s: float) -> float:
-        return max(value_s - age_s, 0.0) if math.isfinite(value_s) else NAN
-
-    return Remaining(
+    return Remaining(  # what is not known, NaN, stays so: it is the first of the two
         time_s=time_s,
-        remaining_s=left(last.median_s),
-        remaining_lo_s=left(last.lo_s),
-        remaining_hi_s=left(last.hi_s),
-        remaining_to_low_s=left(last.low_warning_s),
+        remaining_s=max(last.median_s - age_s, 0.0),
+        remaining_lo_s=max(last.lo_s - age_s, 0.0),
+        remaining_hi_s=max(last.hi_s - age_s, 0.0),
+        remaining_to_low_s=max(last.low_warning_s - age_s, 0.0),
         status=estimate.status,
         reason=estimate.reason,
-        remaining_alarm_s=left(last.alarm_s),
+        remaining_alarm_s=max(last.alarm_s - age_s, 0.0),
     )
