@@ -199,6 +199,18 @@ def test_without_a_folder_to_write_to_nothing_is_compiled(monkeypatch: pytest.Mo
         fast.folder.cache_clear()
 
 
+def test_a_numba_that_cannot_be_imported_is_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(fast, "folder", lambda: tmp_path)
+    monkeypatch.setattr(fast, "_used", set())
+    monkeypatch.setitem(sys.modules, "numba", None)  # makes its import fail
+    fast.is_usable.cache_clear()
+    try:
+        assert fast.is_installed()
+        assert not fast.pays(math.inf, "forecast")
+    finally:
+        fast.is_usable.cache_clear()
+
+
 def test_in_flight_numba_is_never_imported() -> None:
     code = (
         "import sys, uavbatt.daemon, uavbatt.cli.live_process, uavbatt.tracked\n"

@@ -9,6 +9,7 @@ nobody knows; when as much has been asked as loading or making costs, as much ag
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 import sys
 from collections.abc import Iterator
@@ -26,8 +27,18 @@ _asked_s: dict[str, float] = {}
 
 @cache
 def is_installed() -> bool:
-    """Whether numba can be imported; it is not imported to find out."""
+    """Whether numba is there; it is not imported to find out."""
     return find_spec("numba") is not None
+
+
+@cache
+def is_usable() -> bool:
+    """Whether numba can indeed be imported: it refuses a numpy that is newer than it knows."""
+    try:
+        importlib.import_module("numba")
+    except Exception:
+        return False
+    return True
 
 
 @contextmanager
@@ -48,7 +59,8 @@ def pays(plain_s: float, work: str) -> bool:
         return False
     if work not in _used:
         _asked_s[work] = _asked_s.get(work, 0.0) + plain_s
-        if _asked_s[work] > START_S + (0.0 if (place / work).exists() else COMPILE_S[work]):
+        cost_s = START_S + (0.0 if (place / work).exists() else COMPILE_S[work])
+        if _asked_s[work] > cost_s and is_usable():
             _used.add(work)
     return work in _used
 
