@@ -33,11 +33,6 @@ if TYPE_CHECKING:
 PLAIN_ROW_S, PLAIN_BLOCK_S = 20e-6, 300e-6  # measured: a row, and a block closed by filterpy
 
 
-# A forecast's draws hang on the signs of eigenvectors (`prediction.spread`), which rounding can turn: as long as they
-# do, a replay keeps filterpy's own bits, and the twin serves only those who ask for rows.
-IN_REPLAY = False
-
-
 class Row(NamedTuple):
     """A row, and the filter after it."""
 
@@ -50,7 +45,7 @@ class Row(NamedTuple):
 def rows(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     """Take `samples` in; the filter stands after the last of them."""
     blocks = min(len(samples), (samples[-1].time_s - samples[0].time_s) / BLOCK_S) if samples else 0
-    if IN_REPLAY and fast.pays(PLAIN_ROW_S * len(samples) + PLAIN_BLOCK_S * blocks, "filter"):
+    if fast.pays(PLAIN_ROW_S * len(samples) + PLAIN_BLOCK_S * blocks, "filter"):
         return by_twin(filter, samples)
     return by_filterpy(filter, samples)
 
