@@ -106,7 +106,7 @@ def lines(flights: int = FLIGHTS) -> Iterator[str]:
     """The fleet on 1 and 2 workers, in words; and the memory of a small one beside it."""
     with tempfile.TemporaryDirectory() as folder:
         few, many = Path(folder) / "few", Path(folder) / "many"
-        make(few, max(flights // 10, 4))
+        make(few, max(flights // 4, 4))
         make(many, flights)
         small = measured(few, 2)  # also fills the cache of compiled code, where numba is installed
         one, two = measured(many, 1), measured(many, 2)
@@ -119,7 +119,7 @@ def lines(flights: int = FLIGHTS) -> Iterator[str]:
             f"ratio {two.per_s / one.per_s:.2f}"
         )
         yield (
-            f"memory at most: {flights // 10} flights {small.main_MB:.0f} MB main, {small.worker_MB:.0f} MB a worker; "
+            f"memory at most: {max(flights // 4, 4)} flights {small.main_MB:.0f} MB main, {small.worker_MB:.0f} MB a worker; "
             f"{flights} flights {two.main_MB:.0f} MB main, {two.worker_MB:.0f} MB a worker"
         )
 
