@@ -1,7 +1,7 @@
 """A fleet to time and to look at: 200 dated flights of five aircraft, one of which ages; on 1 and on 2 workers.
 
     python scripts/bench/fleet.py make DIR [FLIGHTS]     only write the logs
-    python scripts/bench/fleet.py [FLIGHTS]              time the fleet on 1 and 2 workers, and its memory
+    python scripts/bench/fleet.py [FLIGHTS [REPEATS]]    time the fleet on 1 and 2 workers, and its memory
 
 Flights are simulated by the model itself: good for time and memory, no evidence of accuracy.
 """
@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ AIRCRAFT = ("heron", "kestrel", "merlin", "plover", "swift")
 AGEING, GROWTH = "merlin", 0.45  # its resistance at the end of the year, over what it was
 FIRST_US, YEAR_US = 1_735_689_600_000_000, 31_536_000_000_000
 RATE_HZ = 1.0
-FLIGHTS = 200
+FLIGHTS, REPEATS = 200, 3
 
 
 def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11) -> None:
@@ -102,24 +103,27 @@ def measured(logs: Path, workers: int) -> Measured:
     return Measured(*map(float, done.stdout.split()))
 
 
-def lines(flights: int = FLIGHTS) -> Iterator[str]:
-    """The fleet on 1 and 2 workers, in words; and the memory of a small one beside it."""
+def lines(flights: int = FLIGHTS, repeats: int = REPEATS) -> Iterator[str]:
+    """The fleet on 1 and 2 workers, in words; and the memory of a small one beside it. The runs take turns."""
     with tempfile.TemporaryDirectory() as folder:
         few, many = Path(folder) / "few", Path(folder) / "many"
-        make(few, max(flights // 4, 4))
+        fewer = max(flights // 4, 4)
+        make(few, fewer)
         make(many, flights)
         small = measured(few, 2)  # also fills the cache of compiled code, where numba is installed
-        one, two = measured(many, 1), measured(many, 2)
+        turns = [(measured(many, 1), measured(many, 2)) for _ in range(repeats)]
+        one, two = (Measured(*map(median, zip(*runs, strict=True))) for runs in zip(*turns, strict=True))
+        ratios = ", ".join(f"{a.whole_s / b.whole_s:.2f}" for a, b in turns)
         yield (
             f"fleet of {flights} flights, whole: 1 worker {one.whole_s:.1f} s, 2 workers {two.whole_s:.1f} s, "
-            f"ratio {one.whole_s / two.whole_s:.2f}"
+            f"ratio {one.whole_s / two.whole_s:.2f} (turn by turn {ratios})"
         )
         yield (
             f"fleet of {flights} flights, after the start: {one.per_s:.1f} and {two.per_s:.1f} flights/s, "
             f"ratio {two.per_s / one.per_s:.2f}"
         )
         yield (
-            f"memory at most: {max(flights // 4, 4)} flights {small.main_MB:.0f} MB main, {small.worker_MB:.0f} MB a worker; "
+            f"memory at most: {fewer} flights {small.main_MB:.0f} MB main, {small.worker_MB:.0f} MB a worker; "
             f"{flights} flights {two.main_MB:.0f} MB main, {two.worker_MB:.0f} MB a worker"
         )
 
