@@ -20,42 +20,19 @@ from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.fitting.observed import Observed
 from uavbatt.loop import attribute, residual
 from uavbatt.loop.attribute import Finding
-from uavbatt.loop.candidates import NOTHING, UNITS, Candidate, base_values, candidates, nuisances
-from uavbatt.loop.candidates import QUANTITIES as EVERY_QUANTITY
+from uavbatt.loop.candidates import NOTHING, Candidate, base_values, candidates, nuisances
+from uavbatt.loop.classes import EffectClass, class_of
 from uavbatt.loop.evidence import IDLE_NOISE_A, NOT_HELD_OUT, idle_A, prepare
 from uavbatt.loop.problem import Problem, Refit, TableErrors
 from uavbatt.loop.refit import at_best, refit
 from uavbatt.loop.residual import Residual, Shape
-from uavbatt.loop.words import separating
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 ABOVE_FLOOR = 1.35  # size of a residual against the discrepancy of the file
 STRUCTURED = 1.12  # see residual.structure; effect-free flights show 0.96 to 1.07
 LEAST_FLOOR_K = 0.4
 MOST_EFFECTS = 3
-COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
-SLOWEST_POLARISATION_S = 30.0
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A value with its 95 % interval."""
-
-    value: float
-    lo: float
-    hi: float
-    unit: str
-
-
-@dataclass(frozen=True, slots=True)
-class EffectClass:
-    """Effects that these records cannot tell apart, best first."""
-
-    members: tuple[str, ...]
-    probability: float
-    parameters: dict[str, Interval]
-    would_separate: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +102,7 @@ def diagnose(
     left = residual.shape(after)
     hangs = residual.structure(problem.evidence, best.residual)
     reasons = _doubts(findings, after, (floor_V, floor_K), (left, hangs), {e.name for e in file.effects})
-    found = tuple(_class_of(problem, f, bool(reasons)) for f in findings)
+    found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
     return Diagnosis(
         verdict=verdict,
@@ -166,6 +143,9 @@ def _search(
     if step is None:
         return nothing, []
     alone = step.constancy is None or step.constancy.steady
+    resized = all(m.candidate.resized for m in step.members)
+    if (resized or not alone) and explains(nothing):  # no more is left than the file says: nothing to be explained
+        return nothing, []
     findings = [step]
     best = step.members[0]
     while len(findings) < MOST_EFFECTS and not explains(best):
@@ -255,44 +235,3 @@ def _doubts(
             name = finding.members[0].candidate.name
             doubts.append(f"no new effect explains it, only another size of {name}, which the file already has")
     return tuple(doubts)
-
-
-def _class_of(problem: Problem, finding: Finding, doubted: bool) -> EffectClass:
-    members = _named(problem, tuple(m.candidate.name for m in finding.members))
-    parameters: dict[str, Interval] = {}
-    for fit in finding.members:
-        parameters.update(intervals(problem, fit))
-    outside = next((f.candidate.name for f in finding.fits if f.candidate.name not in members), None)
-    sure = finding.probability * (0.5 if doubted else 0.97)
-    return EffectClass(members, round(sure, 3), parameters, separating(members, outside))
-
-
-def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
-    """The members, with the other name of what goes by two.
-
-    A lag of a minute is the fast end of diffusion as much as the slow end of polarisation. And slower reactions are how
-    the resistance of most packs grows: a charger that reads it shows both.
-    """
-    slow = float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S
-    twins = {"charge_transfer": "resistance_growth"} | ({"polarisation": "slow_diffusion"} if slow else {})
-    for name, twin in twins.items():
-        if name in members and twin not in members:
-            members = (*members, twin)
-    return members[: attribute.LARGEST_CLASS]
-
-
-def intervals(problem: Problem, fit: Refit) -> dict[str, Interval]:
-    """Values of the effect that was added last, with 95 % intervals that allow for errors of the battery file."""
-    if not fit.candidate.last:
-        shift = fit.v[:, 0] * np.maximum(problem.evidence.start_sd, 0.2)
-        mean, half = float(np.mean(shift)), float(0.01 + 2.0 * np.std(shift) / np.sqrt(len(shift)))
-        return {"start_soc_shift": Interval(mean, mean - half, mean + half, "1")}
-    out = {}
-    values, errors = fit.values()[0], fit.errors()
-    for k in range(len(fit.candidate.freed) - fit.candidate.last, len(fit.candidate.freed)):
-        freed = fit.candidate.freed[k]
-        name = EVERY_QUANTITY[freed.index].name
-        value, half = float(values[k]), COVERAGE * float(errors[k])
-        lo, hi = max(value - half, freed.low), min(value + half, freed.high)
-        out[name] = Interval(value, lo, hi, UNITS[name])
-    return out

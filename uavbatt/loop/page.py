@@ -10,8 +10,9 @@ import msgspec
 import tomli_w
 
 from uavbatt.battery.file import BatteryFile
+from uavbatt.loop.classes import EffectClass
 from uavbatt.loop.close import Closed
-from uavbatt.loop.diagnosis import Diagnosis, EffectClass
+from uavbatt.loop.diagnosis import Diagnosis
 from uavbatt.loop.words import CHECK, MEANING, QUANTITY
 from uavbatt.report.diagnosis import DiagnosisPage, Suspect, Track
 

@@ -1,0 +1,180 @@
+#!/usr/bin/env python3
+"""Closing the loop on measured data: what a plain model lacks, and the error before and after on records left out.
+
+Run: .venv/bin/python scripts/diagnose_cases_measured.py [--only study|m100|enertech|turnigy]
+Needs the shared data (UAVBATT_DATA or ../shared/data), but for the study, which is part of the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt import dataset
+from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
+from uavbatt.errors import NotEnoughData
+from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.loop import close
+from uavbatt.loop.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.telemetry import read_log
+from uavbatt.validation import temperatures
+from uavbatt.validation.gate import Limits
+
+Array = NDArray[np.float64]
+DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+STUDY = Path(__file__).resolve().parents[1] / "uavbatt" / "data" / "study"
+M100_CELLS, M100_AH, M100_CUTOFF_V = 6, 5.45, 21.6
+ENERTECH_AH, ENERTECH_AMBIENT_C, TURNIGY_AH, PIECES = 2.336, 25.0, 5.0, 4
+HEAD = "| data | plain model | found | voltage, left out [mV] | left unexplained |\n|---|---|---|---|---|"
+
+
+def columns(path: Path) -> dict[str, Array]:
+    """The columns of a CSV file, NaN where empty."""
+    with path.open() as stream:
+        rows = list(csv.DictReader(stream))
+    return {k: np.array([float(r[k] or "nan") for r in rows]) for k in rows[0]}
+
+
+def plain(name: str, ocv: tuple[Array, Array], ohm_Ah: float, capacity_Ah: float, cutoff_V: float) -> BatteryFile:
+    """A battery file of one cell with an open-circuit voltage, one resistance and no effect."""
+    return BatteryFile(
+        battery=Battery(
+            name=name, chemistry="", cells_series=1, cutoff_V=cutoff_V, capacity_Ah=capacity_Ah, low_V=cutoff_V
+        ),
+        parameters=ParameterTable(
+            ocv_soc=ocv[0].tolist(),
+            ocv_V=ocv[1].tolist(),
+            resistance_soc=[0.0, 1.0],
+            resistance_ohmAh=[ohm_Ah, ohm_Ah],
+            resistance_scale_sd=0.06,
+            capacity_scale_sd=0.02,
+        ),
+        effects=[],
+        discrepancy=Discrepancy(
+            voltage_bias_V=0.0,
+            voltage_rmse_V=0.007,
+            voltage_autocorrelation_s=120.0,
+            temperature_rmse_K=0.3,
+            held_out=True,
+        ),
+        certificate=Certificate(status="fitted"),
+    )
+
+
+def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutoff_V: float) -> str:
+    """One line of the table: the diagnosis of the records, each left out in turn for the error."""
+    pack = pack_for(file, records[0].cells, records[0].capacity_Ah)._replace(cutoff_V=cutoff_V)
+    try:
+        found = diagnose(records, file, pack)
+    except NotEnoughData as error:
+        return f"| {name} | {model} | not enough data: {error} | – | – |"
+    empty = [np.zeros(0)] * len(found.problem.evidence.names)
+    before_V, _ = close.open_loop(found.problem, found.before, empty)
+    after_V, _ = close.open_loop(found.problem, found.after, close.left_out(found.problem, found.after))
+    left = "; ".join(found.reasons) or "nothing"
+    return f"| {name} | {model} | {words(found)} | {1000 * before_V:.0f} → {1000 * after_V:.0f} | {left} |"
+
+
+def words(found: Diagnosis) -> str:
+    """Verdict and classes, the first member with its values."""
+    parts = []
+    for one in found.classes:
+        values = ", ".join(f"{k} {v.value:.3g} [{v.lo:.3g}, {v.hi:.3g}]" for k, v in one.parameters.items())
+        parts.append(f"{' or '.join(one.members)} ({values})")
+    return f"{found.verdict}: {' + '.join(parts) or '–'}"
+
+
+def study() -> None:
+    """The study's tables over temperature: isothermal, then self-heating and a steeper cold resistance."""
+    loop = temperatures.close_loop(dataset.load(STUDY), Limits())
+    if loop is None:
+        return
+    print("\n| study: step | tests | RMSE before → after, left out [mV] | p | holds |\n|---|---|---|---|---|")
+    for gain in loop.gains:
+        print(f"| {gain.question} | {gain.scope}, {gain.group} | {1000 * gain.before_V:.0f} → {1000 * gain.after_V:.0f} | "
+              f"{gain.p_value:.2g} | {'yes' if gain.holds else 'no'} |")  # fmt: skip
+    print("\n" + "\n".join(f"- {said}" for said in loop.conclusions))
+
+
+def enertech() -> None:
+    """The pouch cell: OCV from 0.1 C, one resistance from 0.5 C."""
+    slow = columns(DATA / "bench" / "enertech_pouch_0.1C.csv")
+    knots = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
+    soc = 1.0 - slow["time_s"] * slow["current_a"] / 3600.0 / ENERTECH_AH
+    ocv = (knots, np.interp(knots, soc[::-1], slow["voltage_v"][::-1]))
+    records = []
+    for rate in ("0.5", "1"):
+        c = columns(DATA / "bench" / f"enertech_pouch_{rate}C.csv")
+        kept = slice(None, None, 5)
+        temp_C = ENERTECH_AMBIENT_C + c["surface_rise_k"]
+        fields = (c["time_s"], c["voltage_v"], c["current_a"], temp_C)
+        records.append(Observed(f"{rate}C", *(x[kept] for x in fields), ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
+    half = records[0]
+    drawn = np.interp(1.0 - half.time_s * half.current_A / 3600.0 / ENERTECH_AH, *ocv)
+    ohm_Ah = float(np.median((drawn - half.voltage_V) / half.current_A)) * ENERTECH_AH
+    file = plain("enertech", ocv, ohm_Ah, ENERTECH_AH, 3.0)
+    print(row("Enertech pouch, 0.5 C and 1 C", "OCV at 0.1 C, one resistance", records, file, 3.0))
+
+
+def turnigy() -> None:
+    """The drive cycle in pieces: OCV as others derived it, one resistance from the first piece."""
+    table = columns(DATA / "bench" / "turnigy_soc_ocv_derived.csv")
+    at = table["T"] == 25.0
+    ocv = (table["SOC"][at][::-1], table["OCV"][at][::-1])
+    c = columns(DATA / "bench" / "turnigy_la92_25c.csv")
+    current_A = c["current_a"] if float(np.mean(c["current_a"])) > 0.0 else -c["current_a"]
+    drawn = np.abs(c["ah"])
+    edges = np.searchsorted(drawn, np.linspace(0.0, drawn[-1] * 0.999, PIECES + 1))
+    records = []
+    for i in range(PIECES):
+        part = slice(edges[i], edges[i + 1])
+        columns_ = (c["time_s"], c["voltage_v"], current_A, c["surface_c"])
+        records.append(Observed(f"piece {i + 1}", *(x[part] for x in columns_), 25.0, 1, TURNIGY_AH))
+    first = slice(edges[0], edges[1])
+    sag = np.interp(1.0 - drawn[first] / TURNIGY_AH, *ocv) - c["voltage_v"][first]
+    ohm_Ah = float(np.polyfit(current_A[first], sag, 1)[0]) * TURNIGY_AH
+    file = plain("turnigy", ocv, ohm_Ah, TURNIGY_AH, 3.0)
+    print(row("Turnigy LA92 cycle at 25 °C, 4 pieces", "derived OCV, one resistance", records, file, 3.0))
+
+
+def m100() -> None:
+    """Two aircraft teach the battery, the third is diagnosed."""
+    with (DATA / "flights" / "m100" / "index.csv").open() as stream:
+        index = list(csv.DictReader(stream))
+    logs = {r["file"]: read_log(DATA / "flights" / "m100" / r["file"]) for r in index}
+    for aircraft in sorted({r["aircraft"] for r in index}):
+        others = [logs[r["file"]] for r in index if r["aircraft"] != aircraft]
+        mine = [from_flight(logs[r["file"]], M100_CELLS, M100_AH) for r in index if r["aircraft"] == aircraft]
+        mine = [replace(r, name=Path(r.name).name) for r in mine]
+        size = Size(f"without {aircraft}", M100_CELLS, M100_AH, M100_CUTOFF_V)
+        file = fit_battery(size, [], others).file
+        print(row(f"M100 {aircraft}, {len(mine)} flights", "fit to the two other aircraft", mine, file, M100_CUTOFF_V),
+              flush=True)  # fmt: skip
+
+
+def main() -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=("study", "m100", "enertech", "turnigy"))
+    only = parser.parse_args().only
+    print(HEAD)
+    for job in (enertech, turnigy, m100):
+        if only in (None, job.__name__):
+            job()
+    if only in (None, "study"):
+        study()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
