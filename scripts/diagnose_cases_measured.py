@@ -101,8 +101,9 @@ def study() -> None:
         return
     print("\n| study: step | tests | RMSE before → after, left out [mV] | p | holds |\n|---|---|---|---|---|")
     for gain in loop.gains:
-        print(f"| {gain.question} | {gain.scope}, {gain.group} | {1000 * gain.before_V:.0f} → {1000 * gain.after_V:.0f} | "
-              f"{gain.p_value:.2g} | {'yes' if gain.holds else 'no'} |")  # fmt: skip
+        change = f"{1000 * gain.before_V:.0f} → {1000 * gain.after_V:.0f}"
+        holds = "yes" if gain.holds else "no"
+        print(f"| {gain.question} | {gain.scope}, {gain.group} | {change} | {gain.p_value:.2g} | {holds} |")
     print("\n" + "\n".join(f"- {said}" for said in loop.conclusions))
 
 

@@ -89,3 +89,28 @@ def test_the_same_log_twice_is_no_evidence(logs: list[Path]) -> None:
     done = run("diagnose", logs[0], logs[0], *pack_options())
     assert done.returncode == 2
     assert "the same log" in done.stderr
+
+
+def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: list[Path], tmp_path: Path) -> None:
+    bare = []
+    for path in logs:
+        rows = [line.split(",") for line in path.read_text().splitlines()]
+        kept = [i for i, name in enumerate(rows[0]) if name != "temp_C"]
+        bare.append(tmp_path / path.name)
+        bare[-1].write_text("\n".join(",".join(r[i] for i in kept) for r in rows) + "\n")
+    done = run("diagnose", *bare, *pack_options(), "--report", tmp_path / "d.html")
+    assert done.returncode == 0, done.stderr
+    assert "no temperature" in done.stdout
+    assert "No temperature was measured" in (tmp_path / "d.html").read_text()
+
+
+def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: Path) -> None:
+    other = tmp_path / "other.tlog"
+    pack = pack_of(battery_file.read("lipo-generic"), 6, 8.0, 19.8, 21.0)
+    write(other, fly(pack, Mission(350.0, 22.0, rate_Hz=1.0, seed=3)), pack)
+    first = tmp_path / "first.tlog"
+    pack = pack_of(battery_file.read("lipo-generic"), CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    write(first, fly(pack, Mission(170.0, 22.0, rate_Hz=1.0, seed=1)), pack)
+    done = run("diagnose", first, other, "--battery", "lipo-generic")
+    assert done.returncode == 4
+    assert "different packs" in done.stderr
