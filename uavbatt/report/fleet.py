@@ -37,7 +37,7 @@ def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str
     """The whole page as HTML. `battery`: the file that all were flown with; `remarks`: names and values of the run."""
     ranked = _ranked(found.groups.values())
     return page(
-        f"Fleet: {_count(found.flights, 'flight')} of {len(found.groups)} packs or aircraft",
+        f"Fleet: {_count(found.flights, 'flight')} of {_whose(list(found.groups))}",
         "uavbatt fleet",
         _answer(found, ranked),
         section("Packs over time", *_health(ranked)),
@@ -211,6 +211,10 @@ def _mean_and_error(values: NDArray[np.float64], *, sign: bool = False) -> str:
 
 def _mean(values: NDArray[np.float64]) -> float:
     return float(np.mean(values))
+
+
+def _whose(groups: Sequence[str]) -> str:
+    return groups[0] if len(groups) == 1 else f"{len(groups)} packs or aircraft"
 
 
 def _count(n: int, what: str) -> str:
