@@ -132,6 +132,26 @@ def same(a: NDArray[np.float64], other: Rows) -> bool:
     return bool(np.allclose(a[:, 0] - a[0, 0], b[:, 0] - b[0, 0], atol=2e-6, rtol=0) and np.all(a[:, 1:] == b[:, 1:]))
 
 
+IMPORTS = (
+    ("our .BIN reader", "import uavbatt.telemetry.read, uavbatt.telemetry.dataflash_binary"),
+    ("our .tlog reader", "import uavbatt.telemetry.read, uavbatt.telemetry.tlog"),
+    ("pymavlink.DFReader", "import pymavlink.DFReader"),
+    ("pymavlink.mavutil", "import pymavlink.mavutil"),
+    ("pyulog", "import pyulog"),
+    ("the command line", "import uavbatt.cli.app"),
+)
+
+
+def import_line(name: str, statement: str, repeats: int) -> str:
+    """Processor time [ms] of an import in a new process less that of none, and the memory [MB] that it then holds."""
+    told = f"{statement}\nimport resource; print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+    commands = [[sys.executable, "-c", code] for code in ("", statement)]
+    turns = [[_timed(partial(subprocess.run, command, check=True)) for command in commands] for _ in range(repeats)]
+    none_s, all_s = (median(times) for times in zip(*turns, strict=True))
+    peak = subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True).stdout
+    return f"import of {name}: {1000 * (all_s - none_s):.0f} ms, {float(peak):.0f} MB"
+
+
 def lines(repeats: int = REPEATS) -> Iterator[str]:
     """Every reader beside its peer, in words."""
     data = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
@@ -155,6 +175,8 @@ def lines(repeats: int = REPEATS) -> Iterator[str]:
                     f"{suffix:5s} {told}, {len(rows)} battery rows ({equal}), {what}: {peer} {theirs_s:.3f} s, "
                     f"ours {ours_s:.3f} s ({samples_s:.3f}), ratio {theirs_s / ours_s:.1f} ({theirs_s / samples_s:.1f})"
                 )
+    for name, statement in IMPORTS:
+        yield import_line(name, statement, repeats)
 
 
 if __name__ == "__main__":
