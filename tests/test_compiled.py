@@ -6,7 +6,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import cache
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.prediction import questions
 from uavbatt.prediction.questions import Question
 from uavbatt.records import NAN, Sample
+from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly, with_effects
 
 pytest.importorskip("numba", reason="the extra `fast` is not installed")
@@ -145,6 +146,28 @@ def test_a_forecast_under_every_effect(name: str) -> None:
     question = next(asked(flown()[::10], OPTIONS))
     pack = affected(name)._replace(cutoff_V=question.pack.cutoff_V, low_V=question.pack.low_V)
     assert_same_ends([question._replace(pack=pack)])
+
+
+# --- a whole replay ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["quad_4s.tlog", "hexa_6s_cold.csv"])
+def test_a_replay_says_the_same_compiled(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    whole = uavbatt.read_log(LOGS / name)
+    flight = replace(whole, samples=whole.samples[: len(whole.samples) // 2])
+
+    def numbers() -> list[list[float]]:
+        estimator = Estimator(file.read("lipo-generic"), PackOptions(capacity_Ah=5.0, forecast_period_s=10.0))
+        run = list(steps(flight, estimator))
+        values = [(*astuple(step.estimate), *astuple(step.remaining)) for step in run]
+        return [[value for value in row if isinstance(value, float)] for row in values]
+
+    with fast.left_out():
+        plain = numbers()
+    monkeypatch.setattr(fast, "pays", lambda plain_s, work: True)
+    monkeypatch.setattr(fast, "is_used", lambda work: True)
+    for row, quick in zip(plain, numbers(), strict=True):
+        np.testing.assert_allclose(quick, row, rtol=CLOSE, atol=CLOSE)
 
 
 # --- the open loop -----------------------------------------------------------------------------------------------

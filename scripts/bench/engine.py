@@ -202,7 +202,8 @@ def replay_rows() -> Iterator[Row]:
 
 def replayed(flight: Flight) -> int:
     """Rows of a replay; with numba from the first row where that is installed."""
-    fast.pays(float("inf"), "forecast")
+    for work in ("filter", "forecast"):
+        fast.pays(float("inf"), work)
     estimator = Estimator(file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     return sum(1 for _ in steps(flight, estimator))
 
