@@ -112,6 +112,21 @@ def test_a_planted_effect_is_in_the_first_class_at_full_and_at_half_size(
     assert interval.lo <= truth <= interval.hi
 
 
+def test_two_planted_effects_are_two_classes() -> None:
+    diagnosis = found(flights(gain=1.2, offset_V=-0.5))
+    told = [set(c.members) for c in diagnosis.classes]
+    assert len(told) == 2
+    assert any("current_gain" in a and "voltage_offset" in b for a, b in (told, told[::-1]))
+
+
+def test_a_late_current_is_told_from_a_resistance() -> None:
+    records = [replace(r, current_A=np.interp(r.time_s - 4.0, r.time_s, r.current_A)) for r in flights()]
+    diagnosis = found(records)
+    assert diagnosis.classes[0].members[0] == "current_delay"
+    interval = diagnosis.classes[0].parameters["delay_s"]
+    assert interval.lo <= 4.0 <= interval.hi
+
+
 def test_order_and_names_of_the_files_do_not_matter() -> None:
     records = flights(gain=1.15)
     shuffled = [replace(records[i], name=f"other {i}") for i in (2, 0, 3, 1)]

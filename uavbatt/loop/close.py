@@ -19,11 +19,11 @@ from uavbatt.battery.file import BatteryFile, Certificate, EffectEntry, Verdict
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_current
 from uavbatt.fitting.assemble import rounded
-from uavbatt.loop import attribute, residual
+from uavbatt.loop import residual
 from uavbatt.loop.candidates import QUANTITIES
 from uavbatt.loop.diagnosis import Diagnosis
-from uavbatt.loop.problem import Problem, Refit
-from uavbatt.loop.refit import at_best
+from uavbatt.loop.heldout import left_out, open_loop
+from uavbatt.loop.problem import Refit
 from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.prediction.score import end_of_flight
@@ -126,28 +126,6 @@ def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> Batter
 
 def _known(value: float) -> float:
     return value if math.isfinite(value) else 0.0
-
-
-def left_out(problem: Problem, fit: Refit) -> list[Array]:
-    """Per record, the quantities' values that the other records give; the fit's own when there is one record."""
-    if not fit.candidate.freed or len(problem.evidence.names) < 2:
-        return [fit.values()[0] if fit.candidate.freed else np.zeros(0)] * len(problem.evidence.names)
-    return attribute.left_out(problem, fit)
-
-
-def open_loop(problem: Problem, fit: Refit, values: list[Array]) -> tuple[float, float]:
-    """RMSE under load above the cut-off [V] and of temperature [K], every record with its own given values."""
-    first = len(fit.columns) - len(fit.candidate.freed)
-    u = fit.u.copy()
-    for j, given in enumerate(values):
-        for k, freed in enumerate(fit.candidate.freed):
-            u[j, first + k] = freed.at(float(given[k]))
-    found = residual.residuals(problem.evidence, at_best(problem, replace(fit, u=u)))
-    stack, squares = problem.evidence.stack, []
-    for j, r in enumerate(found):
-        volts = stack.voltage_V[problem.evidence.volts[j].rows, j]
-        squares.append(np.mean(r.voltage_V[~r.rest & (volts > problem.pack.cutoff_V)] ** 2))
-    return float(np.sqrt(np.mean(squares))), residual.size_K(found)
 
 
 def remaining(flight: Flight, file: BatteryFile, options: PackOptions) -> tuple[list[float], list[bool]]:

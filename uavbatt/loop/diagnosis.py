@@ -23,6 +23,7 @@ from uavbatt.loop.attribute import Finding
 from uavbatt.loop.candidates import NOTHING, Candidate, base_values, candidates, nuisances
 from uavbatt.loop.classes import EffectClass, class_of
 from uavbatt.loop.evidence import IDLE_NOISE_A, NOT_HELD_OUT, idle_A, prepare
+from uavbatt.loop.heldout import helps
 from uavbatt.loop.problem import Problem, Refit, TableErrors
 from uavbatt.loop.refit import at_best, refit
 from uavbatt.loop.residual import Residual, Shape
@@ -98,10 +99,15 @@ def diagnose(
     floor_V, floor_K = floors(file, problem)
     best, findings = _search(problem, options, nothing, (floor_V, floor_K), tell)
     tell("residual")
+    useless = bool(best.candidate.names) and not helps(problem, nothing, best)
+    if useless:
+        best = nothing
     after = residual.residuals(problem.evidence, at_best(problem, best))
     left = residual.shape(after)
     hangs = residual.structure(problem.evidence, best.residual)
     reasons = _doubts(findings, after, (floor_V, floor_K), (left, hangs), {e.name for e in file.effects})
+    if useless:
+        reasons += ("what was found does not help to predict a record that was left out: the battery file stays",)
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
     return Diagnosis(
