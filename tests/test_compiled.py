@@ -201,13 +201,13 @@ def test_work_pays_when_as_much_was_asked_as_it_costs(monkeypatch: pytest.Monkey
     monkeypatch.setattr(fast, "folder", lambda: tmp_path)
     monkeypatch.setattr(fast, "_used", set())
     monkeypatch.setattr(fast, "_asked_s", {})
-    tenth_s = 0.1 * (fast.START_S + fast.COMPILE_S["forecast"])
+    tenth_s = 0.1 * (fast.START_S["forecast"] + fast.COMPILE_S["forecast"])
     assert [fast.pays(tenth_s, "forecast") for _ in range(11)] == [False] * 10 + [True]
     with fast.left_out():
         assert not fast.pays(math.inf, "forecast")
         assert not fast.is_used("forecast")
     fast.is_made("filter")
-    assert fast.pays(fast.START_S + 0.01, "filter")
+    assert fast.pays(fast.START_S["filter"] + 0.01, "filter")
 
 
 def test_without_a_folder_to_write_to_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-START_S = 0.6
+START_S = {"filter": 0.6, "forecast": 0.6, "openloop": 2.0}  # the last gains two to three times only: it must wait
 COMPILE_S = {"filter": 8.0, "forecast": 4.0, "openloop": 2.0}  # the kinds of work
 _allowed = True
 _used: set[str] = set()
@@ -59,7 +59,7 @@ def pays(plain_s: float, work: str) -> bool:
         return False
     if work not in _used:
         _asked_s[work] = _asked_s.get(work, 0.0) + plain_s
-        cost_s = START_S + (0.0 if (place / work).exists() else COMPILE_S[work])
+        cost_s = START_S[work] + (0.0 if (place / work).exists() else COMPILE_S[work])
         if _asked_s[work] > cost_s and is_usable():
             _used.add(work)
     return work in _used
