@@ -92,7 +92,7 @@ def diagnosis_report(d: DiagnosisPage) -> str:
         *([section("Doubts", bullets(d.doubts))] if d.doubts else []),
         section("Error before and after", _errors(d)),
         section("Residuals, measured minus modelled", *_residuals(d)),
-        section("Change of the battery file", _changes(d)),
+        section("Change of the battery file", *_changes(d)),
         *([section("Notes", bullets(d.notes))] if d.notes else []),
         footer=f"uavbatt {__version__}. A small residual after the fix proves little: do the check first.",
     )
@@ -163,8 +163,11 @@ def _panel(d: DiagnosisPage, title: str, field: str, scale: float, unit: str) ->
     return figure(plot.panel(draw, alt, x="minutes", y=unit), title)
 
 
-def _changes(d: DiagnosisPage) -> Html:
+def _changes(d: DiagnosisPage) -> list[Html]:
     if not d.changes:
-        return paragraph("None.")
+        return [paragraph("None.")]
     text = element("pre", "\n".join(d.changes))
-    return details(f"{len(d.changes)} lines", text) if len(d.changes) > 40 else text
+    lines = [details(f"{len(d.changes)} lines", text) if len(d.changes) > 40 else text]
+    if any(len(s.members) > 1 for s in d.suspects):
+        lines.insert(0, paragraph("Where several causes are possible, the file takes the one that is named first."))
+    return lines
