@@ -9,9 +9,11 @@ Flights are simulated by the model itself: good for time and memory, no evidence
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -85,12 +87,14 @@ if __name__ == "__main__":
 
 
 class Measured(NamedTuple):
-    """A whole run [s]; flights a second once the workers are warm; most memory of the main process and a worker."""
+    """A whole run [s]; flights a second once the workers are warm; most memory of the main process and a worker; and
+    how many cores other work on the machine kept busy meanwhile, without which the times mean little."""
 
     whole_s: float
     per_s: float
     main_MB: float
     worker_MB: float
+    others: float
 
 
 def measured(logs: Path, workers: int) -> Measured:
@@ -99,8 +103,20 @@ def measured(logs: Path, workers: int) -> Measured:
         script = Path(output) / "fleet_run.py"
         script.write_text(RUN, encoding="utf-8")
         command = [sys.executable, str(script), str(logs), f"{output}/out", str(workers)]
+        begin, before_s = time.perf_counter(), _others_s()
         done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return Measured(*map(float, done.stdout.split()))
+        others = (_others_s() - before_s) / (time.perf_counter() - begin)
+    return Measured(*map(float, done.stdout.split()), others)
+
+
+def _others_s() -> float:
+    """Processor time [s] that all cores have spent on anything but this process and its children; NaN without /proc."""
+    if not Path("/proc/stat").exists():
+        return float("nan")
+    ticks = [int(n) for n in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    idle = ticks[3] + ticks[4]
+    return (sum(ticks) - idle) / os.sysconf("SC_CLK_TCK") - used.ru_utime - used.ru_stime
 
 
 def lines(flights: int = FLIGHTS, repeats: int = REPEATS) -> Iterator[str]:
@@ -113,10 +129,12 @@ def lines(flights: int = FLIGHTS, repeats: int = REPEATS) -> Iterator[str]:
         small = measured(few, 2)  # also fills the cache of compiled code, where numba is installed
         turns = [(measured(many, 1), measured(many, 2)) for _ in range(repeats)]
         one, two = (Measured(*map(median, zip(*runs, strict=True))) for runs in zip(*turns, strict=True))
-        ratios = ", ".join(f"{a.whole_s / b.whole_s:.2f}" for a, b in turns)
+        ratios = ", ".join(
+            f"{a.whole_s:.0f}/{b.whole_s:.0f} s beside {a.others:.2f}/{b.others:.2f} busy cores" for a, b in turns
+        )
         yield (
             f"fleet of {flights} flights, whole: 1 worker {one.whole_s:.1f} s, 2 workers {two.whole_s:.1f} s, "
-            f"ratio {one.whole_s / two.whole_s:.2f} (turn by turn {ratios})"
+            f"ratio {one.whole_s / two.whole_s:.2f} (turn by turn: {ratios})"
         )
         yield (
             f"fleet of {flights} flights, after the start: {one.per_s:.1f} and {two.per_s:.1f} flights/s, "
