@@ -58,6 +58,7 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Any]:
     if scheduler is None:
         with (
             dask.config.set({f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _MALLOC.items()}),
+            dask.config.set({"distributed.worker.profile.enabled": False}),  # nobody reads it
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
                 silence_logs=logging.CRITICAL,
