@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,54 +21,23 @@ from uavbatt.battery import file as battery_file
 from uavbatt.battery.belief import Belief
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
-from uavbatt.errors import UsageError
 from uavbatt.estimation.recursion import Summary
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
-from uavbatt.prediction.learned import UnknownAircraft
-from uavbatt.prediction.load import ConstantLoad, Load
+from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.questions import answer
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
+from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, resolve
 from uavbatt.swap import SwapWatch
 
-FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
-EMPTIEST_CELL_V = 3.0
+__all__ = ["Estimator", "PackOptions", "Past", "Resolved"]
+
 NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
 # Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
 # power is right to a fifth. Around its mean the load wanders by a fifth for a minute at a time: as independent errors
 # of readings two seconds apart that is five times as much.
 ASSUMED_C_RATE, ASSUMED_CELL_V, ASSUMED_SD, STATED_SD = 2.5, 3.8, (0.5, 1.2), (0.2, 0.4)
-
-
-@dataclass(frozen=True, slots=True)
-class PackOptions:
-    """What the caller states of the pack; None or NaN = not stated."""
-
-    cells: int | None = None
-    capacity_Ah: float = NAN
-    cutoff_V: float = NAN
-    low_V: float = NAN
-    reserve_soc: float = 0.0
-    ambient_C: float = NAN
-    load: Load = UnknownAircraft()
-    forecast_period_s: float = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class Resolved:
-    """The pack as it is estimated, and where each number came from."""
-
-    battery: str
-    status: str
-    cells: int
-    cells_from: str
-    capacity_Ah: float
-    capacity_from: str
-    cutoff_V: float
-    cutoff_from: str
-    low_V: float
-    low_from: str
 
 
 class Past(NamedTuple):
@@ -127,7 +96,7 @@ class Estimator:
         self._facts = facts
         if self.resolved is None:
             return
-        now = self._resolve(self.resolved.cells)
+        now = resolve(self.battery, self.options, facts, self.resolved.cells)
         if (now.cells, now.capacity_Ah) != (self.resolved.cells, self.resolved.capacity_Ah):
             self._filter = self._forecaster = None
         self.resolved = now
@@ -215,7 +184,8 @@ class Estimator:
         first_V = next((s.voltage_V for s in coming if math.isfinite(s.voltage_V)), NAN)
         if not math.isfinite(first_V):
             return None
-        return self._resolve(_cells_from_voltage(first_V, self.battery.battery.cells_series))
+        guessed = cells_from_voltage(first_V, self.battery.battery.cells_series)
+        return resolve(self.battery, self.options, self._facts, guessed)
 
     def _pack(self, resolved: Resolved) -> Pack:
         pack = pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
@@ -230,42 +200,6 @@ class Estimator:
                 guess_sd=about_it_sd,
             )
         return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
-
-    def _resolve(self, guessed_cells: int) -> Resolved:
-        """Stated by the caller, else by the vehicle, else by voltage (cells) or battery file."""
-        given, said, typed = self.options, self._facts, self.battery.battery
-        cells, cells_from = _first(
-            (given.cells, "--cells"), (said.cells_series, "vehicle"), (guessed_cells, "first voltage")
-        )
-        capacity_Ah, capacity_from = _first(
-            (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
-        )
-        if not math.isfinite(capacity_Ah):
-            raise UsageError(f"capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah")
-        share = cells / typed.cells_series
-        cutoff_V, cutoff_from = _first(
-            (given.cutoff_V, "--cutoff-voltage"),
-            (said.critical_voltage_V, "vehicle"),
-            (typed.cutoff_V * share, "battery file"),
-        )
-        low_V, low_from = _first(
-            (given.low_V, "--low-voltage"),
-            (said.low_voltage_V, "vehicle"),
-            (None if typed.low_V is None else typed.low_V * share, "battery file"),
-            (NAN, "nobody"),
-        )
-        return Resolved(
-            battery=typed.name,
-            status=self.battery.status,
-            cells=int(cells),
-            cells_from=cells_from,
-            capacity_Ah=float(capacity_Ah),
-            capacity_from=capacity_from,
-            cutoff_V=float(cutoff_V),
-            cutoff_from=cutoff_from,
-            low_V=float(low_V),
-            low_from=low_from,
-        )
 
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
         """What a reader of the number must know beside it."""
@@ -296,18 +230,3 @@ class Estimator:
         if self._intake.guessed or self.battery.status == "generic":
             return False  # nothing is known to compare with
         return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd
-
-
-def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
-    """The first candidate that is known, with its source; NaN and the last source when none is."""
-    for value, source in candidates:
-        if value is not None and math.isfinite(value):
-            return value, source
-    return NAN, candidates[-1][1]
-
-
-def _cells_from_voltage(voltage_V: float, typical: int) -> int:
-    """Cells in series that fit the first voltage: the battery file's own if plausible, else the fewest."""
-    if EMPTIEST_CELL_V <= voltage_V / typical <= FULLEST_CELL_V:
-        return typical
-    return max(1, math.ceil(voltage_V / FULLEST_CELL_V))

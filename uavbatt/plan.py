@@ -22,7 +22,8 @@ from uavbatt.pipeline import Estimator, PackOptions, Resolved
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.learned import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
 from uavbatt.prediction.load import Load, Now, Scenarios, equal_levels
-from uavbatt.records import NAN, Flight
+from uavbatt.records import NAN, Flight, PackFacts
+from uavbatt.resolved import resolve as size_of_pack
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
@@ -89,26 +90,9 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     if like is not None:
         return _as_flown(battery, options, like)
     typed = battery.battery
-    cells = options.cells or typed.cells_series
     if options.cells is None and battery.status == "generic":
         raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
-    capacity_Ah = options.capacity_Ah if math.isfinite(options.capacity_Ah) else typed.capacity_Ah
-    if capacity_Ah is None:
-        raise UsageError(f"capacity: battery `{typed.name}` states none: give --capacity-ah")
-    share = cells / typed.cells_series
-    stated_V = math.isfinite(options.cutoff_V)
-    return Resolved(
-        battery=typed.name,
-        status=battery.status,
-        cells=cells,
-        cells_from="--cells" if options.cells else "battery file",
-        capacity_Ah=capacity_Ah,
-        capacity_from="--capacity-ah" if math.isfinite(options.capacity_Ah) else "battery file",
-        cutoff_V=options.cutoff_V if stated_V else typed.cutoff_V * share,
-        cutoff_from="--cutoff-voltage" if stated_V else "battery file",
-        low_V=NAN if typed.low_V is None else typed.low_V * share,
-        low_from="nobody" if typed.low_V is None else "battery file",
-    )
+    return size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
 
 
 def _as_flown(battery: BatteryFile, options: PackOptions, like: Flight) -> Resolved:
