@@ -28,7 +28,7 @@ from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.questions import answer
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
-from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, resolve
+from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, certificate_remark, resolve
 from uavbatt.swap import SwapWatch
 
 __all__ = ["Estimator", "PackOptions", "Past", "Resolved"]
@@ -175,7 +175,9 @@ class Estimator:
         self._swap = SwapWatch()
 
     def _assumed_W(self, coming: Sequence[Sample]) -> float:
-        """The power of a middling multirotor on this pack; NaN before a voltage tells the pack."""
+        """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""
+        if self._intake.metered:
+            return NAN
         pack = self.resolved or self._resolved_by(coming)
         return ASSUMED_C_RATE * pack.capacity_Ah * pack.cells * ASSUMED_CELL_V if pack is not None else NAN
 
@@ -204,14 +206,9 @@ class Estimator:
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
         """What a reader of the number must know beside it."""
         assert self.resolved is not None
-        certificate, typed = self.battery.certificate, self.battery.battery
-        found = []
-        if certificate.status != "certified":
-            found.append(f"battery file is {certificate.status}, not certified")
-        elif (self.resolved.cells, self.resolved.capacity_Ah) != (typed.cells_series, typed.capacity_Ah):
-            size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
-            found.append(f"the certificate is for a {size} pack; this one is scaled from it")
-        validated = certificate.validated_ambient_C
+        remark = certificate_remark(self.battery, self.resolved)
+        found = [remark] if remark else []
+        validated = self.battery.certificate.validated_ambient_C
         core_C = known.core_temp_C
         if validated and math.isfinite(core_C) and not min(validated) - 5.0 <= core_C <= max(validated) + 20.0:
             found.append(f"pack at {core_C:.0f} °C is outside the validated range")

@@ -23,6 +23,7 @@ from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.learned import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
 from uavbatt.prediction.load import Load, Now, Scenarios, equal_levels
 from uavbatt.records import NAN, Flight, PackFacts
+from uavbatt.resolved import certificate_remark
 from uavbatt.resolved import resolve as size_of_pack
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
@@ -118,9 +119,9 @@ def made(
     def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
         return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc) for t in ambients_C)
 
-    curve = at(CURVE_C)
+    curve, remark = at(CURVE_C), certificate_remark(battery, resolved)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
-    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, _warnings(battery, resolved))
+    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, (remark,) if remark else ())
 
 
 def endurance(
@@ -159,13 +160,3 @@ def range_remark(battery: BatteryFile, ambient_C: float) -> str:
     if low - VALID_WITHIN_K <= ambient_C <= high + VALID_WITHIN_K:
         return ""
     return f"outside the validated range: {low:g} °C{'' if high == low else f' to {high:g} °C'}"
-
-
-def _warnings(battery: BatteryFile, resolved: Resolved) -> tuple[str, ...]:
-    typed = battery.battery
-    if battery.status != "certified":
-        return (f"battery file is {battery.status}, not certified",)
-    if (resolved.cells, resolved.capacity_Ah) != (typed.cells_series, typed.capacity_Ah):
-        size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
-        return (f"the certificate is for a {size} pack; this one is scaled from it",)
-    return ()

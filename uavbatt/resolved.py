@@ -89,6 +89,17 @@ def resolve(
     )
 
 
+def certificate_remark(battery: BatteryFile, pack: Resolved) -> str:
+    """What the certificate does not cover of this pack; empty when it covers it."""
+    typed = battery.battery
+    if battery.status != "certified":
+        return f"battery file is {battery.status}, not certified"
+    if (pack.cells, pack.capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
+        return ""
+    size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
+    return f"the certificate is for a {size} pack; this one is scaled from it"
+
+
 def cells_from_voltage(voltage_V: float, typical: int) -> int:
     """Cells in series that fit the first voltage: the battery file's own if plausible, else the fewest."""
     if EMPTIEST_CELL_V <= voltage_V / typical <= FULLEST_CELL_V:

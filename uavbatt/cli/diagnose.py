@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
@@ -36,7 +36,7 @@ def diagnose(
     capacity_ah: CapacityOption = None,
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
-    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
+    instance: InstanceOption = None,
     without: Annotated[list[str] | None, typer.Option("--without", help="Effect to leave out; repeatable.")] = None,
     gate: Annotated[Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests to gate with.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
@@ -50,6 +50,7 @@ def diagnose(
     from uavbatt import dataset as data
     from uavbatt.battery import file
     from uavbatt.battery.effects import EFFECTS
+    from uavbatt.json_file import write_json
     from uavbatt.telemetry import read_log
 
     check_writable(json_file, report, output)
@@ -64,13 +65,13 @@ def diagnose(
         found, closed, new = _run(content, datasets, flights, stated, tuple(without or ()), gate)
     except NotEnoughData as error:
         if json_file is not None:
-            _write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
+            write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
         raise
     path = str(file.write(new, output)) if output is not None else None
     for line in _lines(found, closed):
         typer.echo(line)
     if json_file is not None:
-        _write_json(json_file, _as_json(found, closed, path))
+        write_json(json_file, _as_json(found, closed, path))
     if report is not None:
         from uavbatt.loop.page import inputs
         from uavbatt.report import diagnosis as page
@@ -231,18 +232,3 @@ def _as_json(found: Diagnosis, closed: Closed, path: str | None) -> dict[str, An
         "left": asdict(found.left),
         "battery_file": path,
     }
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    from uavbatt.aside import written_aside
-
-    with written_aside(path, "w") as stream:
-        stream.write(json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption
+
 
 def info(
     log: Annotated[Path, typer.Argument(metavar="LOG")],
-    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance.")] = None,
+    instance: InstanceOption = None,
 ) -> None:
     """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted."""
     from uavbatt.telemetry import read_log

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     BatteryOption,
@@ -45,7 +45,7 @@ def plan(
     cutoff_voltage: CutoffOption = None,
     reserve_soc: ReserveOption = 0.0,
     allow_uncertified: UncertifiedOption = False,
-    instance: Annotated[int | None, typer.Option("--instance", min=0, help="Battery instance of the log.")] = None,
+    instance: InstanceOption = None,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
@@ -137,7 +137,7 @@ def _write_report(path: Path, plan: Plan) -> None:
 
 def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
     """The plan for a program: where the numbers came from, the planned temperature, the table."""
-    from uavbatt.aside import written_aside
+    from uavbatt.json_file import write_json
 
     pack = asdict(plan.resolved)
     content = {
@@ -151,14 +151,4 @@ def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
         "planned": asdict(plan.here),
         "table": [asdict(e) for e in plan.rows],
     }
-    with written_aside(path, "w") as stream:
-        stream.write(json.dumps(_plain(content), indent=2, ensure_ascii=False) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    """NaN as null."""
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    write_json(path, content)

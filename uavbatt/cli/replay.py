@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from contextlib import ExitStack
@@ -75,11 +74,9 @@ def replay(
         targets = [_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)]
         results.append(_one(log, content, options, (load, flown), (instance, join), *targets))
     if summary is not None:
-        from uavbatt.aside import written_aside
+        from uavbatt.json_file import write_json
 
-        text = json.dumps(results if several else results[0], indent=2, ensure_ascii=False)
-        with written_aside(summary, "w") as stream:
-            stream.write(text + "\n")
+        write_json(summary, results if several else results[0])
 
 
 def _one(
@@ -173,45 +170,34 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
 def _summary(
     flight: Flight, resolved: Resolved, found: Outcome, run: list[Step], content: BatteryFile
 ) -> dict[str, Any]:
-    """The summary for a program (DESIGN §5): NaN as null."""
+    """The summary for a program (DESIGN §5)."""
     from dataclasses import asdict
 
     scores = [
         {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
         for c in found.checkpoints
     ]
-    summary: dict[str, Any] = _plain(
-        {
-            "log": flight.source,
-            "kind": flight.kind,
-            "instance": flight.instance,
-            "battery": resolved.battery,
-            "certificate_status": resolved.status,
-            "content_sha256": content.certificate.content_sha256,
-            "cells": resolved.cells,
-            "cells_from": resolved.cells_from,
-            "capacity_Ah": resolved.capacity_Ah,
-            "capacity_from": resolved.capacity_from,
-            "cutoff_V": resolved.cutoff_V,
-            "cutoff_from": resolved.cutoff_from,
-            "low_V": resolved.low_V,
-            "low_from": resolved.low_from,
-            "skipped_bytes": flight.skipped_bytes,
-            "notes": list(flight.notes),
-            "warnings": list(dict.fromkeys(w for s in run for w in s.estimate.warnings)),
-            **{k: v for k, v in asdict(found).items() if k != "checkpoints"},
-            "scores": scores,
-        }
-    )
-    return summary
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return {
+        "log": flight.source,
+        "kind": flight.kind,
+        "instance": flight.instance,
+        "battery": resolved.battery,
+        "certificate_status": resolved.status,
+        "content_sha256": content.certificate.content_sha256,
+        "cells": resolved.cells,
+        "cells_from": resolved.cells_from,
+        "capacity_Ah": resolved.capacity_Ah,
+        "capacity_from": resolved.capacity_from,
+        "cutoff_V": resolved.cutoff_V,
+        "cutoff_from": resolved.cutoff_from,
+        "low_V": resolved.low_V,
+        "low_from": resolved.low_from,
+        "skipped_bytes": flight.skipped_bytes,
+        "notes": list(flight.notes),
+        "warnings": list(dict.fromkeys(w for s in run for w in s.estimate.warnings)),
+        **{k: v for k, v in asdict(found).items() if k != "checkpoints"},
+        "scores": scores,
+    }
 
 
 def _number(value: float, form: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -40,7 +39,6 @@ def validate(
     Exit code 0: pass, 1: fail, 4: not enough data.
     """
     from uavbatt import dataset as data
-    from uavbatt.aside import written_aside
 
     check_writable(report, json_file)
     if ship is not None and ship.exists() and not ship.is_dir():
@@ -51,6 +49,7 @@ def validate(
             raise UsageError("--method paper judges the tests as printed: --ship and --report need --method iso")
         _paper(tests, json_file)
         return
+    from uavbatt.json_file import write_json
     from uavbatt.validation.as_json import to_builtins
     from uavbatt.validation.gate import Limits
     from uavbatt.validation.validate import validate as judge
@@ -61,8 +60,7 @@ def validate(
     for line in _lines(result):
         typer.echo(line)
     if json_file is not None:
-        with written_aside(json_file, "w") as stream:
-            stream.write(json.dumps(to_builtins(result, printed), indent=1, ensure_ascii=False) + "\n")
+        write_json(json_file, to_builtins(result, printed), indent=1)
     if report is not None:
         from uavbatt.validation import page
 
@@ -120,9 +118,8 @@ def _printed(tests: DataSet) -> PaperReplay | None:
 
 
 def _paper(tests: DataSet, json_file: Path | None) -> None:
-    from uavbatt.aside import written_aside
+    from uavbatt.json_file import write_json
     from uavbatt.validation import paper
-    from uavbatt.validation.as_json import plain
 
     replayed = paper.replay(tests)
     typer.echo(f"{tests.name}: the study's equations (1)-(17) as printed")
@@ -144,5 +141,4 @@ def _paper(tests: DataSet, json_file: Path | None) -> None:
     for note in replayed.notes:
         typer.echo(f"  note: {note}")
     if json_file is not None:
-        with written_aside(json_file, "w") as stream:
-            stream.write(json.dumps(plain(replayed), indent=1, ensure_ascii=False) + "\n")
+        write_json(json_file, replayed, indent=1)

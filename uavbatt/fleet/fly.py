@@ -11,7 +11,6 @@ from pathlib import PurePath
 
 import numpy as np
 
-from uavbatt.battery.belief import C
 from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UavbattError
 from uavbatt.fleet.logs import LogFile, Unreadable
@@ -59,13 +58,12 @@ def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
 def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
     estimator = Estimator(job.battery, job.options)
     run = list(steps(flight, estimator))
-    pack, belief = estimator.resolved, estimator.belief
-    if pack is None or belief is None:
+    pack = estimator.resolved
+    if pack is None or estimator.belief is None:
         return bad(log, job, "expected at least one row with a voltage")
     found = outcome(run, pack.cutoff_V)
     who, info = flight.identity, describe(flight)
-    scales = np.exp(belief.mean)
-    sd = np.sqrt(np.diag(belief.covariance))
+    last = run[-1].estimate
     limit_s = gap_limit_s(median_step_s(flight.samples))
     charge_Ah, _ = charges_Ah(flight.samples, limit_s)
     energy_Wh, flown_s = _energy(flight, limit_s)
@@ -98,10 +96,10 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
         end_of_flight_s=found.end_of_flight_s,
         refused_share=found.refused_in_air,
         mean_nis=found.mean_nis,
-        resistance_scale=float(scales[C.LOG_RESISTANCE]),
-        resistance_scale_sd=float(scales[C.LOG_RESISTANCE] * sd[C.LOG_RESISTANCE]),
-        capacity_scale=float(scales[C.LOG_CAPACITY]),
-        capacity_scale_sd=float(scales[C.LOG_CAPACITY] * sd[C.LOG_CAPACITY]),
+        resistance_scale=last.resistance_scale,
+        resistance_scale_sd=last.resistance_scale_sd,
+        capacity_scale=last.capacity_scale,
+        capacity_scale_sd=last.capacity_scale_sd,
         trust=info.trust,
         skipped_bytes=flight.skipped_bytes,
         warnings="; ".join(_warnings(flight, run)),
