@@ -14,7 +14,7 @@ from uavbatt import fast
 from uavbatt.asked import Asked, say
 from uavbatt.battery.model import Array
 from uavbatt.pipeline import Estimator
-from uavbatt.prediction import score
+from uavbatt.prediction.ending import end_of_flight
 from uavbatt.prediction.questions import SIDE_BY_SIDE, answers
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 
@@ -116,9 +116,9 @@ def outcome(run: list[Step], cutoff_V: float) -> Outcome:
     volts = np.array([s.estimate.voltage_V for s in run])
     amps = np.array([s.estimate.current_A for s in run])
     if np.isfinite(amps).any():
-        end_s = score.end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
+        end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
     else:  # no current sensor: every row may be under load
-        end_s = score.end_of_flight(time_s, volts, cutoff_V=cutoff_V)
+        end_s = end_of_flight(time_s, volts, cutoff_V=cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
     flying = np.nan_to_num(amps) > _loaded_A(amps)
     since_s = time_s[flying][0] + 60.0 if flying.any() else math.inf

@@ -98,7 +98,7 @@ def filter_rows() -> Iterator[Row]:
             for sample in samples:
                 made.step(sample)
 
-        works = [alone, one_by_one, lambda samples=rows: ahead.by_filterpy(SocFilter(pack()), samples)]
+        works = [alone, one_by_one, lambda samples=rows: ahead.by_numpy(SocFilter(pack()), samples)]
         if HAS_TWIN:
             works.append(twin(rows))
         took = [s / len(rows) * 1e6 for s in in_turn(works, 3)]

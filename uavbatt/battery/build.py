@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.equations import Number
@@ -44,6 +43,43 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25}
 
 
+def monotone_cubic(at: Array, knots: Array, values: Array) -> Array:
+    """Cubic through `values` [..., knots] at the points `at` between the knots, monotone wherever the values are.
+
+    Fritsch & Carlson (1980) with Butland's slopes, as `scipy.interpolate.pchip`, whose import would take a third of
+    the time in which a short replay is done.
+    """
+    width, chord = np.diff(knots), np.diff(values) / np.diff(knots)
+    slope = _slopes(width, chord)
+    left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, knots.size - 2)
+    span = at - knots[left]
+    bend = (3.0 * chord - 2.0 * slope[..., :-1] - slope[..., 1:]) / width
+    twist = (slope[..., :-1] + slope[..., 1:] - 2.0 * chord) / width**2
+    curve = values[..., left] + span * (slope[..., left] + span * (bend[..., left] + span * twist[..., left]))
+    return np.asarray(curve)
+
+
+def _slopes(width: Array, chord: Array) -> Array:
+    """Slope at each knot from the chords between them: their weighted harmonic mean, 0 where the direction turns."""
+    if width.size == 1:
+        return np.concatenate([chord, chord], axis=-1)
+    before, after = chord[..., :-1], chord[..., 1:]
+    weight, other = width[:-1] + 2.0 * width[1:], 2.0 * width[:-1] + width[1:]
+    is_going_on = before * after > 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inner = np.where(is_going_on, (weight + other) / (weight / before + other / after), 0.0)
+    first = _end_slope(width[0], width[1], chord[..., :1], chord[..., 1:2])
+    last = _end_slope(width[-1], width[-2], chord[..., -1:], chord[..., -2:-1])
+    return np.concatenate([first, inner, last], axis=-1)
+
+
+def _end_slope(width: float, next_width: float, chord: Array, next_chord: Array) -> Array:
+    """Three-point slope at an end, kept from overshooting."""
+    slope = ((2.0 * width + next_width) * chord - width * next_chord) / (width + next_width)
+    steep = (np.sign(chord) != np.sign(next_chord)) & (np.abs(slope) > 3.0 * np.abs(chord))
+    return np.where(np.sign(slope) != np.sign(chord), 0.0, np.where(steep, 3.0 * chord, slope))
+
+
 def dense(knots_soc: Array, values: Array) -> Array:
     """Knots to a table on SOC_GRID by a monotone cubic (Fritsch-Carlson), straight beyond the outer knots.
 
@@ -51,9 +87,7 @@ def dense(knots_soc: Array, values: Array) -> Array:
 
     values [..., knots] -> [..., grid].
     """
-    curve = PchipInterpolator(knots_soc, values, axis=-1)
-    inside = np.clip(SOC_GRID, knots_soc[0], knots_soc[-1])
-    table: Array = curve(inside)
+    table = monotone_cubic(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1]), knots_soc, values)
     slope = np.diff(values, axis=-1) / np.diff(knots_soc)
     below = np.minimum(SOC_GRID - knots_soc[0], 0.0)
     above = np.maximum(SOC_GRID - knots_soc[-1], 0.0)
@@ -63,9 +97,7 @@ def dense(knots_soc: Array, values: Array) -> Array:
 
 def dense_resistance(knots_soc: Array, values: Array) -> Array:
     """As `dense`, in the logarithm so that it stays positive, and flat beyond the outer knots."""
-    curve = PchipInterpolator(knots_soc, np.log(values), axis=-1)
-    table: Array = np.exp(curve(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1])))
-    return table
+    return np.exp(monotone_cubic(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1]), knots_soc, np.log(values)))
 
 
 def cell_parameters(file: BatteryFile) -> Parameters:

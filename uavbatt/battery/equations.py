@@ -35,12 +35,22 @@ def acts(value: Number) -> bool:
 
 def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:
     """Coulomb counting: soc' = -c/3600."""
-    return soc - c_rate * dt_s / SECONDS_PER_HOUR
+    return soc - c_rate * (dt_s / SECONDS_PER_HOUR)
+
+
+def kept(dt_s: Number, tau_s: Number) -> Number:
+    """Share of a deviation that a first-order lag has left after `dt_s`: exp(-dt/tau), for tau > 0."""
+    return np.exp(-dt_s / tau_s)
+
+
+def approach(value: Number, target: Number, share: Number) -> Number:
+    """What keeps `share` of its deviation from a held target."""
+    return target + (value - target) * share
 
 
 def relax(value: Number, target: Number, dt_s: Number, tau_s: Number) -> Number:
     """First-order lag towards a held target, exact: x' = (target - x)/tau, for tau > 0."""
-    return target + (value - target) * np.exp(-dt_s / tau_s)
+    return approach(value, target, kept(dt_s, tau_s))
 
 
 def arrhenius(temp_C: Number, activation_K: Number) -> Number:
@@ -53,12 +63,9 @@ def risen(gain_h: Number, c_rate: Number) -> Number:
     return 1.0 + gain_h * np.abs(c_rate) if acts(gain_h) else 1.0
 
 
-def heat_step(
-    temp_C: Number, heat_W: Number, ambient_C: Number, dt_s: Number, capacity_JpK: Number, cooling_WpK: Number
-) -> Number:
-    """Lumped core, exact for held heat: C T' = q - h (T - T_ambient), for h > 0; all per Ah."""
-    settled_C = ambient_C + heat_W / cooling_WpK
-    return relax(temp_C, settled_C, dt_s, capacity_JpK / cooling_WpK)
+def settled_temperature(heat_W: Number, ambient_C: Number, cooling_WpK: Number) -> Number:
+    """Where a lumped core comes to rest [°C]: of C T' = q - h (T - T_ambient), for h > 0; all per Ah."""
+    return ambient_C + heat_W / cooling_WpK
 
 
 def transfer_resistance(c_rate: Number, full_V: Number, half_rate: Number) -> Number:

@@ -113,7 +113,12 @@ def electromotive_force(p: Parameters, s: State) -> Number:
 def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
     """Terminal voltage of one cell [V] under `c_rate` [1/h]."""
     emf_V, r_ohmAh = source(p, s)
-    return emf_V - c_rate * r_ohmAh - transfer_drop(p, c_rate)
+    return loaded_voltage(p, emf_V, r_ohmAh, c_rate)
+
+
+def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: Number) -> Number:
+    """What `source` gives behind `series_ohmAh`, its own resistance included, under `c_rate` [V]."""
+    return emf_V - c_rate * series_ohmAh - transfer_drop(p, c_rate)
 
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
@@ -132,41 +137,73 @@ def rate_at_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh
     return eq.current_at_power(emf_V, series_ohmAh + sluggish_ohmAh, power_WpAh)
 
 
+class Lags(NamedTuple):
+    """What is left of a deviation after one step, `equations.kept` for each lag: the same for all that step alike."""
+
+    polarisation: Number
+    diffusion: Number
+    core: Number  # without airflow
+    sensor: Number
+
+
+def lags(p: Parameters, dt_s: Number) -> Lags:
+    """The lags of a step of `dt_s`."""
+    return Lags(
+        eq.kept(dt_s, p.polarisation_tau_s),
+        eq.kept(dt_s, p.diffusion_tau_s),
+        eq.kept(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
+        eq.kept(dt_s, p.sensor_lag_s),
+    )
+
+
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
     """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
-    return step_against(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s)
+    return lagged_step(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))
 
 
-def step_against(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number) -> State:
-    """One step with the current held, where the state's resistance [ohm·Ah] is known already."""
-    later = unseen_step(p, s, c_rate, r_ohmAh, ambient_C, dt_s)
-    sensor_C = eq.relax(s.sensor_C, later.core_C, dt_s, p.sensor_lag_s)
+def lagged_step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
+    """`step` where the lags of `dt_s` are known already."""
+    later = unseen_step(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
+    sensor_C = eq.approach(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
 
 
-def unseen_step(p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number) -> State:
-    """As `step_against`, with the sensor left as it is: nobody reads it in a forecast."""
+def unseen_step(
+    p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
+) -> State:
+    """`step` from a known resistance [ohm·Ah], with the sensor left as it is: nobody reads it in a forecast."""
     drop_V = c_rate * r_ohmAh
-    sluggish = eq.arrhenius(s.core_C, p.diffusion_activation_K)
     lost_V = drop_V + s.polarisation_V + s.diffusion_V
     if eq.acts(p.transfer_V):
         lost_V = lost_V + transfer_drop(p, c_rate)
-    heat_W = p.heat_gain * c_rate * lost_V
-    cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
+    slow_V = drop_V * p.diffusion_ratio
+    if eq.acts(p.diffusion_activation_K):
+        slow_V = slow_V * eq.arrhenius(s.core_C, p.diffusion_activation_K)
     drained = c_rate * (p.charge_gain * eq.risen(p.rate_gain_h, c_rate))
-    core_C = eq.heat_step(s.core_C, heat_W, ambient_C, dt_s, p.heat_capacity_JpKAh, cooling)
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),
-        polarisation_V=eq.relax(s.polarisation_V, drop_V * p.polarisation_ratio, dt_s, p.polarisation_tau_s),
-        diffusion_V=eq.relax(s.diffusion_V, drop_V * p.diffusion_ratio * sluggish, dt_s, p.diffusion_tau_s),
-        core_C=core_C,
+        polarisation_V=eq.approach(s.polarisation_V, drop_V * p.polarisation_ratio, lags.polarisation),
+        diffusion_V=eq.approach(s.diffusion_V, slow_V, lags.diffusion),
+        core_C=_core_C(p, s.core_C, p.heat_gain * c_rate * lost_V, c_rate, ambient_C, dt_s, lags.core),
         sensor_C=s.sensor_C,
     )
+
+
+def _core_C(
+    p: Parameters, core_C: Number, heat_W: Number, c_rate: Number, ambient_C: Number, dt_s: Number, still: Number
+) -> Number:
+    """Core temperature after a step in which `heat_W` [W/Ah] is held; `still` is what stays of it without airflow."""
+    if not eq.acts(p.airflow_gain_h):
+        return eq.approach(core_C, eq.settled_temperature(heat_W, ambient_C, p.cooling_WpKAh), still)
+    cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
+    settled_C = eq.settled_temperature(heat_W, ambient_C, cooling)
+    return eq.relax(core_C, settled_C, dt_s, p.heat_capacity_JpKAh / cooling)
 
 
 def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: float) -> State:
     """`dt_s` seconds at constant current, in equal steps no longer than LONGEST_STEP_S."""
     steps = max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9)))
+    each = lags(p, dt_s / steps)
     for _ in range(steps):
-        s = step(p, s, c_rate, ambient_C, dt_s / steps)
+        s = lagged_step(p, s, c_rate, ambient_C, dt_s / steps, each)
     return s

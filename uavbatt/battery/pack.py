@@ -62,14 +62,23 @@ def weak_soc(pack: Installation, soc: Number) -> Number:
     return 1.0 - (1.0 - soc) / (1.0 - pack.deficit)
 
 
+def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:
+    """How far the weakest cell pulls the mean of the cells below the others' `strong_V` [V]; never positive."""
+    if not eq.acts(pack.deficit):
+        return 0.0
+    return (model.cell_voltage(p, s._replace(soc=weak_soc(pack, s.soc)), c_rate) - strong_V) / pack.cells
+
+
+def series_resistance(pack: Installation, r_ohmAh: Number) -> Number:
+    """A cell's resistance with its share of the harness [ohm·Ah]."""
+    return r_ohmAh + pack.harness_ohm * pack.present_capacity_Ah / pack.cells
+
+
 def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Number) -> Number:
     """True voltage at the sensor's place [V] under a true current [A]."""
     rate = c_rate(pack, current_A)
-    strong = model.cell_voltage(p, s, rate)
-    if not eq.acts(pack.deficit):
-        return pack.cells * strong - current_A * pack.harness_ohm
-    weak = model.cell_voltage(p, s._replace(soc=weak_soc(pack, s.soc)), rate)
-    return (pack.cells - 1) * strong + weak - current_A * pack.harness_ohm
+    strong_V = model.cell_voltage(p, s, rate)
+    return pack.cells * (strong_V + weak_lag(pack, p, s, rate, strong_V)) - current_A * pack.harness_ohm
 
 
 def metered_voltage(pack: Installation, true_V: Number) -> Number:

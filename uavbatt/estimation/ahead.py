@@ -1,7 +1,7 @@
 """Many rows in one go: what `SocFilter.step` gives row by row, worked out before it is asked.
 
-Compiled (`estimation.compiled`) where that pays; else by filterpy as ever, only that the voltages to expect within the
-blocks, which nothing depends on, are worked out all at once at the end.
+Compiled (`estimation.compiled`) where that pays; else as ever, only without filterpy, and the voltages to expect within
+the blocks, which nothing depends on, are worked out all at once at the end.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from uavbatt.records import Sample
 if TYPE_CHECKING:
     from uavbatt.estimation.soc_filter import SocFilter
 
-PLAIN_ROW_S, PLAIN_BLOCK_S = 20e-6, 300e-6  # measured: a row, and a block closed by filterpy
+PLAIN_ROW_S, PLAIN_BLOCK_S = 20e-6, 300e-6  # measured: a row, and a block closed
 
 
 class Row(NamedTuple):
@@ -47,10 +47,10 @@ def rows(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     blocks = min(len(samples), (samples[-1].time_s - samples[0].time_s) / BLOCK_S) if samples else 0
     if fast.pays(PLAIN_ROW_S * len(samples) + PLAIN_BLOCK_S * blocks, "filter"):
         return by_twin(filter, samples)
-    return by_filterpy(filter, samples)
+    return by_numpy(filter, samples)
 
 
-def by_filterpy(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
+def by_numpy(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     """Row by row; the expected voltages of the rows within blocks afterwards."""
     postponed: list[Postponed] = []
     found: list[Row] = []

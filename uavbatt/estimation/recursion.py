@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -73,12 +72,22 @@ class Begun(NamedTuple):
     block: Array  # the open `Block`
 
 
-@dataclass(slots=True)
-class Moments:
+class Moments(NamedTuple):
     """Mean and covariance, where filterpy's filter is not needed."""
 
     x: Array
     P: Array
+
+
+def conditioned(at: Moments, measured: Array, observation: Array, expected: Array, noise_R: Array) -> Moments:
+    """The belief after a measurement, with Joseph's form of the covariance: `ExtendedKalmanFilter.update` of filterpy.
+
+    Said once more here because importing filterpy takes longer than all the updates of a replay.
+    """
+    PHt = at.P @ observation.T
+    gain = PHt @ np.linalg.inv(observation @ PHt + noise_R)
+    keep = np.eye(SIZE) - gain @ observation
+    return Moments(at.x + gain @ (measured - expected), keep @ at.P @ keep.T + gain @ noise_R @ gain.T)
 
 
 class Standing(NamedTuple):

@@ -36,6 +36,7 @@ from uavbatt.estimation.recursion import (
     Shown,
     Standing,
     Summary,
+    conditioned,
     is_complete,
     no_warnings,
     summary,
@@ -73,7 +74,7 @@ class SocFilter:
         """Mean and covariance after the last sample; None before the first usable one."""
         if self._kalman is None:
             return None
-        x, P = self._kalman.x, self._kalman.P
+        x, P = self._moments()
         if not isinstance(self._kalman, Moments):  # filterpy's filter goes on in place
             x, P = x.copy(), P.copy()
         return Belief(self._time_s, x, P, self._ambient_C)
@@ -113,8 +114,7 @@ class SocFilter:
     @property
     def standing(self) -> Standing:
         """Where the filter stands, as a value."""
-        kalman = self._kalman
-        moments = Moments(kalman.x, kalman.P) if kalman is not None else None
+        moments = self._moments() if self._kalman is not None else None
         return Standing(moments, self._time_s, self._current_A, self._block_A, self._block, self._ambient_C)
 
     @standing.setter
@@ -151,8 +151,26 @@ class SocFilter:
     def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:
         self._kalman, self._time_s, self._ambient_C = Moments(mean, covariance), time_s, ambient_C
 
+    def _moments(self) -> Moments:
+        assert self._kalman is not None
+        return Moments(self._kalman.x, self._kalman.P)
+
+    def _hold(self, x: Array, P: Array) -> None:
+        """Let this be the belief."""
+        if self._kalman is None or isinstance(self._kalman, Moments):
+            self._kalman = Moments(x, P)
+        else:
+            self._kalman.x, self._kalman.P = x, P
+
+    def _condition(self, measured: Array, observation: Array, expected: Array, noise_R: Array) -> None:
+        """Take a measurement in: filterpy's work, but for rows that are worked out ahead."""
+        if self.postponed is None:
+            self._filterpy().update(measured, lambda x: observation, lambda x: expected, R=noise_R)
+        else:
+            self._hold(*conditioned(self._moments(), measured, observation, expected, noise_R))
+
     def _filterpy(self) -> ExtendedKalmanFilter:
-        """The belief as filterpy's filter, which is loaded here: rows that compiled code works out do not need it."""
+        """The belief as filterpy's filter, which is loaded here: rows that are worked out ahead do not need it."""
         if isinstance(self._kalman, Moments):
             from filterpy.kalman import ExtendedKalmanFilter
 
@@ -185,16 +203,14 @@ class SocFilter:
 
     def _predict(self, mean_A: float, dt_s: float) -> None:
         """Carry the belief over dt under the mean current."""
-        kalman = self._filterpy()
-        kalman.F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), kalman.x)
+        x, P = self._moments()
+        F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), x)
         rate = float(c_rate(self.pack.installation, mean_A))
-        kalman.Q = np.diag(noise.process_variances(self.pack, kalman.x, rate, dt_s))
-        kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
-        kalman.x = moved
+        self._hold(moved, F @ P @ F.T + np.diag(noise.process_variances(self.pack, x, rate, dt_s)))
 
     def _update(self, block: Block, step_A: float) -> Shown:
         """Condition the belief on the means of a block of rows."""
-        kalman, pack = self._filterpy(), self.pack
+        (x, P), pack = self._moments(), self.pack
         current_A, temp_C = block.current_A, block.temp_C
         has_temp = math.isfinite(temp_C)
 
@@ -203,21 +219,22 @@ class SocFilter:
             warmth = x[C.SENSOR] + pack.installation.offset_K
             return np.stack([volts, warmth]) if has_temp else np.stack([volts])
 
-        observation, expected = _jacobian(reading, kalman.x)
+        observation, expected = _jacobian(reading, x)
         measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
         innovation = measured - expected
-        variances = [noise.reading_variance(pack, kalman.x, current_A, step_A)]
+        variances = [noise.reading_variance(pack, x, current_A, step_A)]
         if has_temp:
             variances.append(pack.temperature_sd_K**2)
         noise_R = np.diag(variances)
-        spread = observation @ kalman.P @ observation.T + noise_R
+        spread = observation @ P @ observation.T + noise_R
         nis = float(innovation @ np.linalg.solve(spread, innovation))
         if nis > GATE:  # believe it less, so that its normalised innovation is GATE
             noise_R = noise_R + spread * (nis / GATE - 1.0)
-        kalman.update(measured, lambda x: observation, lambda x: expected, R=noise_R)
+        self._condition(measured, observation, expected, noise_R)
         self._keep_soc_possible()
-        kalman.P = 0.5 * (kalman.P + kalman.P.T)
-        return Shown(float(innovation[0]), nis, float(expected[0]), float(kalman.x[C.SOC]))
+        x, P = self._moments()
+        self._hold(x, 0.5 * (P + P.T))
+        return Shown(float(innovation[0]), nis, float(expected[0]), float(x[C.SOC]))
 
     def _between(self, sample: Sample, current_A: float) -> Shown:
         """Within a block: the last belief, less the charge drawn since."""
@@ -233,12 +250,11 @@ class SocFilter:
 
     def _keep_soc_possible(self) -> None:
         """A cell is never more than full: told to the filter as a reading, so that what is correlated follows."""
-        kalman = self._filterpy()
-        excess = float(kalman.x[C.SOC]) - 1.0
+        excess = float(self._moments().x[C.SOC]) - 1.0
         if excess > 0.0:
             row = np.zeros((1, SIZE))
             row[0, C.SOC] = 1.0
-            kalman.update(np.array([-excess]), lambda x: row, lambda x: np.zeros(1), R=np.eye(1) * FULL_SOC_SD**2)
+            self._condition(np.array([-excess]), row, np.zeros(1), np.eye(1) * FULL_SOC_SD**2)
 
     def _estimate(self, sample: Sample, shown: Shown, warn: Callable[[Sample, Summary], tuple[str, ...]]) -> Estimate:
         if self._kalman is not None and self._summary.x is not self._kalman.x:

@@ -15,7 +15,7 @@ from uavbatt.battery.belief import C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.compiled import as_numbers, compiled
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import metered_voltage, terminal_voltage
+from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.prediction import spread
 from uavbatt.prediction.endurance import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
 from uavbatt.prediction.questions import Question
@@ -79,18 +79,20 @@ def one(
     """One column of it."""
     cell, installation, state = b.unpack(pack, x)
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
-    size, harness_ohmAh = cells * present_Ah, installation.harness_ohm * present_Ah / cells
+    size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
     steps = min(dt_s.size, bias.size)
     bias_V, before, at_s, end_s, low_s = x[C.BIAS], 0.0, 0.0, np.inf, np.inf
     last_end, last_low, below_end, below_low = 0.0, 0.0, 0, 0
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
-        emf_V = emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, power_W[k] / size)
-        true_V = terminal_voltage(installation, cell, state, rate * present_Ah)
-        volts = metered_voltage(installation, true_V + cells * bias_V)
+        series_ohmAh, emf_V = series_resistance(installation, r_ohmAh), emf_V + bias_V
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, power_W[k] / size)
+        cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
+        strong_V = cell_V - bias_V + rate * (series_ohmAh - r_ohmAh)
+        cell_V += weak_lag(installation, cell, state, rate, strong_V)
+        volts = metered_voltage(installation, cells * cell_V)
         if by_rows and k > 0:
-            volts += cells * pack.row_share * abs(rate - before) * (r_ohmAh + harness_ohmAh) * row[k]
+            volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * row[k]
         before = rate
         margin, above_low = volts - pack.cutoff_V, volts - pack.low_V
         if reserve_soc > 0.0:
@@ -112,8 +114,10 @@ def one(
         last_end, last_low = margin, above_low
         if by_rows:
             mean_W = 0.5 * (power_W[k] + power_W[min(k + 1, dt_s.size - 1)])
-            rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, mean_W / size)
-        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_W / size)
+        if dt_s[k] != lags_s:
+            lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
+        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags)
         bias_V = memory[k] * bias_V + kick_V[k] * bias[k]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)

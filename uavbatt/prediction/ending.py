@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uavbatt.prediction.metrics import FloatArray
+from uavbatt.battery.model import Array
 
 MEAN_WINDOW_S = 5.0
 NAN = math.nan
@@ -40,13 +40,13 @@ def end_of_flight(
     return float(time[below[0]]) if below.size else NAN
 
 
-def _median_of_three(values: FloatArray) -> FloatArray:
+def _median_of_three(values: Array) -> Array:
     level = np.full_like(values, NAN)
     level[1:-1] = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
     return level
 
 
-def _trailing_mean(time_s: FloatArray, values: FloatArray) -> FloatArray:
+def _trailing_mean(time_s: Array, values: Array) -> Array:
     """Mean of the rows in (t - 5 s, t]; NaN until the first window is full."""
     first = np.searchsorted(time_s, time_s - MEAN_WINDOW_S + 1e-6, side="left")
     sums = np.concatenate([[0.0], np.cumsum(values)])

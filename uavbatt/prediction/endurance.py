@@ -13,17 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.belief import C, unpack
 from uavbatt.battery.build import Pack
 from uavbatt.battery.equations import Number
-from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.battery.pack import Installation, metered_voltage, terminal_voltage
+from uavbatt.battery.model import Array, Lags
+from uavbatt.battery.pack import Installation, metered_voltage, series_resistance, weak_lag
 
 MEAN_LAG_S = 2.5
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 # Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
-SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "diffusion_activation_K", "heat_gain")
+SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
 
 
@@ -63,29 +64,31 @@ def time_to_end(
     cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
     steps, ones = power_W.shape[0], (1,) * (x.ndim - 1)
     size = installation.cells * installation.present_capacity_Ah
-    harness_ohmAh = installation.harness_ohm * installation.present_capacity_Ah / installation.cells
+    harness_ohmAh = series_resistance(installation, 0.0)
     memory = np.exp(-dt_s / pack.bias_tau_s)
-    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    kick_V = (pack.bias_sd_V * np.sqrt(1.0 - memory**2)).reshape(steps, *(dt_s.shape[1:] or ones))
+    kicks_V = np.zeros((steps, *ones)) if wander is None else kick_V * wander.bias[:steps]
     at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)])[:-1].reshape(
         steps, *(dt_s.shape[1:] or ones)
     )
     judge = _median_crossing if by_rows else _mean_crossing
     rates, recent = np.empty_like(power_W), _Way(*np.empty((len(_Way._fields), JUDGED_AT_ONCE, *x.shape[1:])))
     margin_V, above_low_V = np.empty_like(power_W), np.empty_like(power_W)
-    bias_V, drawn = x[C.BIAS], power_W[0] / size
+    asked_WpAh, bias_V, lags = power_W / size, x[C.BIAS], _by_step(model.lags(cell, dt_s))
     crossed = np.zeros(x.shape[1:], dtype=bool)
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
-        emf_V = emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, drawn)
+        series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked_WpAh[k])
+        cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
+        if eq.acts(installation.deficit):
+            strong_V = cell_V - bias_V + rate * harness_ohmAh
+            cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
         rates[k], row = rate, k % JUDGED_AT_ONCE
-        for column, value in zip(
-            recent, (*state[:4], bias_V, r_ohmAh) if by_rows else (*state[:4], bias_V), strict=False
-        ):
-            column[row] = value
+        recent.cell_V[row], recent.soc[row], recent.series_ohmAh[row] = cell_V, state.soc, series_ohmAh
         if row == JUDGED_AT_ONCE - 1 or k == steps - 1:
             part, seen = slice(k - row, k + 1), _Way(*(column[: row + 1] for column in recent))
-            volts = _voltages(pack, cell, installation, seen, rates[part])
+            volts = metered_voltage(installation, installation.cells * seen.cell_V)
             if by_rows and wander is not None:
                 volts += _row_noise(pack, installation, seen, rates, part) * wander.row[part]
             in_sight = np.arange(part.start, part.stop).reshape(-1, *ones) < own_steps
@@ -98,31 +101,27 @@ def time_to_end(
             crossed |= np.isfinite(judge(margin_V[new], at_s[new]))
             if crossed.all():
                 break
-        before, drawn = drawn, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
-            rate = model.rate_at_power(cell, emf_V, r_ohmAh + harness_ohmAh, 0.5 * (before + drawn))
-        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k])
-        bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
+            mean_WpAh = 0.5 * (asked_WpAh[k] + asked_WpAh[min(k + 1, steps - 1)])
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_WpAh)
+        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
+        bias_V = memory[k] * bias_V + kicks_V[k]
     end_s = judge(margin_V[: k + 1], at_s)
     return EndTimes(end_s, np.minimum(judge(above_low_V[: k + 1], at_s), end_s))
 
 
 class _Way(NamedTuple):
-    """What a pack goes through, [steps, batch] each: the cell's state, its wandering error, its resistance."""
+    """What a pack goes through, [steps, batch] each: mean voltage of a cell with its share of the harness and of the
+    model's error, charge, resistance."""
 
+    cell_V: Array
     soc: Array
-    polarisation_V: Array
-    diffusion_V: Array
-    core_C: Array
-    bias_V: Array
-    r_ohmAh: Array
+    series_ohmAh: Array
 
 
-def _voltages(pack: Pack, cell: Parameters, installation: Installation, way: _Way, rate: Array) -> Array:
-    """Metered voltage [V] on the way at the C-rates `rate`."""
-    state = State(way.soc, way.polarisation_V, way.diffusion_V, way.core_C, sensor_C=way.core_C)
-    true_V = terminal_voltage(installation, cell, state, rate * installation.present_capacity_Ah)
-    return np.asarray(metered_voltage(installation, true_V + installation.cells * way.bias_V))
+def _by_step(lags: Lags) -> list[Lags]:
+    """The lags of each step."""
+    return [Lags(*step) for step in zip(*lags, strict=True)]
 
 
 def _row_noise(pack: Pack, installation: Installation, way: _Way, rates: Array, part: slice) -> Array:
@@ -130,8 +129,7 @@ def _row_noise(pack: Pack, installation: Installation, way: _Way, rates: Array, 
     before = (
         rates[part.start - 1 : part.stop - 1] if part.start else np.concatenate([rates[:1], rates[: part.stop - 1]])
     )
-    ohmAh = way.r_ohmAh + installation.harness_ohm * installation.present_capacity_Ah / installation.cells
-    return np.asarray(installation.cells * pack.row_share * np.abs(rates[part] - before) * ohmAh)
+    return np.asarray(installation.cells * pack.row_share * np.abs(rates[part] - before) * way.series_ohmAh)
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:

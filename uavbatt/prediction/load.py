@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from statistics import NormalDist
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.special import ndtri
 
 from uavbatt.battery.model import Array
 
@@ -107,7 +107,13 @@ class RecentLoad(NamedTuple):
 
 def equal_levels(spread: float, count: int) -> Array:
     """`count` equally likely factors, log-normal around 1: the middles of equal shares of probability."""
-    return np.asarray(np.exp(spread * ndtri((np.arange(count) + 0.5) / count)))
+    return np.exp(spread * _middles(count))
+
+
+@cache
+def _middles(count: int) -> Array:
+    """Standard normals in the middle of `count` equal shares of probability."""
+    return np.array([NormalDist().inv_cdf((k + 0.5) / count) for k in range(count)])
 
 
 @dataclass(frozen=True, slots=True)
