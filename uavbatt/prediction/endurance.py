@@ -23,6 +23,7 @@ from uavbatt.battery.pack import Installation, metered_voltage, series_resistanc
 
 MEAN_LAG_S = 2.5
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
+JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
 # Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
 SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
@@ -62,79 +63,95 @@ def time_to_end(
     """
     cell, installation, state = unpack(pack, x)
     cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
-    steps, ones = power_W.shape[0], (1,) * (x.ndim - 1)
-    size = installation.cells * installation.present_capacity_Ah
+    steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
     harness_ohmAh = series_resistance(installation, 0.0)
     memory = np.exp(-dt_s / pack.bias_tau_s)
-    kick_V = (pack.bias_sd_V * np.sqrt(1.0 - memory**2)).reshape(steps, *(dt_s.shape[1:] or ones))
-    kicks_V = np.zeros((steps, *ones)) if wander is None else kick_V * wander.bias[:steps]
-    at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)])[:-1].reshape(
-        steps, *(dt_s.shape[1:] or ones)
-    )
-    judge = _median_crossing if by_rows else _mean_crossing
-    rates, recent = np.empty_like(power_W), _Way(*np.empty((len(_Way._fields), JUDGED_AT_ONCE, *x.shape[1:])))
-    margin_V, above_low_V = np.empty_like(power_W), np.empty_like(power_W)
-    asked_WpAh, bias_V, lags = power_W / size, x[C.BIAS], _by_step(model.lags(cell, dt_s))
-    crossed = np.zeros(x.shape[1:], dtype=bool)
+    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    lags = [model.Lags(*step) for step in zip(*model.lags(cell, dt_s), strict=True)]
+    sight = _Sight(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
+    way = _Way(*np.zeros((len(_Way._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
+    ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
+    bias_V, asked, before = x[C.BIAS], power_W[0] / size, None
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
         series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked_WpAh[k])
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked)
         cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
         if eq.acts(installation.deficit):
             strong_V = cell_V - bias_V + rate * harness_ohmAh
             cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
-        rates[k], row = rate, k % JUDGED_AT_ONCE
-        recent.cell_V[row], recent.soc[row], recent.series_ohmAh[row] = cell_V, state.soc, series_ohmAh
-        if row == JUDGED_AT_ONCE - 1 or k == steps - 1:
-            part, seen = slice(k - row, k + 1), _Way(*(column[: row + 1] for column in recent))
-            volts = metered_voltage(installation, installation.cells * seen.cell_V)
-            if by_rows and wander is not None:
-                volts += _row_noise(pack, installation, seen, rates, part) * wander.row[part]
-            in_sight = np.arange(part.start, part.stop).reshape(-1, *ones) < own_steps
-            margin = volts - pack.cutoff_V
-            if reserve_soc > 0.0:
-                margin = np.minimum(margin, (seen.soc - reserve_soc) * SOC_IN_VOLTS)
-            margin_V[part] = np.where(in_sight, margin, np.inf)
-            above_low_V[part] = np.where(in_sight, volts - pack.low_V, np.inf)
-            new = slice(max(part.start - 2, 0), part.stop)  # a median of three reaches back two rows
-            crossed |= np.isfinite(judge(margin_V[new], at_s[new]))
-            if crossed.all():
+        row = JUDGED_BEFORE + k % JUDGED_AT_ONCE
+        way.cell_V[row], way.soc[row] = cell_V, state.soc
+        if by_rows and wander is not None and before is not None:
+            change_V = np.abs(rate - before) * series_ohmAh
+            way.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
+        before = rate
+        if row == way.soc.shape[0] - 1 or k == steps - 1:
+            ends = _judged(sight, ends, way, k)
+            if np.isfinite(ends.end_s).all():
                 break
+        now, asked = asked, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
-            mean_WpAh = 0.5 * (asked_WpAh[k] + asked_WpAh[min(k + 1, steps - 1)])
-            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_WpAh)
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, 0.5 * (now + asked))
         state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
-        bias_V = memory[k] * bias_V + kicks_V[k]
-    end_s = judge(margin_V[: k + 1], at_s)
-    return EndTimes(end_s, np.minimum(judge(above_low_V[: k + 1], at_s), end_s))
+        bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
+    return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
 
 
 class _Way(NamedTuple):
-    """What a pack goes through, [steps, batch] each: mean voltage of a cell with its share of the harness and of the
-    model's error, charge, resistance."""
+    """What packs went through in the last steps, [steps, batch] each: mean voltage of a cell with its share of the
+    harness and of the model's error, charge, what a row's voltage adds to it."""
 
     cell_V: Array
     soc: Array
-    series_ohmAh: Array
+    noise_V: Array
 
 
-def _by_step(lags: Lags) -> list[Lags]:
-    """The lags of each step."""
-    return [Lags(*step) for step in zip(*lags, strict=True)]
+class _Sight(NamedTuple):
+    """By what the way is judged; `at_s` are the times of all steps."""
+
+    pack: Pack
+    reserve_soc: float
+    at_s: Array
+    own_steps: Number
+    by_rows: bool
 
 
-def _row_noise(pack: Pack, installation: Installation, way: _Way, rates: Array, part: slice) -> Array:
-    """Sd of a row's voltage [V] for what of a change of current it does not show; the first row follows nothing."""
-    before = (
-        rates[part.start - 1 : part.stop - 1] if part.start else np.concatenate([rates[:1], rates[: part.stop - 1]])
+def _times(dt_s: Array, dimensions: int) -> Array:
+    """When each step begins [s], to broadcast over a batch of so many dimensions."""
+    at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)[:-1]])
+    return at_s.reshape(at_s.shape + (1,) * (1 + dimensions - at_s.ndim))
+
+
+def _judged(sight: _Sight, ends: EndTimes, way: _Way, k: int) -> EndTimes:
+    """The ends that are known after step `k`; the last steps stay on the way for those that follow."""
+    pack, installation = sight.pack, sight.pack.installation
+    new = k % JUDGED_AT_ONCE + 1
+    known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
+    part, steps = slice(JUDGED_BEFORE - known, JUDGED_BEFORE + new), slice(k + 1 - new - known, k + 1)
+    volts = metered_voltage(installation, installation.cells * way.cell_V[part])
+    if sight.by_rows:
+        volts += way.noise_V[part]
+    margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
+    if sight.reserve_soc > 0.0:
+        margin_V = np.minimum(margin_V, (way.soc[part] - sight.reserve_soc) * SOC_IN_VOLTS)
+    if k >= np.min(sight.own_steps):
+        in_sight = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < sight.own_steps
+        margin_V, above_low_V = np.where(in_sight, margin_V, np.inf), np.where(in_sight, above_low_V, np.inf)
+    judge, at_s = _median_crossing if sight.by_rows else _mean_crossing, sight.at_s[steps]
+    for column in way:
+        column[:JUDGED_BEFORE] = column[new : new + JUDGED_BEFORE]
+    return EndTimes(
+        np.where(np.isfinite(ends.end_s), ends.end_s, judge(margin_V, at_s)),
+        np.where(np.isfinite(ends.low_s), ends.low_s, judge(above_low_V, at_s)),
     )
-    return np.asarray(installation.cells * pack.row_share * np.abs(rates[part] - before) * way.series_ohmAh)
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
     """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the lag."""
     below = margin < 0.0
+    if not below.any():
+        return np.full(margin.shape[1:], np.inf)
     first = np.argmax(below, axis=0)[None]
     last = np.maximum(first - 1, 0)
     above, under = np.take_along_axis(margin, last, 0), np.take_along_axis(margin, first, 0)

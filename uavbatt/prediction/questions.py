@@ -58,8 +58,13 @@ def _together(few: list[Question]) -> list[EndTimes]:
     """Side by side in a batch [questions, draws]; a shorter one goes on as it ended, unseen."""
     steps = max(q.dt_s.size for q in few)
 
-    def on(values: Array) -> Array:
-        return np.concatenate([values, np.broadcast_to(values[-1:], (steps - values.shape[0], *values.shape[1:]))])
+    def on(values: Iterable[Array]) -> Array:
+        """[steps, questions, ...], each going on as it ended."""
+        every = list(values)
+        out = np.empty((steps, len(every), *every[0].shape[1:]))
+        for n, value in enumerate(every):
+            out[: value.shape[0], n], out[value.shape[0] :, n] = value, value[-1]
+        return out
 
     def each(values: Iterable[float]) -> Array:
         return np.array([*values])[:, None]
@@ -68,9 +73,9 @@ def _together(few: list[Question]) -> list[EndTimes]:
     ends = time_to_end(
         few[0].pack._replace(cutoff_V=each(q.pack.cutoff_V for q in few), low_V=each(q.pack.low_V for q in few)),
         np.stack([q.x for q in few], axis=1),
-        np.stack([on(q.power_W) for q in few], axis=1),
+        on(q.power_W for q in few),
         each(q.ambient_C for q in few),
-        np.stack([on(q.dt_s) for q in few], axis=1)[:, :, None],
+        on(q.dt_s for q in few)[:, :, None],
         few[0].reserve_soc,
         Wander(drawn.bias[:, None], drawn.row[:, None]),
         few[0].by_rows,
