@@ -84,8 +84,12 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
     """Voltage that the telemetry should report [V] under a true pack current [A], the discrepancy included."""
-    now = unpack(pack, x)
+    return reported_voltage(pack, unpack(pack, x), x[C.BIAS], current_A)
+
+
+def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
+    """`voltage` of a vector that is unpacked already."""
     if pack.sag_compensated:
         current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
-    return metered_voltage(now.installation, true_V + now.installation.cells * x[C.BIAS])
+    return metered_voltage(now.installation, true_V + now.installation.cells * bias_V)

@@ -200,10 +200,27 @@ def _core_C(
     return eq.relax(core_C, settled_C, dt_s, p.heat_capacity_JpKAh / cooling)
 
 
+class Stride(NamedTuple):
+    """A step of any length as equal steps no longer than LONGEST_STEP_S."""
+
+    steps: int
+    dt_s: float
+    lags: Lags
+
+
+def stride(p: Parameters, dt_s: float) -> Stride:
+    """The equal steps that make `dt_s`."""
+    steps = max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9)))
+    return Stride(steps, dt_s / steps, lags(p, dt_s / steps))
+
+
 def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: float) -> State:
     """`dt_s` seconds at constant current, in equal steps no longer than LONGEST_STEP_S."""
-    steps = max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9)))
-    each = lags(p, dt_s / steps)
-    for _ in range(steps):
-        s = lagged_step(p, s, c_rate, ambient_C, dt_s / steps, each)
+    return advance_by(p, s, c_rate, ambient_C, stride(p, dt_s))
+
+
+def advance_by(p: Parameters, s: State, c_rate: Number, ambient_C: Number, over: Stride) -> State:
+    """`advance` where the stride is known already."""
+    for _ in range(over.steps):
+        s = lagged_step(p, s, c_rate, ambient_C, over.dt_s, over.lags)
     return s

@@ -6,12 +6,13 @@ stands here a second time, as loops over rows instead of calls of filterpy.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from uavbatt.battery import belief as b
+from uavbatt.battery import equations as eq
+from uavbatt.battery import model
 from uavbatt.battery.belief import SIZE, C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.compiled import compiled, share
@@ -24,33 +25,34 @@ share(noise)
 
 
 @compiled
-def sandwich(a: Array, p: Array) -> Array:
-    """a p aᵀ of 8 x 8 matrices, in loops of fixed length, which become a few wide instructions each."""
+def carried(F: Array, P: Array) -> Array:
+    """F P Fᵀ; what has no influence, most of F, is passed over."""
     half, out = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
     for i in range(SIZE):
         for k in range(SIZE):
-            for j in range(SIZE):
-                half[i, j] += a[i, k] * p[k, j]
-    turned = np.empty((SIZE, SIZE))
-    for i in range(SIZE):
-        for j in range(SIZE):
-            turned[j, i] = a[i, j]
-    for i in range(SIZE):
+            share = F[i, k]
+            if share != 0.0:
+                for j in range(SIZE):
+                    half[i, j] += share * P[k, j]
+    for j in range(SIZE):
         for k in range(SIZE):
-            for j in range(SIZE):
-                out[i, j] += half[i, k] * turned[k, j]
+            share = F[j, k]
+            if share != 0.0:
+                for i in range(SIZE):
+                    out[j, i] += share * half[i, k]
     return out
 
 
 @compiled
-def gains(P: Array, H: Array) -> tuple[Array, Array]:
+def projected(P: Array, H: Array) -> tuple[Array, Array]:
     """P Hᵀ, transposed [readings, 8], and H P Hᵀ."""
     n = H.shape[0]
     PHt, S = np.zeros((n, SIZE)), np.zeros((n, n))
     for m in range(n):
         for k in range(SIZE):
-            for j in range(SIZE):
-                PHt[m, j] += H[m, k] * P[k, j]
+            if H[m, k] != 0.0:
+                for j in range(SIZE):
+                    PHt[m, j] += H[m, k] * P[k, j]
     for m in range(n):
         for other in range(n):
             for j in range(SIZE):
@@ -73,37 +75,33 @@ def nudged(x: Array) -> Array:
 
 @compiled
 def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_s: float) -> tuple[Array, Array]:
-    """Mean and covariance `dt_s` later, as `SocFilter._predict`."""
+    """Mean and covariance `dt_s` later, as `SocFilter._predict` by `belief.transition`."""
     columns, F = nudged(x), np.empty((SIZE, SIZE))
+    stride, bias_kept = model.stride(pack.cell, dt_s), eq.kept(dt_s, pack.bias_tau_s)
     for k in range(2 * SIZE + 1):
-        moved = b.transition(pack, columns[k], mean_A, ambient_C, dt_s)
-        for j in range(SIZE):
-            columns[k, j] = moved[j]
+        now = b.unpack(pack, columns[k])
+        later = model.advance_by(now.cell, now.state, c_rate(now.installation, mean_A), ambient_C, stride)
+        columns[k, C.SOC], columns[k, C.POLARISATION], columns[k, C.DIFFUSION] = later[:3]
+        columns[k, C.CORE], columns[k, C.SENSOR] = later.core_C, later.sensor_C
+        columns[k, C.BIAS] = eq.approach(columns[k, C.BIAS], 0.0, bias_kept)
     for j in range(SIZE):
         for i in range(SIZE):
             F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) / (2.0 * NUDGE[j])
-    later = sandwich(F, P)
+    spread = carried(F, P)
     q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
     for j in range(SIZE):
-        later[j, j] += q[j]
-    return columns[2 * SIZE], later
+        spread[j, j] += q[j]
+    return columns[2 * SIZE], spread
 
 
 @compiled
-def voltage(pack: Pack, x: Array, current_A: float) -> float:
-    """`belief.voltage` for one column, compiled once."""
-    return float(b.voltage(pack, x, current_A))
+def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
+    """One measurement of at most two readings, S = H P Hᵀ + R, with Joseph's form of the covariance as in filterpy.
 
-
-@compiled
-def joseph(x: Array, P: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
-    """One measurement, covariance in Joseph's form as in filterpy; at most two readings."""
+    (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, but from the right to the left in vectors: K has two columns at most.
+    """
     n = y.size
-    PHt, S = gains(P, H)
-    K, keep, later = np.zeros((n, SIZE)), np.zeros((SIZE, SIZE)), x.copy()
-    for m in range(n):
-        for other in range(n):
-            S[m, other] += R[m, other]
+    K, later, kept = np.empty((n, SIZE)), x.copy(), P.copy()
     determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0] if n == 2 else S[0, 0]
     for j in range(SIZE):
         if n == 2:
@@ -111,20 +109,23 @@ def joseph(x: Array, P: Array, H: Array, R: Array, y: Array) -> tuple[Array, Arr
             K[1, j] = (PHt[1, j] * S[0, 0] - PHt[0, j] * S[0, 1]) / determinant
         else:
             K[0, j] = PHt[0, j] / determinant
-    for i in range(SIZE):
-        keep[i, i] = 1.0
     for m in range(n):
         for i in range(SIZE):
             later[i] += K[m, i] * y[m]
             for j in range(SIZE):
-                keep[i, j] -= K[m, i] * H[m, j]
-    spread = sandwich(keep, P)
+                kept[i, j] -= K[m, i] * PHt[m, j]
+    across = np.zeros((n, SIZE))  # what K must take away once more: kept Hᵀ less K R
     for m in range(n):
-        for other in range(n):
-            for i in range(SIZE):
-                for j in range(SIZE):
-                    spread[i, j] += K[m, i] * R[m, other] * K[other, j]
-    return later, spread
+        for i in range(SIZE):
+            for j in range(SIZE):
+                across[m, i] += kept[i, j] * H[m, j]
+            for other in range(n):
+                across[m, i] -= K[other, i] * R[other, m]
+    for m in range(n):
+        for i in range(SIZE):
+            for j in range(SIZE):
+                kept[i, j] -= across[m, i] * K[m, j]
+    return later, kept
 
 
 @compiled
@@ -136,7 +137,7 @@ def update(
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
     columns, volts = nudged(x), np.empty(2 * SIZE + 1)
     for j in range(2 * SIZE + 1):
-        volts[j] = voltage(pack, columns[j], current_A)
+        volts[j] = b.reported_voltage(pack, b.unpack(pack, columns[j]), columns[j, C.BIAS], current_A)
     expected_V = volts[2 * SIZE]
     for j in range(SIZE):
         H[0, j] = (volts[2 * j] - volts[2 * j + 1]) / (2.0 * NUDGE[j])
@@ -146,23 +147,25 @@ def update(
         H[1, C.SENSOR] = 1.0
         y[1] = temp_C - (x[C.SENSOR] + pack.installation.offset_K)
         R[1, 1] = pack.temperature_sd_K**2
-    _, S = gains(P, H)
-    volts_V2 = S[0, 0] + R[0, 0]
-    nis = y[0] ** 2 / volts_V2
+    PHt, S = projected(P, H)
+    for i in range(size):
+        S[i, i] += R[i, i]
+    nis = y[0] ** 2 / S[0, 0]
     if size == 2:
-        both, warmth_K2 = S[0, 1], S[1, 1] + R[1, 1]
-        nis = y[0] ** 2 * warmth_K2 - 2.0 * y[0] * y[1] * both + y[1] ** 2 * volts_V2
-        nis /= volts_V2 * warmth_K2 - both * both
+        nis = y[0] ** 2 * S[1, 1] - 2.0 * y[0] * y[1] * S[0, 1] + y[1] ** 2 * S[0, 0]
+        nis /= S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
     if nis > GATE:  # believe it less, so that its normalised innovation is GATE
         for i in range(size):
             for j in range(size):
-                R[i, j] += (S[i, j] + (R[i, i] if i == j else 0.0)) * (nis / GATE - 1.0)
-    later, spread = joseph(x, P, H, R, y)
+                R[i, j] += S[i, j] * (nis / GATE - 1.0)
+                S[i, j] *= nis / GATE
+    later, spread = joseph(x, P, PHt, S, H, R, y)
     excess = later[C.SOC] - 1.0
     if excess > 0.0:
         full, sure, short = np.zeros((1, SIZE)), np.zeros((1, 1)), np.zeros(1)
         full[0, C.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, -excess
-        later, spread = joseph(later, spread, full, sure, short)
+        PHt, S = projected(spread, full)
+        later, spread = joseph(later, spread, PHt, S + sure, full, sure, short)
     for i in range(SIZE):
         for j in range(i):
             spread[i, j] = spread[j, i] = 0.5 * (spread[i, j] + spread[j, i])
@@ -203,7 +206,7 @@ def run(pack: Pack, ambient_C: float, rows: Array, begun: Begun, x: Array, P: Ar
     means, covariances = np.empty((n + 2, SIZE)), np.empty((n + 2, SIZE, SIZE))
     in_force, shown, last = np.zeros(n, np.int64), np.empty((n, 4)), 0
     keep(means, covariances, 0, x, P)
-    block = begun.block.copy()
+    block, now = begun.block.copy(), b.unpack(pack, x)
     at_s, before_A, block_A, is_first = begun.time_s, begun.current_A, begun.block_A, begun.is_first
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
@@ -229,13 +232,14 @@ def run(pack: Pack, ambient_C: float, rows: Array, begun: Begun, x: Array, P: Ar
                     block[6] += 1.0
                 at_s, before_A = time_s, current_A
                 if block[1] < BLOCK_S and not is_first:
-                    capacity_As = 3600.0 * pack.installation.present_capacity_Ah * math.exp(x[C.LOG_CAPACITY])
-                    now = x.copy()
-                    now[C.SOC] -= block[2] / capacity_As
-                    expected_V = voltage(pack, now, current_A)
-                    shown[k, 0], shown[k, 2], shown[k, 3] = voltage_V - expected_V, expected_V, now[C.SOC]
+                    capacity_As = 3600.0 * now.installation.present_capacity_Ah
+                    soc = x[C.SOC] - block[2] / capacity_As
+                    between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=soc))
+                    expected_V = b.reported_voltage(pack, between, x[C.BIAS], current_A)
+                    shown[k, 0], shown[k, 2], shown[k, 3] = voltage_V - expected_V, expected_V, soc
                     break
             x, P, innovation_V, nis, expected_V, block_A = close(pack, x, P, block, block_A, ambient_C)
+            now = b.unpack(pack, x)
             if not closing:
                 is_first, last = False, last + 1
                 keep(means, covariances, last, x, P)

@@ -18,8 +18,8 @@ from uavbatt.battery import model
 from uavbatt.battery.belief import C, unpack
 from uavbatt.battery.build import Pack
 from uavbatt.battery.equations import Number
-from uavbatt.battery.model import Array, Lags
-from uavbatt.battery.pack import Installation, metered_voltage, series_resistance, weak_lag
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 
 MEAN_LAG_S = 2.5
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
