@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from uavbatt import fast
 from uavbatt.battery import belief as b
 from uavbatt.battery import file
 from uavbatt.battery.belief import SIZE, C
@@ -392,3 +393,21 @@ def test_a_restored_filter_goes_on_as_if_nothing_had_been() -> None:
         assert ours.nis == pytest.approx(theirs.nis, rel=1e-6)
     assert whole.belief is not None and again.belief is not None
     assert again.belief.covariance == pytest.approx(whole.belief.covariance, abs=1e-12)
+
+
+def test_rows_worked_out_ahead_are_those_of_filterpy() -> None:
+    """Looking ahead conditions without filterpy: the same numbers, on a flight that starts fuller than full."""
+    flown = [replace(s, voltage_V=s.voltage_V + 0.2) for s in fly(pack(), Mission(260.0, 12.0, rate_Hz=4.0, seed=9))]
+    rows = [replace(s, temp_C=NAN) if 300 < k < 400 else s for k, s in enumerate(flown[:2000])]
+    alone, ahead = SocFilter(pack()), SocFilter(pack())
+    with fast.left_out():
+        ahead.look_ahead(rows)
+    for row in rows:
+        one, other = alone.step(row), ahead.step(row)
+        assert (one.status, one.soc, one.innovation_V, one.nis) == pytest.approx(
+            (other.status, other.soc, other.innovation_V, other.nis), abs=1e-11, nan_ok=True
+        )
+        assert alone.belief is not None and ahead.belief is not None
+        sd = np.sqrt(np.diag(alone.belief.covariance))
+        apart = (ahead.belief.covariance - alone.belief.covariance) / np.outer(sd, sd)
+        assert np.abs(apart).max() < 1e-10

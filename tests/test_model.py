@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from uavbatt.battery import equations as eq
 from uavbatt.battery import file, model
-from uavbatt.battery.build import Pack, dense, dense_resistance, pack_of
+from uavbatt.battery.build import Pack, dense, dense_resistance, monotone_cubic, pack_of
 from uavbatt.battery.model import SOC_GRID, Parameters, State
 from uavbatt.battery.openloop import simulate
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage, true_current, weak_soc
@@ -196,6 +196,19 @@ def test_tables_pass_through_their_knots_and_stay_monotone() -> None:
     assert model.open_circuit_voltage(p, soc[on_grid]) == pytest.approx(volts[on_grid], abs=1e-9)
     resistance = dense_resistance(np.array([0.0, 0.1, 0.5, 1.0]), np.array([0.09, 0.03, 0.02, 0.025]))
     assert (resistance > 0.0).all() and resistance.max() == pytest.approx(0.09)
+
+
+@pytest.mark.parametrize("knots", [2, 3, 9, 20])
+def test_the_monotone_cubic_is_scipys(knots: int) -> None:
+    from scipy.interpolate import PchipInterpolator
+
+    random = np.random.default_rng(knots)
+    soc = np.cumsum(random.uniform(0.01, 0.2, knots))
+    values = random.normal(size=(4, knots))
+    values[1].sort()
+    values[2, : knots // 2] = values[2, 0]  # a plateau
+    at = np.linspace(soc[0], soc[-1], 101)
+    np.testing.assert_allclose(monotone_cubic(at, soc, values), PchipInterpolator(soc, values, axis=-1)(at), atol=1e-12)
 
 
 def pack(cells: int = 4, capacity_Ah: float = 5.0, **installed: float) -> Pack:
