@@ -51,7 +51,7 @@ def engine_rows(python: str) -> Iterator[engine.Row]:
         print(f"ProgPy left out: {words}; pip install progpy, or --progpy-python", file=sys.stderr)
     yield from engine.filter_rows()
     yield from engine.forecast_rows(took_s)
-    yield "ProgPy's accuracy", "", words, ""
+    yield from engine.accuracy_rows(words)
     yield from engine.replay_rows()
     yield from engine.growth_rows()
 

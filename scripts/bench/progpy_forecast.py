@@ -1,4 +1,4 @@
-"""ProgPy's unscented prediction of a battery's end that is 20 minutes away: seconds, and what it said.
+"""ProgPy's unscented prediction of a battery's end that is 20 minutes away: seconds, and what it said beside its own simulation of many draws.
 
 Its own BatteryCircuit under constant current, steps of 1 s, 1 % of uncertainty in each state. Run by `engine.progpy_s`
 with the interpreter that has ProgPy (`pip install progpy`).
@@ -14,7 +14,7 @@ from progpy.models import BatteryCircuit
 from progpy.predictors import UnscentedTransform
 from progpy.uncertain_data import MultivariateNormalDist
 
-AHEAD_S = 1200.0
+AHEAD_S, DRAWS = 1200.0, 200
 model = BatteryCircuit()
 
 
@@ -34,4 +34,17 @@ for _ in range(4):
     begin = time.perf_counter()
     found = predictor.predict(belief, load, dt=1, save_freq=AHEAD_S, horizon=2 * AHEAD_S)
     spent.append(time.perf_counter() - begin)
-print(median(spent[1:]), f"said {float(found.time_of_event.mean['EOD']):.1f} s, its own simulation {AHEAD_S:.1f} s")
+
+
+def drawn_end_s(values: np.ndarray) -> float:
+    """End of its own simulation from one draw of the belief."""
+    start = model.StateContainer(dict(zip(labels, values, strict=True)))
+    return float(model.simulate_to_threshold(load, x=start, dt=1, save_freq=1e9, horizon=2 * AHEAD_S).times[-1])
+
+
+random = np.random.default_rng(7)
+ends_s = [drawn_end_s(x) for x in random.multivariate_normal(mean, belief.cov, DRAWS)]
+said_s, sd_s = float(found.time_of_event.mean["EOD"]), float(np.sqrt(found.time_of_event.cov[0][0]))
+said = ", ".join(f"{said_s + z * sd_s:.0f}" for z in (-1.645, 0.0, 1.645))
+truth = ", ".join(f"{s:.0f}" for s in np.quantile(ends_s, (0.05, 0.5, 0.95)))
+print(median(spent[1:]), f"ProgPy's own model, drawn {DRAWS} times: {said} s of {truth} s")

@@ -45,6 +45,8 @@ def compiled(function: Function) -> Function:
 
 def as_numbers(record: Any) -> Any:
     """A record with floats and arrays of floats only, so that one compiled form serves every pack."""
+    if type(record) is float:  # nearly all of them
+        return record
     if isinstance(record, bool | np.bool):
         return bool(record)
     if isinstance(record, tuple):

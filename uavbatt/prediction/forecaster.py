@@ -186,9 +186,9 @@ class Forecaster:
         time_s, horizon_s = question.time_s, question.horizon_s
         fresh_s = np.sort(np.minimum(ends.end_s, horizon_s))
         ends_s = self._steadied(fresh_s, time_s)
-        lo_s, alarm_s, median_s, hi_s = (float(v) for v in np.quantile(ends_s, LEVELS))
+        lo_s, alarm_s, median_s, hi_s = (_quantile(ends_s, level) for level in LEVELS)
         known_low = math.isfinite(self.pack.low_V)
-        low_s = float(np.median(np.minimum(ends.low_s, horizon_s))) if known_low else NAN
+        low_s = _quantile(np.sort(np.minimum(ends.low_s, horizon_s)), 0.5) if known_low else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, min(low_s, median_s) if known_low else NAN, alarm_s, ends_s)
 
     def _steadied(self, fresh_s: Array, time_s: float) -> Array:
@@ -200,8 +200,8 @@ class Forecaster:
             return fresh_s
         age_s = time_s - self._last.time_s
         aged_s = np.maximum(self._last.ends_s - age_s, 0.0)
-        jump_s = abs(float(np.median(fresh_s) - np.median(aged_s)))
-        if jump_s > max(LARGEST_JITTER_S, LARGEST_JITTER * float(np.median(aged_s))):
+        aged_median_s = _quantile(aged_s, 0.5)
+        if abs(_quantile(fresh_s, 0.5) - aged_median_s) > max(LARGEST_JITTER_S, LARGEST_JITTER * aged_median_s):
             return fresh_s
         keep = math.exp(-age_s / STEADY_TAU_S)
         return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
@@ -258,6 +258,14 @@ class Forecaster:
         if not math.isfinite(self._flying_since_s):
             return "on the ground or no load: nothing tells the load to come"
         return ""
+
+
+def _quantile(ordered: Array, level: float) -> float:
+    """Quantile of values in ascending order, linear between them, as numpy's: which sorts anew each time."""
+    position = level * (ordered.size - 1)
+    below = int(position)
+    above = min(below + 1, ordered.size - 1)
+    return float(ordered[below] + (position - below) * (ordered[above] - ordered[below]))
 
 
 def _refused(time_s: float, reason: str) -> Remaining:
