@@ -8,12 +8,13 @@ which JSON Lines shows as `null` and CSV as an empty cell; `warnings` is a list,
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Protocol, TextIO
+
+import msgspec
 
 from uavbatt.aside import written_aside
 from uavbatt.records import Estimate, Remaining, Status
@@ -57,18 +58,12 @@ def line(estimate: Estimate, remaining: Remaining) -> Line:
         refused = SOC_KEYS + REMAINING_KEYS
     elif remaining.status is Status.REFUSED:
         refused = REMAINING_KEYS
-    text: Line = {
-        "status": speaker.status.value,
-        "reason": speaker.reason,
-        "warnings": list(estimate.warnings),
+    made: Line = {
+        key: None if key in refused else rounded(getattr(remaining if key in REMAINING_KEYS else estimate, key), digits)
+        for key, digits in COLUMNS.items()
+        if digits is not None
     }
-    made: Line = {}
-    for key, decimals in COLUMNS.items():
-        if decimals is None:
-            made[key] = text[key]
-        else:
-            source = remaining if key in REMAINING_KEYS else estimate
-            made[key] = None if key in refused else rounded(getattr(source, key), decimals)
+    made["status"], made["reason"], made["warnings"] = speaker.status.value, speaker.reason, list(estimate.warnings)
     return made
 
 
@@ -92,7 +87,7 @@ class JsonLinesSink:
 
     def write(self, line: Line) -> None:
         """Write one line; a key too many or too few is a `KeyError` here rather than at the reader."""
-        self._file.write(json.dumps(in_order(line), allow_nan=False, ensure_ascii=False) + "\n")
+        self._file.write(msgspec.json.encode(in_order(line)).decode() + "\n")
 
 
 class CsvSink:
