@@ -164,7 +164,7 @@ def test_a_replay_says_the_same_compiled(monkeypatch: pytest.MonkeyPatch, name: 
 
     with fast.left_out():
         plain = numbers()
-    monkeypatch.setattr(fast, "pays", lambda plain_s, work: True)
+    monkeypatch.setattr(fast, "pays", lambda spared_s, work: True)
     monkeypatch.setattr(fast, "is_used", lambda work: True)
     for row, quick in zip(plain, numbers(), strict=True):
         np.testing.assert_allclose(quick, row, rtol=CLOSE, atol=CLOSE)
@@ -200,7 +200,7 @@ def test_the_open_loop_of_many_columns() -> None:
 def test_work_pays_when_as_much_was_asked_as_it_costs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(fast, "folder", lambda: tmp_path)
     monkeypatch.setattr(fast, "_used", set())
-    monkeypatch.setattr(fast, "_asked_s", {})
+    monkeypatch.setattr(fast, "_spared_s", {})
     tenth_s = 0.1 * (fast.START_S["forecast"] + fast.COMPILE_S["forecast"])
     assert [fast.pays(tenth_s, "forecast") for _ in range(11)] == [False] * 10 + [True]
     with fast.left_out():

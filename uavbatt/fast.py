@@ -3,7 +3,8 @@
 Compiled code is kept in the user's cache folder, in one folder per state of the sources, so that neither a read-only
 installation nor a new version of the package goes wrong. Loading it takes START_S with the import of numba, making it
 COMPILE_S (measured, on one core): work that plain numpy does sooner is left to it. How much there will be of a work
-nobody knows; when as much has been asked as loading or making costs, as much again is likely. In flight nobody asks.
+nobody knows; when as much could have been spared as loading or making costs, as much again is likely. In flight nobody
+asks.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ START_S = {"filter": 0.6, "forecast": 0.6, "openloop": 2.0}  # the last gains tw
 COMPILE_S = {"filter": 8.0, "forecast": 4.0, "openloop": 2.0}  # the kinds of work
 _allowed = True
 _used: set[str] = set()
-_asked_s: dict[str, float] = {}
+_spared_s: dict[str, float] = {}
 
 
 @cache
@@ -52,15 +53,15 @@ def left_out() -> Iterator[None]:
         _allowed = before
 
 
-def pays(plain_s: float, work: str) -> bool:
-    """Whether to do a work compiled that takes plain numpy about `plain_s`; once it pays, it does so for good."""
+def pays(spared_s: float, work: str) -> bool:
+    """Whether to do a work compiled that is then done about `spared_s` sooner; once it pays, it does so for good."""
     place = folder() if _allowed and is_installed() else None
     if place is None:
         return False
     if work not in _used:
-        _asked_s[work] = _asked_s.get(work, 0.0) + plain_s
+        _spared_s[work] = _spared_s.get(work, 0.0) + spared_s
         cost_s = START_S[work] + (0.0 if (place / work).exists() else COMPILE_S[work])
-        if _asked_s[work] > cost_s and is_usable():
+        if _spared_s[work] > cost_s and is_usable():
             _used.add(work)
     return work in _used
 

@@ -30,7 +30,7 @@ from uavbatt.records import Sample
 if TYPE_CHECKING:
     from uavbatt.estimation.soc_filter import SocFilter
 
-PLAIN_ROW_S, PLAIN_BLOCK_S = 20e-6, 300e-6  # measured: a row, and a block closed
+PLAIN_ROW_S, PLAIN_BLOCK_S = 6e-6, 200e-6  # measured: a row, and a block closed
 
 
 class Row(NamedTuple):
