@@ -19,8 +19,8 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-START_S = {"filter": 0.6, "forecast": 0.6, "openloop": 2.0}  # the last gains two to three times only: it must wait
-COMPILE_S = {"filter": 8.0, "forecast": 4.0, "openloop": 2.0}  # the kinds of work
+START_S = {"filter": 0.4, "forecast": 0.4, "openloop": 2.0}  # the last gains two to three times only: it must wait
+COMPILE_S = {"filter": 9.0, "forecast": 4.0, "openloop": 2.0}  # the kinds of work
 _allowed = True
 _used: set[str] = set()
 _spared_s: dict[str, float] = {}

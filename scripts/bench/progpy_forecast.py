@@ -1,4 +1,5 @@
-"""ProgPy's unscented prediction of a battery's end that is 20 minutes away: seconds, and what it said beside its own simulation of many draws.
+"""ProgPy's unscented prediction of a battery's end that is 20 minutes away: seconds, and what it said, beside its own
+simulation of many draws.
 
 Its own BatteryCircuit under constant current, steps of 1 s, 1 % of uncertainty in each state. Run by `engine.progpy_s`
 with the interpreter that has ProgPy (`pip install progpy`).
