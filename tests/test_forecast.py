@@ -20,6 +20,7 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
 from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.prediction.endurance import time_to_end
 from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
@@ -85,6 +86,15 @@ def test_a_sinking_voltage_ends_it_sooner_than_charge_counting_says() -> None:
     end_A = 250.0 / 13.2
     left_soc = end_A / 5.0 * 0.03 / 0.9  # charge that stays in because of the drop at the cut-off
     assert real < ideal - 0.9 * left_soc * 3600.0 * 5.0 / end_A
+
+
+@pytest.mark.parametrize(("power_W", "temp_C"), [(150.0, 25.0), (600.0, 25.0), (250.0, -5.0)])
+def test_a_steady_power_needs_no_finer_steps(power_W: float, temp_C: float) -> None:
+    """The forecast's own steps against steps of half a second."""
+    now = belief(0.95, temp_C, exact=True)
+    found, steps = forecast(pack()._replace(bias_sd_V=1e-9), now, power_W), 12000
+    fine = time_to_end(pack(), now.mean[:, None], np.full((steps, 1), power_W), temp_C, np.full(steps, 0.5))
+    assert found.median_s == pytest.approx(float(fine.end_s[0]), rel=0.003)
 
 
 def test_twice_the_pack_at_twice_the_power_lasts_as_long() -> None:

@@ -27,11 +27,14 @@ FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
-STEPS = 100
+# Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power, steps twice as
+# long move the end by less than 0.2 %.
+STEPS, LONGEST_STEP_S = 100, 10.0
+STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 20.0
 STEADY_TAU_S = 20.0
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
 LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
-SHORTEST_STEP_S, LONGEST_STEP_S = 1.0, 10.0
+SHORTEST_STEP_S = 1.0
 LONGEST_HORIZON_S = 6 * 3600.0
 LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
 
@@ -161,7 +164,7 @@ class Forecaster:
         if not horizon_s < LONGEST_HORIZON_S:
             return None
         by_rows = self._row_s > SLOW_ROW_S
-        dt_s = self._row_s if by_rows else min(max(typical_s / STEPS, SHORTEST_STEP_S), LONGEST_STEP_S)
+        dt_s = self._row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, spread.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         return Question(
@@ -258,6 +261,13 @@ class Forecaster:
         if not math.isfinite(self._flying_since_s):
             return "on the ground or no load: nothing tells the load to come"
         return ""
+
+
+def _step_s(load: Load, typical_s: float) -> float:
+    """How long the steps of a simulation are whose end is about `typical_s` away [s]."""
+    if isinstance(load, ConstantLoad):
+        return min(max(typical_s / STEADY_STEPS, SHORTEST_STEP_S), LONGEST_STEADY_STEP_S)
+    return min(max(typical_s / STEPS, SHORTEST_STEP_S), LONGEST_STEP_S)
 
 
 def _quantile(ordered: Array, level: float) -> float:
