@@ -19,7 +19,7 @@ from pymavlink.generator.mavcrc import x25crc
 from uavbatt.mavlink import fields
 from uavbatt.records import Sample
 from uavbatt.simulate import Mission, fly, write
-from uavbatt.telemetry import chain, dataflash_binary, read_log, tlog_frames, tlog_payloads
+from uavbatt.telemetry import dataflash_binary, read_log, tlog_frames, tlog_payloads
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.checksum import checksums
 from uavbatt.telemetry.columns import UNKNOWN, Rows, add_rows, rows_of, times_s
@@ -122,7 +122,8 @@ DAMAGE = {
 def test_damage_costs_its_own_rows_and_is_told(
     flown: dict[str, bytes], tmp_path: Path, name: str, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(chain, "_WINDOW", 40_000)  # many windows in a small file
+    for reader in (tlog_frames, dataflash_binary):
+        monkeypatch.setattr(reader, "_WINDOW", 40_000)  # many windows in a small file
     data, path = flown[name], tmp_path / name
     path.write_bytes(data)
     clean = read_log(path).samples

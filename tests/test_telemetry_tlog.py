@@ -70,6 +70,14 @@ def test_a_row(tmp_path: Path, v1: bool, sign: bool) -> None:
     assert (first.armed, second.armed) == (True, False)
 
 
+def test_a_clean_log_needs_no_dialect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its import takes longer than to read a big log; a log begins with any message."""
+    monkeypatch.delattr("uavbatt.telemetry.tlog_frames._dialect")
+    attitude = dialect.MAVLink_attitude_message(0, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
+    flight = read(tmp_path, pack(attitude, 0.0), pack(heartbeat(), 0.5), pack(battery(), 1.5))
+    assert ([s.time_s for s in flight.samples], flight.skipped_bytes) == ([1.5], 0)
+
+
 def test_battery_status_sentinels() -> None:
     row = fields.battery_status(battery(cA=-1, mAh=-1, cdeg=32767, percent=-1))
     assert all(math.isnan(v) for v in (row.current_A, row.consumed_Ah, row.temp_C, row.reported_soc))

@@ -106,9 +106,22 @@ def cold_s(names: Sequence[str], path: str, repeats: int) -> list[float]:
     """Median processor time [s] of a new process for each function of `names`: its imports, then the file."""
     code = "import sys; sys.path.insert(0, {!r})\nfrom bench.readers import {}; {}({!r})"
     here = str(Path(__file__).parents[1])
-    commands = [[sys.executable, "-c", code.format(here, name, name, path)] for name in names]
-    turns = [[_timed(partial(subprocess.run, command, check=True)) for command in commands] for _ in range(repeats)]
-    return [median(times) for times in zip(*turns, strict=True)]
+    return new_processes_s([code.format(here, name, name, path) for name in names], repeats)
+
+
+def new_processes_s(codes: Sequence[str], repeats: int) -> list[float]:
+    """Median processor time [s] of a new process for each of `codes`, after one that does not count; they take turns.
+
+    All find their bytecode compiled, as installed packages do: ours would be compiled in every process of an
+    environment that forbids to write it.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": folder}
+        runs = [partial(subprocess.run, [sys.executable, "-c", c], check=True, env=environment) for c in codes]
+        for run in runs:
+            run()
+        turns = [[_timed(run) for run in runs] for _ in range(repeats)]
+        return [median(times) for times in zip(*turns, strict=True)]
 
 
 def _timed(work: Callable[[], Any]) -> float:
@@ -145,9 +158,7 @@ IMPORTS = (
 def import_line(name: str, statement: str, repeats: int) -> str:
     """Processor time [ms] of an import in a new process less that of none, and the memory [MB] that it then holds."""
     told = f"{statement}\nprint(int(open('/proc/self/status').read().split('VmHWM:')[1].split()[0]) / 1024)"  # its own
-    commands = [[sys.executable, "-c", code] for code in ("", statement)]
-    turns = [[_timed(partial(subprocess.run, command, check=True)) for command in commands] for _ in range(repeats)]
-    none_s, all_s = (median(times) for times in zip(*turns, strict=True))
+    none_s, all_s = new_processes_s(("", statement), repeats)
     peak = subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True).stdout
     return f"import of {name}: {1000 * (all_s - none_s):.0f} ms, {float(peak):.0f} MB"
 

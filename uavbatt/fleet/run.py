@@ -26,6 +26,10 @@ _UNDER_WAY_PER_WORKER = 3
 # Dask lets its workers give every freed page back at once; a flight takes and frees the same few megabytes thousands
 # of times, which made the kernel work as long as half the flight.
 _MALLOC = {"MALLOC_TRIM_THRESHOLD_": 1 << 25, "MALLOC_MMAP_THRESHOLD_": 1 << 25}
+_DASK = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _MALLOC.items()} | {
+    "distributed.worker.profile.enabled": False,  # nobody reads it
+    "distributed.admin.tick.interval": "1s",  # every process looks 50 times a second how busy it is: half of its idling
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +61,7 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Any]:
 
     if scheduler is None:
         with (
-            dask.config.set({f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _MALLOC.items()}),
-            dask.config.set({"distributed.worker.profile.enabled": False}),  # nobody reads it
+            dask.config.set(_DASK),
             LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
                 silence_logs=logging.CRITICAL,

@@ -21,7 +21,8 @@ Mask = NDArray[np.bool_]
 Vouch = Callable[[Places], Mask]  # indices of candidates -> are they sound, given that the last record ended there?
 Judge = Callable[[int, bool], bool]  # (index of the candidate, did the last record end here?) -> is it sound?
 
-_FIRST_WINDOW, _WINDOW = 1 << 18, 1 << 22  # bytes; the second keeps all arrays of a window in a processor's cache
+_FIRST_WINDOW = 1 << 18  # bytes
+_BLOCK = 1 << 16  # bytes; masks of this size the allocator keeps, bigger ones come anew from the kernel, page by page
 
 
 class Chain:
@@ -84,12 +85,18 @@ class Chain:
         self.position, self.in_chain = to, False
 
 
-def windows(size: int) -> Iterator[tuple[int, int]]:
+def windows(size: int, length: int) -> Iterator[tuple[int, int]]:
     """Consecutive (begin, end) that cover a file of `size` bytes; the first is short: descriptions stand in front."""
-    begin, length = 0, _FIRST_WINDOW
+    begin, end = 0, min(_FIRST_WINDOW, size)
     while begin < size:
-        yield begin, min(begin + length, size)
-        begin, length = begin + length, _WINDOW
+        yield begin, end
+        begin, end = end, min(end + length, size)
+
+
+def places_where(is_so: Callable[[int, int], Mask], begin: int, end: int) -> Places:
+    """Places from `begin` to `end` for which `is_so` (asked for a stretch of them at a time) holds, ascending."""
+    blocks = [(at, min(at + _BLOCK, end)) for at in range(begin, end, _BLOCK)]
+    return np.concatenate([np.zeros(0, np.int64), *(np.flatnonzero(is_so(*block)) + block[0] for block in blocks)])
 
 
 def gathered(data: Bytes, starts: Places, width: int) -> Bytes:

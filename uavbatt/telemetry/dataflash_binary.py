@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, windows
+from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, places_where, windows
 from uavbatt.telemetry.dataflash_identity import TELLING, identity
 from uavbatt.telemetry.dataflash_rows import USED, WANTED, Layout, Moment, Table, fold
 
@@ -27,6 +27,7 @@ FMT_TYPE = 128
 _FMT = struct.Struct("<BB4s16s64s")
 _FMT_LENGTH = 3 + _FMT.size
 _UNKNOWN = -1
+_WINDOW = 1 << 19  # bytes; the index of its records is small enough for the allocator to keep from window to window
 
 # Format character -> (numpy's code, divisor). Divided, as pymavlink does: 2533 / 100 is 25.33, 2533 * 0.01 is not.
 CHARACTERS = {
@@ -75,7 +76,7 @@ class _Definitions:
         return twin
 
 
-def read(data: bytes) -> LogBuilder:
+def read(data: bytes | memoryview) -> LogBuilder:
     """All batteries' rows and the parameters of a binary DataFlash log."""
     log = LogBuilder()
     records = _Records(np.frombuffer(data, np.uint8))
@@ -96,7 +97,7 @@ class _Records:
         self._places: dict[int, list[Places]] = {}
         self._padding = _padding_start(data)
         self._chain = Chain()
-        for begin, end in windows(len(data)):
+        for begin, end in windows(len(data), _WINDOW):
             self._walk(begin, end)
         ended_in_padding = not self._chain.in_chain and self._chain.gap_start >= self._padding
         self.skipped_bytes = self._chain.skipped - ended_in_padding * (len(data) - self._chain.gap_start)
@@ -118,12 +119,14 @@ class _Records:
         while True:
             definitions = self._definitions.copy()
             found = definitions.applied(types, starts, formats)
-            lengths = np.array([known.length for known in definitions.known])
-            ends = np.where(found == _UNKNOWN, 0, starts + lengths[found])
-            possible = (found != _UNKNOWN) & (ends <= len(self.data))
+            known = found != _UNKNOWN
+            where, which = starts[known], found[known]
+            ends = where + np.array([known.length for known in definitions.known])[which]
+            inside = ends <= len(self.data)
+            if not inside.all():
+                where, which, ends = where[inside], which[inside], ends[inside]
             chain = self._chain.copy()
-            where, which = starts[possible], found[possible]
-            taken = chain.take(where, ends[possible], None, *self._sound(ends[possible]), end)
+            taken = chain.take(where, ends, None, *self._sound(ends), end)
             where, which = where[taken], which[taken]
             records = set(where[which == 0].tolist())
             # what looked like a definition inside another record is none: then once more without it
@@ -141,9 +144,10 @@ class _Records:
             layout = layouts[index]
             if layout is not None and (WANTED.match(layout.name) or TELLING.match(layout.name)):
                 self._places.setdefault(index, []).append(where[which == index])
-        with_time = np.flatnonzero(timed[which])
-        if len(with_time):
-            first, last = (self._moment(where[i], layouts[which[i]]) for i in with_time[[0, -1]])
+        with_time = timed[which]
+        if with_time.any():
+            ends = int(with_time.argmax()), len(which) - 1 - int(with_time[::-1].argmax())
+            first, last = (self._moment(where[i], layouts[which[i]]) for i in ends)
             self.first, self.last = self.first or first, last
 
     def _moment(self, position: int, layout: Layout | None) -> Moment:
@@ -186,8 +190,11 @@ def _headers(data: Bytes, begin: int, end: int) -> Places:
     stop = min(end, len(data) - 2)
     if stop <= begin:
         return np.zeros(0, np.int64)
-    marks: Mask = (data[begin:stop] == HEADER[0]) & (data[begin + 1 : stop + 1] == HEADER[1])
-    return np.flatnonzero(marks) + begin
+
+    def is_header(at: int, to: int) -> Mask:
+        return np.asarray((data[at:to] == HEADER[0]) & (data[at + 1 : to + 1] == HEADER[1]), np.bool_)
+
+    return places_where(is_header, begin, stop)
 
 
 def _padding_start(data: Bytes) -> int:

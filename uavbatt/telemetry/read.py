@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
+from io import BufferedReader
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,8 @@ from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
 if TYPE_CHECKING:
     from uavbatt.telemetry.columns import Rows
+
+Content = bytes | memoryview  # of a file
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
 _HEAD_BYTES = 65_536
@@ -32,10 +36,10 @@ def read_log(path: str | Path, instance: int | None = None) -> Flight:
     first in the log that reports a current; if none does, the first with a voltage.
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
     """
-    return read_bytes(str(path), _bytes(Path(path)), instance)
+    return read_bytes(str(path), _content(Path(path)), instance)
 
 
-def read_bytes(source: str, data: bytes, instance: int | None = None) -> Flight:
+def read_bytes(source: str, data: Content, instance: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
     kind, log = _read(source, data)
     chosen = _chosen(source, log, instance)
@@ -57,16 +61,17 @@ def read_columns(path: str | Path, instance: int | None = None) -> Rows:
     """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _read(str(path), _bytes(Path(path)))
+    _, log = _read(str(path), _content(Path(path)))
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
 
-def _bytes(path: Path) -> bytes:
+def _content(path: Path) -> Content:
     if path.is_dir():
         raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read() if _is_text(file.peek()) else _binary(file)
     except FileNotFoundError:
         raise BadInput(path, "", f"{KNOWN_KINDS}, found no such file") from None
     except (OSError, ValueError) as error:
@@ -74,12 +79,22 @@ def _bytes(path: Path) -> bytes:
         raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
 
 
-def _kind(source: str, data: bytes) -> str:
+def _binary(file: BufferedReader) -> Content:
+    """All of a binary file, in numpy's memory: it asks for large pages, small ones cost more than the reading."""
+    import numpy as np
+
+    found = np.empty(os.fstat(file.fileno()).st_size, np.uint8).data
+    size = file.readinto(found)
+    rest = file.read()  # of what is a pipe, or is still being written
+    return bytes(found[:size]) + rest if rest else found[:size]
+
+
+def _kind(source: str, data: Content) -> str:
     """The kind of log, from its content; the suffix only where the head is damaged."""
-    head = data[:_HEAD_BYTES]
-    if data.startswith(_ULOG):
+    head = bytes(data[:_HEAD_BYTES])
+    if head.startswith(_ULOG):
         return "ulog"
-    if data.startswith(_DATAFLASH):
+    if head.startswith(_DATAFLASH):
         return "dataflash-binary"
     if _is_text(head):
         if _FMT_LINE.search(head):
@@ -112,9 +127,9 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(source: str, data: bytes) -> tuple[str, LogBuilder]:
+def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
     """The kind of a log, and its rows; BadInput if it is none or has none."""
-    if not data or data.isspace():
+    if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
     kind = _kind(source, data)
     log = _reader(kind)(source, data)
@@ -124,23 +139,27 @@ def _read(source: str, data: bytes) -> tuple[str, LogBuilder]:
     return kind, log
 
 
-def _reader(kind: str) -> Callable[[str, bytes], LogBuilder]:
+def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
     """What reads logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
-        from uavbatt.telemetry.dataflash_binary import read
-    elif kind == "dataflash-text":
-        from uavbatt.telemetry.dataflash_text import read
-    elif kind == "tlog":
-        from uavbatt.telemetry.tlog import read
-    elif kind == "ulog":
+        from uavbatt.telemetry.dataflash_binary import read as read_binary
+
+        return lambda _, data: read_binary(data)
+    if kind == "tlog":
+        from uavbatt.telemetry.tlog import read as read_tlog
+
+        return lambda _, data: read_tlog(data)
+    if kind == "dataflash-text":
+        from uavbatt.telemetry.dataflash_text import read as read_text
+
+        return lambda _, data: read_text(bytes(data))
+    if kind == "ulog":
         from uavbatt.telemetry.ulog import read as read_ulog
 
-        return read_ulog
-    else:
-        from uavbatt.telemetry.csv_table import read as read_csv
+        return lambda source, data: read_ulog(source, bytes(data))
+    from uavbatt.telemetry.csv_table import read as read_csv
 
-        return read_csv
-    return lambda _, data: read(data)
+    return lambda source, data: read_csv(source, bytes(data))
 
 
 def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:

@@ -37,7 +37,7 @@ class _Beats(NamedTuple):
     is_px4: Mask
 
 
-def read(data: bytes) -> LogBuilder:
+def read(data: bytes | memoryview) -> LogBuilder:
     """All batteries' rows and the parameters of the first autopilot in a tlog."""
     log = LogBuilder()
     found = frames(data)

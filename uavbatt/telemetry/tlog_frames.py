@@ -13,13 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
-from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, windows
+from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, places_where, windows
 from uavbatt.telemetry.checksum import checksums
 
 AUTOPILOT_VERSION = 148
@@ -32,13 +32,16 @@ _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _STAMP = 8
 _HEAD, _HEAD_V1, _SIGNATURE = _STAMP + 10, _STAMP + 6, 13
+_SHORTEST = _HEAD_V1 + 2
 _LATEST_US = 4_102_444_800_000_000  # the year 2100; early times are real: a clock never set starts in 1970
 _DAY_US = 86_400_000_000
 _HEAD_BYTES = 65_536
 _NO_SEED = -1
+_WINDOW = 1 << 22  # bytes; checksums are worked out window by window, and the more frames at once the better
 _BLOCK = 64  # candidates
 _SEEDS = np.full(257, _NO_SEED, np.int64)  # by message; the last stands for all beyond
 _SEEDS[list(SEEDS)] = list(SEEDS.values())
+_MAY_BE_WANTED = _SEEDS[:256] != _NO_SEED
 
 Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `False` if its type is unknown
 
@@ -88,28 +91,17 @@ class Frames:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidates:
-    """Places of one window where a frame could begin, whatever stands there."""
+class _Heads(NamedTuple):
+    """Candidates, whatever stands there, and what the heads of frames would say."""
 
     start: Places
-    end: Places
     payload: Places
     length: NDArray[np.int64]
     message_id: NDArray[np.int64]
 
-    def at(self, chosen: Any) -> _Candidates:
+    def at(self, chosen: Any) -> _Heads:
         """Some of the candidates."""
-        return _Candidates(
-            self.start[chosen], self.end[chosen], self.payload[chosen], self.length[chosen], self.message_id[chosen]
-        )
-
-    def is_sound(self, data: Bytes, seed: NDArray[np.int64]) -> Mask:
-        """Whether the checksum is right."""
-        after = self.payload + self.length
-        sent = data[after].astype(np.int64) | data[after + 1].astype(np.int64) << 8
-        found = checksums(data, self.start + _STAMP + 1, after - self.start - _STAMP - 1, seed)
-        return np.asarray(found == sent, np.bool_)
+        return _Heads(*(column[chosen] for column in self))
 
 
 def decoder() -> Decode:
@@ -128,38 +120,38 @@ def decoder() -> Decode:
     return decode
 
 
-def frames(raw: bytes) -> Frames:
+def frames(raw: bytes | memoryview) -> Frames:
     """The wanted frames of a telemetry log. Damage is passed over and counted; noise alone gives no frame."""
     data = np.frombuffer(raw, np.uint8)
     chain = Chain()
-    kept: list[_Candidates] = []
+    chain.in_chain = True  # a file begins with a frame: to judge that by its checksum costs the whole dialect's import
+    kept = [_heads(data, np.zeros(0, np.int64))]
     first_us, last_us = -1, -1
-    for begin, end in windows(len(data)):
-        found = _candidates(data, begin, end)
-        wanted = _is_wanted(found.message_id)
-        sound = np.ones(len(wanted), np.bool_)
-        chosen = found.at(wanted)
-        sound[wanted] = chosen.is_sound(data, _SEEDS[chosen.message_id])
-        vouch, judge = _vouch(data, found, wanted, sound), _judge(data, found, wanted, sound)
-        taken = chain.take(found.start, found.end, sound, vouch, judge, end)
+    for begin, end in windows(len(data), _WINDOW):
+        start, stop = _candidates(data, begin, end)
+        chosen, heads, is_sound = _wanted(data, start)
+        wanted, sound = np.zeros(len(start), np.bool_), np.ones(len(start), np.bool_)
+        wanted[chosen], sound[chosen] = True, is_sound
+        vouch, judge = _vouch(data, stop, wanted, sound), _judge(data, start, stop, wanted, sound)
+        taken = chain.take(start, stop, sound, vouch, judge, end)
         places = np.flatnonzero(taken)
         if len(places):
-            ends_us = stamps_us(data, found.start[places[[0, -1]]])
+            ends_us = stamps_us(data, start[places[[0, -1]]])
             first_us, last_us = int(ends_us[0]) if first_us < 0 else first_us, int(ends_us[1])
-        kept.append(found.at(taken & wanted))
+        kept.append(heads.at(taken[chosen]))
     return _frames(data, kept, first_us, last_us, chain.skipped)
 
 
-def looks_like_tlog(raw: bytes) -> bool:
+def looks_like_tlog(raw: bytes | memoryview) -> bool:
     """True if the head of `raw` holds at least one time-stamped frame with a good checksum."""
     data = np.frombuffer(raw[:_HEAD_BYTES], np.uint8)
-    found = _candidates(data, 0, len(data))
-    chosen = found.at(_is_wanted(found.message_id))
-    if np.any(chosen.is_sound(data, _SEEDS[chosen.message_id])):
+    start, _ = _candidates(data, 0, len(data))
+    if np.any(_wanted(data, start)[2]):
         return True
-    seeds = np.array([_seed(number) for number in found.message_id.tolist()], np.int64)
+    heads = _heads(data, start)
+    seeds = np.array([_seed(number) for number in heads.message_id.tolist()], np.int64)
     known = seeds != _NO_SEED
-    return bool(np.any(found.at(known).is_sound(data, seeds[known])))
+    return bool(np.any(_is_sound(data, heads.at(known), seeds[known])))
 
 
 def stamps_us(data: Bytes, start: Places) -> NDArray[np.int64]:
@@ -167,46 +159,61 @@ def stamps_us(data: Bytes, start: Places) -> NDArray[np.int64]:
     return gathered(data, start, _STAMP).view(">i8")[:, 0].astype(np.int64)
 
 
-def _candidates(data: Bytes, begin: int, end: int) -> _Candidates:
-    """Every place from `begin` to `end` where a frame could begin that ends inside the file."""
+def _candidates(data: Bytes, begin: int, end: int) -> tuple[Places, Places]:
+    """Every place from `begin` to `end` where a frame could begin that ends inside the file, and where it ends."""
     size = len(data)
-    mark = data[begin + _STAMP : end + _STAMP]
-    start = np.flatnonzero(mark - np.uint8(_V2) <= _V1 - _V2) + begin  # unsigned: what is below wraps around
+
+    def is_marked(at: int, to: int) -> Mask:
+        mark = data[at + _STAMP : to + _STAMP]
+        return np.asarray(mark - np.uint8(_V2) <= _V1 - _V2, np.bool_)  # unsigned: what is below wraps around
+
+    start = places_where(is_marked, begin, min(end, size - _SHORTEST + 1))
     # a stamp before 2100 has 0 in its first byte and at most 14 in its second
-    start = start[(data[start] == 0) & (data[start + 1] <= _LATEST_US >> 48)]
-    head = gathered(data, start, _HEAD)
-    v1 = np.flatnonzero(head[:, _STAMP] == _V1)
-    length, flags = head[:, _STAMP + 1].astype(np.int64), head[:, _STAMP + 2].copy()
-    flags[v1] = 0
-    payload = start + _HEAD
-    payload[v1] -= _HEAD - _HEAD_V1
-    stop = payload + length + 2
+    start = start[(data[start] == 0) & (data[1:][start] <= _LATEST_US >> 48)]
+    is_v1, length, flags = data[_STAMP:][start] == _V1, data[_STAMP + 1 :][start], data[_STAMP + 2 :][start]
+    flags[is_v1] = 0
+    stop = start + length
+    stop += _HEAD + 2
+    stop[is_v1] -= _HEAD - _HEAD_V1
     stop[flags == _SIGNED] += _SIGNATURE
     possible = (stop <= size) & (flags <= _SIGNED)
-    late = np.flatnonzero(head[:, 1] == _LATEST_US >> 48)
+    late = np.flatnonzero(data[1:][start] == _LATEST_US >> 48)
     possible[late] &= stamps_us(data, start[late]) <= _LATEST_US
-    found = _Candidates(start, stop, payload, length, _message_ids(head, v1))
-    return found if possible.all() else found.at(possible)
+    return (start, stop) if possible.all() else (start[possible], stop[possible])
 
 
-def _message_ids(head: Bytes, v1: Places) -> NDArray[np.int64]:
-    """Three bytes, of which mostly only the first is used; in version 1 it is one, and stands elsewhere."""
-    found = head[:, _HEAD - 3].astype(np.int64)
-    wide = np.flatnonzero(head[:, _HEAD - 2] | head[:, _HEAD - 1])
-    found[wide] |= head[wide, _HEAD - 2].astype(np.int64) << 8 | head[wide, _HEAD - 1].astype(np.int64) << 16
-    found[v1] = head[v1, _HEAD_V1 - 1]
-    return found
+def _heads(data: Bytes, start: Places) -> _Heads:
+    """The heads of the candidates at these places."""
+    is_v1, length = data[_STAMP:][start] == _V1, data[_STAMP + 1 :][start].astype(np.int64)
+    low, middle, high = (data[_HEAD - 3 + k :][start].astype(np.int64) for k in range(3))
+    message_id = np.where(is_v1, data[_HEAD_V1 - 1 :][start], low | middle << 8 | high << 16)
+    return _Heads(start, start + np.where(is_v1, _HEAD_V1, _HEAD), length, message_id)
 
 
-def _is_wanted(message_id: NDArray[np.int64]) -> Mask:
-    return np.asarray(_SEEDS[np.minimum(message_id, len(_SEEDS) - 1)] != _NO_SEED, np.bool_)
+def _wanted(data: Bytes, start: Places) -> tuple[Places, _Heads, Mask]:
+    """Which of the candidates are of wanted messages, their heads, and whether their checksums are right."""
+    # few pass this: the low byte of the number says no to most; in version 1 it stands elsewhere
+    chosen = np.flatnonzero(_MAY_BE_WANTED[data[_HEAD - 3 :][start]] | (data[_STAMP:][start] == _V1))
+    heads = _heads(data, start[chosen])
+    seeds = _SEEDS[np.minimum(heads.message_id, len(_SEEDS) - 1)]
+    wanted = seeds != _NO_SEED
+    heads = heads.at(wanted)
+    return chosen[wanted], heads, _is_sound(data, heads, seeds[wanted])
 
 
-def _vouch(data: Bytes, found: _Candidates, wanted: Mask, sound: Mask) -> Vouch:
+def _is_sound(data: Bytes, heads: _Heads, seed: NDArray[np.int64]) -> Mask:
+    """Whether the checksums are right."""
+    after = heads.payload + heads.length
+    sent = data[after].astype(np.int64) | data[after + 1].astype(np.int64) << 8
+    found = checksums(data, heads.start + _STAMP + 1, after - heads.start - _STAMP - 1, seed)
+    return np.asarray(found == sent, np.bool_)
+
+
+def _vouch(data: Bytes, stop: Places, wanted: Mask, sound: Mask) -> Vouch:
     """Inside the chain a wanted frame needs its checksum, any other one a mark where the next frame has it."""
 
     def vouch(chosen: Places) -> Mask:
-        mark = found.end[chosen] + _STAMP
+        mark = stop[chosen] + _STAMP
         following = data[np.minimum(mark, len(data) - 1)]
         follows = (mark >= len(data)) | (following == _V1) | (following == _V2)
         return np.where(wanted[chosen], sound[chosen], follows)
@@ -214,21 +221,21 @@ def _vouch(data: Bytes, found: _Candidates, wanted: Mask, sound: Mask) -> Vouch:
     return vouch
 
 
-def _judge(data: Bytes, found: _Candidates, wanted: Mask, sound: Mask) -> Judge:
+def _judge(data: Bytes, start: Places, stop: Places, wanted: Mask, sound: Mask) -> Judge:
     """Is one candidate a frame? Its checksum says so; a type that nobody knows counts if a frame may follow it."""
 
     @cache
     def block(number: int) -> list[bool | None]:
         """Verdicts of the checksums of a block of candidates, None for unknown types: one by one is far slower."""
-        chosen = slice(number * _BLOCK, (number + 1) * _BLOCK)
-        seeds = np.array([_seed(message_id) for message_id in found.message_id[chosen].tolist()])
-        is_sound = found.at(chosen).is_sound(data, seeds).tolist()
+        heads = _heads(data, start[number * _BLOCK : (number + 1) * _BLOCK])
+        seeds = np.array([_seed(message_id) for message_id in heads.message_id.tolist()])
+        is_sound = _is_sound(data, heads, seeds).tolist()
         return [None if seed == _NO_SEED else good for seed, good in zip(seeds.tolist(), is_sound, strict=True)]
 
     def judge(index: int, in_chain: bool) -> bool:
-        mark = int(found.end[index]) + _STAMP
+        mark = int(stop[index]) + _STAMP
         follows = mark >= len(data) or int(data[mark]) in (_V1, _V2)
-        if not in_chain and follows and _is_stamp_torn(data, int(found.start[index]), mark):
+        if not in_chain and follows and _is_stamp_torn(data, int(start[index]), mark):
             return False
         if wanted[index]:
             return bool(sound[index])
@@ -246,11 +253,8 @@ def _is_stamp_torn(data: Bytes, start: int, next_mark: int) -> bool:
     return abs(next_us - this_us) > _DAY_US
 
 
-def _frames(data: Bytes, kept: list[_Candidates], first_us: int, last_us: int, skipped_bytes: int) -> Frames:
-    start, payload, length, message_id = (
-        np.concatenate([np.zeros(0, np.int64), *(getattr(k, name) for k in kept)])
-        for name in ("start", "payload", "length", "message_id")
-    )
+def _frames(data: Bytes, kept: list[_Heads], first_us: int, last_us: int, skipped_bytes: int) -> Frames:
+    start, payload, length, message_id = (np.concatenate(columns) for columns in zip(*kept, strict=True))
     system = payload - np.where(payload - start == _HEAD, 5, 3)
     return Frames(
         data=data,

@@ -78,8 +78,11 @@ def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
     """`is_so` of every heartbeat; asked once for each kind of heartbeat there is."""
     beats = payloads.view(HEARTBEAT)[:, 0]
     packed = beats["type"].astype(np.int32) << 16 | beats["autopilot"].astype(np.int32) << 8 | beats["base_mode"]
-    asked = {kind: is_so(_Beat(kind >> 16, kind >> 8 & 0xFF, kind & 0xFF)) for kind in distinct(packed)}
-    return np.array([asked[kind] for kind in packed.tolist()], np.bool_)
+    found = np.zeros(len(packed), np.bool_)
+    for kind in distinct(packed):
+        if is_so(_Beat(kind >> 16, kind >> 8 & 0xFF, kind & 0xFF)):
+            found |= packed == kind
+    return found
 
 
 def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, float]]:
