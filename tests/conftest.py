@@ -1,11 +1,28 @@
-"""Fixtures for all tests. The measured data are not part of the repository."""
+"""Fixtures for all tests, and how two processes share the work. The measured data are not part of the repository."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
+
+from command import Judged, called
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where two processes share the tests, a file stays in one, for its tests share results.
+
+    So do all files that ask for `judged_study`, and the live tests: two of them at once would be late by each other.
+    """
+    of_the_study = {item.path for item in items if "judged_study" in getattr(item, "fixturenames", ())}
+    for item in items:
+        name = item.path.stem
+        group = "study" if item.path in of_the_study else "live" if name.startswith("test_live_") else name
+        item.add_marker(pytest.mark.xdist_group(group))
 
 
 @pytest.fixture(scope="session")
@@ -16,3 +33,15 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the measured data are not here: set UAVBATT_DATA to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def judged_study(tmp_path_factory: pytest.TempPathFactory) -> Judged:
+    """One run of the command on the study with every output, half a minute long, for every file that asks about it."""
+    from uavbatt.validation import validate as stage
+
+    judge, found, folder = stage.validate, [], tmp_path_factory.mktemp("judged")
+    with patch.object(stage, "validate", side_effect=lambda *a: found.append(judge(*a)) or found[-1]):
+        done = called("validate", "--ship", "ship", "--report", "r.html", "--json", "r.json", folder=folder)
+    assert done.returncode == 0, done.stderr
+    return Judged(folder, done.stdout, found[0])
