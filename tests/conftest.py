@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -12,17 +13,24 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command
 
 from command import Judged, called
 
+ASK_FOR_THE_STUDY = {"test_cli_validate", "test_gate", "test_validate", "test_temperature_loop"}
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where two processes share the tests, a file stays in one, for its tests share results.
 
-    So do all files that ask for `judged_study`, and the live tests: two of them at once would be late by each other.
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Where two processes share the tests (scripts/test), a file stays in one, for its tests share results.
+
+    So do the files that ask for `judged_study`, and the live tests: two of them at once would make each other late.
+    (`--dist loadgroup` would say this with marks; pytest-xdist 3.8 does not find them under pytest 9.2.)
     """
-    of_the_study = {item.path for item in items if "judged_study" in getattr(item, "fixturenames", ())}
-    for item in items:
-        name = item.path.stem
-        group = "study" if item.path in of_the_study else "live" if name.startswith("test_live_") else name
-        item.add_marker(pytest.mark.xdist_group(group))
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            name = Path(nodeid.partition("::")[0]).stem
+            return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
+
+    return ByFile(config, log)
 
 
 @pytest.fixture(scope="session")
