@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavbatt.errors import UsageError
 from uavbatt.records import NAN
 
-BatteryOption = Annotated[str, typer.Option("--battery", help="Packaged battery by name, or a battery file.")]
+if TYPE_CHECKING:
+    from uavbatt.pipeline import PackOptions
+
+BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
+RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
+UNCERTIFIED = typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
+BatteryOption = Annotated[str, BATTERY]
 CellsOption = Annotated[int | None, typer.Option("--cells", min=1, max=100, help="Cells in series.")]
 CapacityOption = Annotated[float | None, typer.Option("--capacity-ah", help="Capacity of the pack [Ah].")]
 CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pack voltage that ends the flight [V].")]
-ReserveOption = Annotated[
-    float, typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
-]
-UncertifiedOption = Annotated[
-    bool, typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
-]
+ReserveOption = Annotated[float, RESERVE]
+UncertifiedOption = Annotated[bool, UNCERTIFIED]
+AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
 DEFAULT_BATTERY = "lipo-generic"
 
 
@@ -31,6 +34,20 @@ def known(value: float | None, option: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise UsageError(f"{option} {value}: expected a positive number")
     return value
+
+
+def stated_pack(
+    cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
+) -> PackOptions:
+    """What the options state of the pack, for the estimator; UsageError when it cannot be."""
+    from uavbatt.pipeline import PackOptions
+
+    return PackOptions(
+        cells=cells,
+        capacity_Ah=known(capacity_ah, "--capacity-ah"),
+        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
+        reserve_soc=reserve_soc,
+    )
 
 
 def check_writable(*targets: Path | None) -> None:

@@ -20,7 +20,7 @@ from uavbatt.cli.options import (
     ReserveOption,
     UncertifiedOption,
     check_writable,
-    known,
+    stated_pack,
 )
 from uavbatt.errors import UsageError
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def replay(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="DataFlash, tlog, ulg or CSV.")],
     battery: BatteryOption = DEFAULT_BATTERY,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
@@ -55,7 +55,6 @@ def replay(
     """
     from uavbatt.battery import file
     from uavbatt.battery import vehicle as vehicle_file
-    from uavbatt.pipeline import PackOptions
 
     several = len(logs) > 1
     if several:
@@ -63,12 +62,7 @@ def replay(
     check_writable(summary, *([] if several else [jsonl, csv, report]))
     content = file.read(battery, allow_uncertified=allow_uncertified)
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
-    options = PackOptions(
-        cells=cells,
-        capacity_Ah=known(capacity_ah, "--capacity-ah"),
-        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
-        reserve_soc=reserve_soc,
-    )
+    options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results = []
     for log in logs:
         targets = [_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)]
