@@ -5,12 +5,14 @@ The many slips are made within this process; `test_as_a_process` shows for some 
 
 from __future__ import annotations
 
+import os
 import random
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command import Done, called, run
+from command import UAVBATT, Done, called, run
 
 from uavbatt.battery import file
 
@@ -79,13 +81,22 @@ SLIPS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
     (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),
     (("--jsonl", "no/such/folder/f.jsonl"), 2, ("no/such/folder/f.jsonl", "existing folder")),
     (("--report", "out"), 2, ("out", "directory")),
+    (("--csv", "out/a.jsonl"), 2, ("out/a.jsonl", "a name of its own")),
+    (("--jsonl", "-", "--csv", "-"), 2, ("-", "a name of its own")),
+    (("--csv", str(TLOG)), 2, (TLOG.name, "is read and would be lost")),
+    (("--vehicle", "out/v.toml", "--report", "out/../out/v.toml"), 2, ("out/v.toml", "is read and would be lost")),
 ]
-OTHERS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
+OTHERS: list[tuple[Call, int, tuple[str, ...]]] = [
     (("simulate", "-o", "out/f.txt"), 2, ("out/f.txt", ".tlog")),
     (("simulate", "-o", "nowhere/f.tlog"), 2, ("nowhere/f.tlog", "existing folder")),
     (("simulate", "-o", "out/f.csv", "--effect", "gremlins=1"), 2, ("gremlins", "one of")),
     (("simulate", "-o", "out/f.csv", "--effect", "weak_cell=9"), 2, ("weak_cell", "deficit")),
     (("simulate", "-o", "out/f.csv", "--effect", "weak_cell"), 2, ("weak_cell", "NAME=VALUE")),
+    (("diagnose", TLOG, "--battery", "lipo-generic", "--json", TLOG), 2, (TLOG.name, "would be lost")),
+    (("fit", TLOG, "--vehicle", TLOG), 2, (TLOG.name, "would be lost")),
+    (("plan", "--like", TLOG, "--report", TLOG), 2, (TLOG.name, "would be lost")),
+    (("live", "udpin:127.0.0.1:1", "--record", TLOG), 2, ("--record", TLOG.name, "a folder")),
+    (("live", "udpin:127.0.0.1:1", "--state", "out"), 2, ("--state out", "a file")),
     (("validate", "nowhere"), 1, ("nowhere", "expected")),
     (("validate", "out"), 1, ("out", "battery.toml")),
     (("validate", "--report", "no/such/f.html"), 2, ("no/such/f.html", "existing folder")),
@@ -94,7 +105,7 @@ OTHERS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
 CASES: dict[str, tuple[Call, int, tuple[str, ...]]] = {
     **{case: (replay(Path(name)), 1, (name, "expected", *words)) for case, (name, _, words) in BYTES.items()},
     **{" ".join(more): (replay(TLOG, *more), code, words) for more, code, words in SLIPS},
-    **{" ".join(call): (call, code, words) for call, code, words in OTHERS},
+    **{" ".join(map(str, call)): (call, code, words) for call, code, words in OTHERS},
 }
 
 
@@ -198,6 +209,34 @@ def test_several_logs(folder: Path) -> None:
     (folder / "b/f.csv").rename(folder / "b/g.csv")
     both = ("replay", "a/f.csv", "b/g.csv", "--capacity-ah", "5")
     assert_refused(folder, (*both, "--csv", "taken"), 2, ("taken", "a folder"))
+
+
+def test_several_logs_never_overwrite_one_of_themselves(folder: Path) -> None:
+    for name in ("f", "g"):
+        (folder / f"{name}.csv").write_text(HEAD + ROWS)
+    both = ("replay", "f.csv", "g.csv", "--capacity-ah", "5")
+    assert_refused(folder, (*both, "--csv", "."), 2, ("f.csv", "would be lost"))
+    assert_refused(folder, (*both, "--jsonl", "-"), 2, ("-", "a folder"))
+    assert (folder / "f.csv").read_text() == HEAD + ROWS
+
+
+def test_a_pipe_or_a_device_is_not_replaced_by_a_file(folder: Path) -> None:
+    os.mkfifo(folder / "out/pipe")
+    assert_refused(folder, replay(TLOG, "--report", "out/pipe"), 2, ("out/pipe", "a device or pipe", "`-`"))
+    assert (folder / "out/pipe").is_fifo()
+
+
+def test_a_folder_that_may_not_be_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)  # who runs the tests may be allowed everything
+    assert_refused(folder, ("simulate", "-o", "out/f.csv"), 2, ("out/f.csv", "can be written"))
+
+
+def test_a_disk_that_is_full(folder: Path) -> None:
+    """A limit on the size of files stands for it: one line, and no half-written log."""
+    command = f"ulimit -f 8; exec '{UAVBATT}' simulate -o out/f.csv"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=folder, timeout=60)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1 and "File too large" in done.stderr
+    assert files(folder) == {"out"}
 
 
 @pytest.mark.parametrize("call", [("replay",), ("no-such-command",), ("replay", "f", "--cells", "many")])

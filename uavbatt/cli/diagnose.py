@@ -17,6 +17,7 @@ from uavbatt.cli.options import (
     CutoffOption,
     UncertifiedOption,
     check_writable,
+    say,
     stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
@@ -55,7 +56,7 @@ def diagnose(
     from uavbatt.json_file import write_json
     from uavbatt.telemetry import read_log
 
-    check_writable(json_file, report, output)
+    check_writable(json_file, report, output, reads=sources)
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
         raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
@@ -71,7 +72,7 @@ def diagnose(
         raise
     path = str(file.write(new, output)) if output is not None else None
     for line in _lines(found, closed):
-        typer.echo(line)
+        say(line, json_file, report)
     if json_file is not None:
         write_json(json_file, _as_json(found, closed, path))
     if report is not None:
@@ -79,9 +80,9 @@ def diagnose(
         from uavbatt.report import diagnosis as page
 
         page.write(report, inputs(found, closed, content, new))
-        typer.echo(f"report: {report}")
+        say(f"report: {report}", json_file, report)
     if path is not None:
-        typer.echo(f"{path}: {new.certificate.status}")
+        say(f"{path}: {new.certificate.status}", json_file, report)
 
 
 def _run(

@@ -47,7 +47,7 @@ def fit(
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
     if battery and output is not None:
         raise UsageError("-o fits a battery file and --battery names one: expected one of the two")
-    check_writable(output, vehicle)
+    check_writable(output, vehicle, reads=sources)
     datasets = [dataset.load(path) for path in sources if path.is_dir()]
     flights = [asked_flight(path, instance, join) for path in sources if not path.is_dir()]
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)

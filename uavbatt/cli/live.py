@@ -59,7 +59,9 @@ def live(
     for kind in feed or []:
         if kind not in ("proxy", "battery", "named"):
             raise UsageError(f"--feed {kind}: expected proxy, battery or named")
-    _become(checked(_overridden(read(config), given)))
+    merged = checked(_overridden(read(config), given))
+    _check_places(merged)
+    _become(merged)
 
 
 def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
@@ -71,6 +73,15 @@ def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
         for name, keys in given.items()
     }
     return replace(config, **sections)
+
+
+def _check_places(config: Config) -> None:
+    """UsageError when the folder of the recordings is a file, or the state's file a folder."""
+    folder, state = config.record.folder, config.state.file
+    if folder and Path(folder).exists() and not Path(folder).is_dir():
+        raise UsageError(f"--record {folder}: expected a folder, it is a file")
+    if state and Path(state).is_dir():
+        raise UsageError(f"--state {state}: expected a file, it is a folder")
 
 
 def _become(config: Config) -> None:

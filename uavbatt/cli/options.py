@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +26,7 @@ CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pa
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+STANDARD_OUTPUT = Path("-")
 DEFAULT_BATTERY = "lipo-generic"
 
 
@@ -50,12 +53,37 @@ def stated_pack(
     )
 
 
-def check_writable(*targets: Path | None) -> None:
-    """UsageError before any work when an output can not be written: its folder must exist."""
+def check_writable(*targets: Path | None, reads: Iterable[Path | None] = ()) -> None:
+    """UsageError before any work when an output can not be written, or would overwrite another or what is read."""
+    check_apart(targets, reads)
     for target in targets:
-        if target is None or str(target) == "-":
+        if target is None or target == STANDARD_OUTPUT:
             continue
         if target.is_dir():
             raise UsageError(f"{target}: expected a file name to write, it is a directory")
+        if target.exists() and not target.is_file():  # it would be replaced by a file, as /dev/null once was
+            raise UsageError(f"{target}: expected a file name to write, it is a device or pipe (stdout is `-`)")
         if not target.parent.is_dir():
             raise UsageError(f"{target}: expected an existing folder to write into")
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise UsageError(f"{target}: expected a folder that can be written: permission denied")
+
+
+def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) -> None:
+    """UsageError when two outputs are one file, or an output is a file that is read."""
+    read = {os.path.realpath(path) for path in reads if path is not None}
+    taken: set[str] = set()
+    for target in targets:
+        if target is None:
+            continue
+        name = "-" if target == STANDARD_OUTPUT else os.path.realpath(target)
+        if name in taken:
+            raise UsageError(f"{target}: expected a name of its own for each output")
+        if name in read:
+            raise UsageError(f"{target}: expected another name to write, it is read and would be lost")
+        taken.add(name)
+
+
+def say(line: str, *outputs: Path | None) -> None:
+    """A line for a person: on stdout, but on stderr when an output goes there, which is nothing but data then."""
+    typer.echo(line, err=STANDARD_OUTPUT in outputs)

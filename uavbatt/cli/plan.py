@@ -21,6 +21,7 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_writable,
     known,
+    say,
     stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
@@ -60,7 +61,7 @@ def plan(
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
         raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
-    check_writable(report, summary)
+    check_writable(report, summary, reads=(like, vehicle))
     content = file.read(battery, allow_uncertified=allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
@@ -68,7 +69,7 @@ def plan(
     load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
     found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc)
     for line in _lines(found):
-        typer.echo(line)
+        say(line, report, summary)
     if report is not None:
         _write_report(report, found)
     if summary is not None:
