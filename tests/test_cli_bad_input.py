@@ -94,6 +94,8 @@ OTHERS: list[tuple[Call, int, tuple[str, ...]]] = [
     (("simulate", "-o", "out/f.csv", "--effect", "weak_cell"), 2, ("weak_cell", "NAME=VALUE")),
     (("diagnose", TLOG, "--battery", "lipo-generic", "--json", TLOG), 2, (TLOG.name, "would be lost")),
     (("fit", TLOG, "--vehicle", TLOG), 2, (TLOG.name, "would be lost")),
+    (("fit", TLOG, "-o", "-"), 2, ("-: ", "a file name")),
+    (("diagnose", TLOG, "--battery", "lipo-generic", "-o", "-"), 2, ("-: ", "a file name")),
     (("plan", "--like", TLOG, "--report", TLOG), 2, (TLOG.name, "would be lost")),
     (("live", "udpin:127.0.0.1:1", "--record", TLOG), 2, ("--record", TLOG.name, "a folder")),
     (("live", "udpin:127.0.0.1:1", "--state", "out"), 2, ("--state out", "a file")),

@@ -16,6 +16,7 @@ from uavbatt.cli.options import (
     CellsOption,
     CutoffOption,
     UncertifiedOption,
+    check_named,
     check_writable,
     say,
     stated_pack,
@@ -56,6 +57,7 @@ def diagnose(
     from uavbatt.json_file import write_json
     from uavbatt.telemetry import read_log
 
+    check_named(output)
     check_writable(json_file, report, output, reads=sources)
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:

@@ -15,6 +15,7 @@ from uavbatt.cli.options import (
     CellsOption,
     CutoffOption,
     UncertifiedOption,
+    check_named,
     check_writable,
     stated_pack,
 )
@@ -47,6 +48,7 @@ def fit(
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
     if battery and output is not None:
         raise UsageError("-o fits a battery file and --battery names one: expected one of the two")
+    check_named(output, vehicle)
     check_writable(output, vehicle, reads=sources)
     datasets = [dataset.load(path) for path in sources if path.is_dir()]
     flights = [asked_flight(path, instance, join) for path in sources if not path.is_dir()]

@@ -69,6 +69,12 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = ()) -> 
             raise UsageError(f"{target}: expected a folder that can be written: permission denied")
 
 
+def check_named(*targets: Path | None) -> None:
+    """UsageError for `-`: a battery or vehicle file goes by its name."""
+    if STANDARD_OUTPUT in targets:
+        raise UsageError("-: expected a file name to write")
+
+
 def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) -> None:
     """UsageError when two outputs are one file, or an output is a file that is read."""
     read = {os.path.realpath(path) for path in reads if path is not None}

@@ -159,7 +159,7 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
                 verdict = "inside" if c.inside else "outside"
                 lines.append(
                     f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
-                    f"{c.before_end_s:4.0f} s, error {c.error_s:+5.0f} s, {verdict} the 90 % interval"
+                    f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
                 )
             else:
                 lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
