@@ -29,7 +29,7 @@ def test_the_verdict_comes_first(judged_study: Judged) -> None:
 def test_pages_and_numbers(judged_study: Judged) -> None:
     numbers = json.loads((judged_study.folder / "r.json").read_text(encoding="utf-8"))
     assert numbers["verdict"] == "pass"
-    page = (judged_study.folder / "r.html").read_text(encoding="utf-8")
+    page = (judged_study.folder / "ship/r.html").read_text(encoding="utf-8")
     assert page.lower().startswith("<!doctype html") and "lpab-3s" in page
 
 

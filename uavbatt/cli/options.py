@@ -53,8 +53,11 @@ def stated_pack(
     )
 
 
-def check_writable(*targets: Path | None, reads: Iterable[Path | None] = ()) -> None:
-    """UsageError before any work when an output can not be written, or would overwrite another or what is read."""
+def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), makes: Path | None = None) -> None:
+    """UsageError before any work when an output can not be written, or would overwrite another or what is read.
+
+    `makes` is a folder that the command itself will make.
+    """
     check_apart(targets, reads)
     for target in targets:
         if target is None or target == STANDARD_OUTPUT:
@@ -63,6 +66,8 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = ()) -> 
             raise UsageError(f"{target}: expected a file name to write, it is a directory")
         if target.exists() and not target.is_file():  # it would be replaced by a file, as /dev/null once was
             raise UsageError(f"{target}: expected a file name to write, it is a device or pipe (stdout is `-`)")
+        if target.parent == makes and not makes.exists():
+            continue
         if not target.parent.is_dir():
             raise UsageError(f"{target}: expected an existing folder to write into")
         if not os.access(target.parent, os.W_OK | os.X_OK):

@@ -40,7 +40,7 @@ def validate(
     """
     from uavbatt import dataset as data
 
-    check_writable(report, json_file)
+    check_writable(report, json_file, makes=ship)
     if ship is not None and ship.exists() and not ship.is_dir():
         raise UsageError(f"--ship {ship}: expected a folder")
     tests = data.load(dataset)
@@ -59,6 +59,8 @@ def validate(
     printed = _printed(tests)
     for line in _lines(result):
         say(line, report, json_file)
+    if ship is not None:
+        ship.mkdir(parents=True, exist_ok=True)
     if json_file is not None:
         write_json(json_file, to_builtins(result, printed), indent=1)
     if report is not None:
