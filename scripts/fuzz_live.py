@@ -13,17 +13,14 @@ import random
 import struct
 import sys
 import time
-from collections.abc import Iterator
 from typing import Any
 
+from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery import file
-from uavbatt.config import Config, FeedSection, LinkSection
-from uavbatt.daemon import Daemon
+from uavbatt.config import FeedSection
 from uavbatt.feed.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
-from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.pipeline import PackOptions
 from uavbatt.records import Sample
@@ -32,28 +29,6 @@ from uavbatt.telemetry.live import Row
 CURRENT_A, VOLTAGE_V = 12.0, 16.0
 A_TURN = 50
 GOOD_EVERY_S = 0.2
-
-
-class Line:
-    """A link whose other side is this script."""
-
-    is_stream = False
-
-    def __init__(self) -> None:
-        self.incoming: list[Chunk] = []
-
-    def filenos(self) -> Iterator[int]:
-        return iter(())
-
-    def read(self, now_s: float) -> list[Chunk]:
-        taken, self.incoming = self.incoming, []
-        return taken
-
-    def write(self, data: bytes, now_s: float) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 def mutated(dice: random.Random, good: list[bytes]) -> bytes:
@@ -94,12 +69,10 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
-    dice, line, now_s, start_s = random.Random(args.seed), Line(), 1000.0, time.monotonic()
-    packer: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-    config = Config(link=LinkSection(endpoint="a", gcs=["b"]), feed=FeedSection(kinds=("named", "battery")))
+    dice, start_s = random.Random(args.seed), time.monotonic()
     options = PackOptions(capacity_Ah=5.0, cells=4, forecast_period_s=5.0)
-    daemon = Daemon(config, file.read("lipo-generic"), options, line, [Line()], clock_s=lambda: now_s)
-    rewriter, slipped, forged, rows = Rewriter(soc=True), [], [], 0
+    bench = Bench(options, feed=FeedSection(kinds=("named", "battery")))
+    daemon, rewriter, slipped, forged, rows = bench.daemon, Rewriter(soc=True), [], [], 0
     step = daemon._step
 
     def watched(row: Row, at_s: float) -> None:
@@ -113,27 +86,27 @@ def main() -> int:
             forged.append(estimate)
 
     daemon._step = watched  # type: ignore[method-assign]
-    good: list[bytes] = []
     said: list[Any] = [battery_status(Sample(0.0, VOLTAGE_V, CURRENT_A, 25.0, 0.1), i) for i in (0, 1)]
     said += [heartbeat(True), dialect.MAVLink_sys_status_message(0, 0, 0, 0, 16000, 1200, 70, 0, 0, 0, 0, 0, 0)]
     said += [dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0)]
-    good += [bytes(m.pack(packer)) for m in said] + [bytes(said[0].pack(packer, force_mavlink1=True))]
+    old: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    good = [bench.framed(message) for message in said] + [bytes(said[0].pack(old, force_mavlink1=True))]
     changed = sent_good = 0
-    body = struct.pack(ESTIMATE_LAYOUT, 1, 1, 0, OK, 321.0, 0.5, now_s)
+    body = struct.pack(ESTIMATE_LAYOUT, 1, 1, 0, OK, 321.0, 0.5, bench.now_s)
     for k in range(args.frames // A_TURN):
-        rewriter.take(body[:-8] + struct.pack("<d", now_s))
+        rewriter.take(body[:-8] + struct.pack("<d", bench.now_s))
         for _ in range(A_TURN):
             piece = mutated(dice, good)
-            line.incoming.append((piece, dice.randrange(3)))
-            if rewriter.frame(piece, now_s) != piece and framing.battery_of(piece) is None:
+            bench.link.incoming.append((piece, dice.randrange(3)))
+            if rewriter.frame(piece, bench.now_s) != piece and framing.battery_of(piece) is None:
                 changed += 1
-            rewriter.datagram(piece, now_s)
+            rewriter.datagram(piece, bench.now_s)
         if k % int(GOOD_EVERY_S * 100) == 0:
-            line.incoming += [(good[2], "fc"), (good[0], "fc")]
+            bench.link.incoming += [(good[2], "fc"), (good[0], "fc")]
             sent_good += 1
         daemon.turn()
-        now_s += 0.01
-    shown = {r.instance: r.at(now_s) for r in daemon.board.reports}
+        bench.now_s += 0.01
+    shown = {r.instance: r.at(bench.now_s) for r in daemon.board.reports}
     took_s = time.monotonic() - start_s
     print(f"{args.frames} damaged frames in {took_s:.0f} s: nothing raised; {daemon.board.counts['bad_checksums']} bad")
     print(f"{sent_good} good rows sent, {rows} taken in (a cut frame may be made whole by the piece behind it)")

@@ -21,6 +21,8 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--seconds", type=float, default=1e9)
     args = parser.parse_args()
+    if args.log.suffix.lower() != ".tlog" or not args.log.is_file():
+        parser.error(f"{args.log}: expected a .tlog file")
     link, data = open_link(args.endpoint), args.log.read_bytes()
     position, first_us, start_s = 0, 0, time.monotonic()
     while position + 8 < len(data):

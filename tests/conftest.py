@@ -1,11 +1,36 @@
-"""Fixtures for all tests. The measured data are not part of the repository."""
+"""Fixtures for all tests, and how two processes share the work. The measured data are not part of the repository."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
+
+from command import Judged, called
+
+ASK_FOR_THE_STUDY = {"test_cli_validate", "test_gate", "test_validate", "test_temperature_loop"}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Where two processes share the tests (scripts/test), a file stays in one, for its tests share results.
+
+    So do the files that ask for `judged_study`, and the live tests: two of them at once would make each other late.
+    (`--dist loadgroup` would say this with marks; pytest-xdist 3.8 does not find them under pytest 9.2.)
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            name = Path(nodeid.partition("::")[0]).stem
+            return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
+
+    return ByFile(config, log)
 
 
 @pytest.fixture(scope="session")
@@ -16,3 +41,15 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the measured data are not here: set UAVBATT_DATA to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def judged_study(tmp_path_factory: pytest.TempPathFactory) -> Judged:
+    """One run of the command on the study with every output, half a minute long, for every file that asks about it."""
+    from uavbatt.validation import validate as stage
+
+    judge, found, folder = stage.validate, [], tmp_path_factory.mktemp("judged")
+    with patch.object(stage, "validate", side_effect=lambda *a: found.append(judge(*a)) or found[-1]):
+        done = called("validate", "--ship", "ship", "--report", "ship/r.html", "--json", "r.json", folder=folder)
+    assert done.returncode == 0, done.stderr
+    return Judged(folder, done.stdout, found[0])

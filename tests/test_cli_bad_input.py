@@ -1,63 +1,43 @@
-"""Bad input through the real command: one line on stderr, the right exit code, nothing left behind."""
+"""Bad input through the real command: one line on stderr, the right exit code, nothing left behind.
+
+The many slips are made within this process; `test_as_a_process` shows for some that a process says the same.
+"""
 
 from __future__ import annotations
 
 import os
 import random
 import subprocess
-import sys
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command import UAVBATT, Done, called, run
 
 from uavbatt.battery import file
 
 ROOT = Path(__file__).parents[1]
-UAVBATT = Path(sys.executable).parent / "uavbatt"
 TLOG, BIN = ROOT / "logs/quad_4s.tlog", ROOT / "logs/quad_3s.BIN"
 Call = tuple[str | Path, ...]
+Ask = Callable[..., Done]
 HEAD = "time_s,voltage_V,current_A\n"
 ROWS = "".join(f"{t},{16.0 - 0.01 * t:.2f},12\n" for t in range(30))
-
-
-def run(*call: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200"}
-    return subprocess.run(
-        [str(UAVBATT), *map(str, call)], capture_output=True, text=True, cwd=folder, env=environment, timeout=120
-    )
 
 
 def files(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*")}
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What the command did: its end, and the files before and after."""
-
-    done: subprocess.CompletedProcess[str]
-    before: set[str]
-    after: set[str]
-
-    def assert_refused(self, code: int, words: tuple[str, ...]) -> None:
-        """One line that holds the words, exit code, no traceback, nothing on stdout and no file more than before."""
-        said = self.done.stderr.strip()
-        assert self.done.returncode == code, (self.done.returncode, said)
-        assert said.startswith("uavbatt: ") and "\n" not in said and "Traceback" not in said
-        assert all(word in said for word in words), said
-        assert self.done.stdout == ""
-        assert self.after == self.before
-
-
-def ask(folder: Path, call: Call) -> Answer:
+def assert_refused(folder: Path, call: Call, code: int, words: tuple[str, ...], ask: Ask = called) -> None:
+    """One line that holds the words, exit code, no traceback, nothing on stdout and no file more than before."""
     before = files(folder)
-    return Answer(run(*call, folder=folder), before, files(folder))
-
-
-def assert_refused(folder: Path, call: Call, code: int, words: tuple[str, ...]) -> None:
-    ask(folder, call).assert_refused(code, words)
+    done = ask(*call, folder=folder)
+    said = done.stderr.strip()
+    assert done.returncode == code, (done.returncode, said)
+    assert said.startswith("uavbatt: ") and "\n" not in said and "Traceback" not in said
+    assert all(word in said for word in words), said
+    assert done.stdout == ""
+    assert files(folder) == before
 
 
 def replay(log: Path, *more: str | Path) -> Call:
@@ -101,13 +81,24 @@ SLIPS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
     (("--capacity-ah", "nan"), 2, ("--capacity-ah", "positive")),
     (("--jsonl", "no/such/folder/f.jsonl"), 2, ("no/such/folder/f.jsonl", "existing folder")),
     (("--report", "out"), 2, ("out", "directory")),
+    (("--csv", "out/a.jsonl"), 2, ("out/a.jsonl", "a name of its own")),
+    (("--jsonl", "-", "--csv", "-"), 2, ("-", "a name of its own")),
+    (("--csv", str(TLOG)), 2, (TLOG.name, "is read and would be lost")),
+    (("--vehicle", "out/v.toml", "--report", "out/../out/v.toml"), 2, ("out/v.toml", "is read and would be lost")),
 ]
-OTHERS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
+OTHERS: list[tuple[Call, int, tuple[str, ...]]] = [
     (("simulate", "-o", "out/f.txt"), 2, ("out/f.txt", ".tlog")),
     (("simulate", "-o", "nowhere/f.tlog"), 2, ("nowhere/f.tlog", "existing folder")),
     (("simulate", "-o", "out/f.csv", "--effect", "gremlins=1"), 2, ("gremlins", "one of")),
     (("simulate", "-o", "out/f.csv", "--effect", "weak_cell=9"), 2, ("weak_cell", "deficit")),
     (("simulate", "-o", "out/f.csv", "--effect", "weak_cell"), 2, ("weak_cell", "NAME=VALUE")),
+    (("diagnose", TLOG, "--battery", "lipo-generic", "--json", TLOG), 2, (TLOG.name, "would be lost")),
+    (("fit", TLOG, "--vehicle", TLOG), 2, (TLOG.name, "would be lost")),
+    (("fit", TLOG, "-o", "-"), 2, ("-: ", "a file name")),
+    (("diagnose", TLOG, "--battery", "lipo-generic", "-o", "-"), 2, ("-: ", "a file name")),
+    (("plan", "--like", TLOG, "--report", TLOG), 2, (TLOG.name, "would be lost")),
+    (("live", "udpin:127.0.0.1:1", "--record", TLOG), 2, ("--record", TLOG.name, "a folder")),
+    (("live", "udpin:127.0.0.1:1", "--state", "out"), 2, ("--state out", "a file")),
     (("validate", "nowhere"), 1, ("nowhere", "expected")),
     (("validate", "out"), 1, ("out", "battery.toml")),
     (("validate", "--report", "no/such/f.html"), 2, ("no/such/f.html", "existing folder")),
@@ -116,29 +107,26 @@ OTHERS: list[tuple[tuple[str, ...], int, tuple[str, ...]]] = [
 CASES: dict[str, tuple[Call, int, tuple[str, ...]]] = {
     **{case: (replay(Path(name)), 1, (name, "expected", *words)) for case, (name, _, words) in BYTES.items()},
     **{" ".join(more): (replay(TLOG, *more), code, words) for more, code, words in SLIPS},
-    **{" ".join(call): (call, code, words) for call, code, words in OTHERS},
+    **{" ".join(map(str, call)): (call, code, words) for call, code, words in OTHERS},
 }
 
 
-@pytest.fixture(scope="module")
-def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Future[Answer]]:
-    """All cases, two at a time, each in a folder of its own with its bad file and an empty out/."""
-    asked = {}
-    with ThreadPoolExecutor(2) as pool:
-        for case, (call, _, _) in CASES.items():
-            folder = tmp_path_factory.mktemp("case")
-            (folder / "out").mkdir()
-            if case in BYTES:
-                name, data, _ = BYTES[case]
-                (folder / name).write_bytes(data)
-            asked[case] = pool.submit(ask, folder, call)
-    return asked
+def made(case: str, folder: Path) -> tuple[Call, int, tuple[str, ...]]:
+    """The case, its bad file written."""
+    if case in BYTES:
+        name, data, _ = BYTES[case]
+        (folder / name).write_bytes(data)
+    return CASES[case]
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_input_is_named_in_one_line(case: str, answers: dict[str, Future[Answer]]) -> None:
-    _, code, words = CASES[case]
-    answers[case].result().assert_refused(code, words)
+def test_bad_input_is_named_in_one_line(case: str, folder: Path) -> None:
+    assert_refused(folder, *made(case, folder))
+
+
+@pytest.mark.parametrize("case", ["png", "nan", "--load nonsense", "simulate -o out/f.txt", "validate out"])
+def test_as_a_process(case: str, folder: Path) -> None:
+    assert_refused(folder, *made(case, folder), ask=run)
 
 
 @pytest.mark.parametrize("command", ["replay", "info"])
@@ -223,6 +211,34 @@ def test_several_logs(folder: Path) -> None:
     (folder / "b/f.csv").rename(folder / "b/g.csv")
     both = ("replay", "a/f.csv", "b/g.csv", "--capacity-ah", "5")
     assert_refused(folder, (*both, "--csv", "taken"), 2, ("taken", "a folder"))
+
+
+def test_several_logs_never_overwrite_one_of_themselves(folder: Path) -> None:
+    for name in ("f", "g"):
+        (folder / f"{name}.csv").write_text(HEAD + ROWS)
+    both = ("replay", "f.csv", "g.csv", "--capacity-ah", "5")
+    assert_refused(folder, (*both, "--csv", "."), 2, ("f.csv", "would be lost"))
+    assert_refused(folder, (*both, "--jsonl", "-"), 2, ("-", "a folder"))
+    assert (folder / "f.csv").read_text() == HEAD + ROWS
+
+
+def test_a_pipe_or_a_device_is_not_replaced_by_a_file(folder: Path) -> None:
+    os.mkfifo(folder / "out/pipe")
+    assert_refused(folder, replay(TLOG, "--report", "out/pipe"), 2, ("out/pipe", "a device or pipe", "`-`"))
+    assert (folder / "out/pipe").is_fifo()
+
+
+def test_a_folder_that_may_not_be_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)  # who runs the tests may be allowed everything
+    assert_refused(folder, ("simulate", "-o", "out/f.csv"), 2, ("out/f.csv", "can be written"))
+
+
+def test_a_disk_that_is_full(folder: Path) -> None:
+    """A limit on the size of files stands for it: one line, and no half-written log."""
+    command = f"ulimit -f 8; exec '{UAVBATT}' simulate -o out/f.csv"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=folder, timeout=60)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1 and "File too large" in done.stderr
+    assert files(folder) == {"out"}
 
 
 @pytest.mark.parametrize("call", [("replay",), ("no-such-command",), ("replay", "f", "--cells", "many")])

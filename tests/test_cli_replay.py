@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command import UAVBATT, run
 
 from uavbatt import __version__
 from uavbatt.feed.sinks import COLUMNS
 
 ROOT = Path(__file__).parents[1]
-UAVBATT = Path(sys.executable).parent / "uavbatt"
 LOG = ROOT / "logs/hexa_6s_cold.csv"
 PACK = ("--capacity-ah", "5")
-
-
-def run(*call: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        [str(UAVBATT), *map(str, call)], capture_output=True, text=True, cwd=folder, env=environment, timeout=120
-    )
 
 
 @pytest.fixture(scope="module")

@@ -3,50 +3,33 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-import pytest
+from command import Judged, run
 
 from uavbatt.battery import file
 
-UAVBATT = Path(sys.executable).parent / "uavbatt"
+
+def test_every_output_is_there_and_nothing_else(judged_study: Judged) -> None:
+    left = {p.name for p in judged_study.folder.rglob("*")}
+    assert left == {"ship", "lpab-3s.battery.toml", "r.html", "r.json"}
 
 
-def run(*call: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    return subprocess.run(
-        [str(UAVBATT), *map(str, call)], capture_output=True, text=True, cwd=folder, env=environment, timeout=300
-    )
-
-
-@pytest.fixture(scope="module")
-def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """One run on the study with every output; (folder, stdout)."""
-    folder = tmp_path_factory.mktemp("judged")
-    done = run("validate", "--ship", "ship", "--report", "r.html", "--json", "r.json", folder=folder)
-    assert done.returncode == 0 and "Traceback" not in done.stderr
-    assert {p.name for p in folder.rglob("*")} == {"ship", "lpab-3s.battery.toml", "r.html", "r.json"}
-    return folder, done.stdout
-
-
-def test_the_packaged_battery_can_be_reproduced(judged: tuple[Path, str]) -> None:
+def test_the_packaged_battery_can_be_reproduced(judged_study: Judged) -> None:
     """Otherwise: run scripts/package_batteries and commit what it writes."""
-    shipped, packaged = file.read(judged[0] / "ship/lpab-3s.battery.toml"), file.read("lpab-3s")
+    shipped, packaged = file.read(judged_study.folder / "ship/lpab-3s.battery.toml"), file.read("lpab-3s")
     assert shipped.certificate.content_sha256 == packaged.certificate.content_sha256
 
 
-def test_the_verdict_comes_first(judged: tuple[Path, str]) -> None:
-    assert judged[1].startswith("lpab-3s: PASS at 25 °C")
-    assert "not enough data  reproducibility" in judged[1]
+def test_the_verdict_comes_first(judged_study: Judged) -> None:
+    assert judged_study.stdout.startswith("lpab-3s: PASS at 25 °C")
+    assert "not enough data  reproducibility" in judged_study.stdout
 
 
-def test_pages_and_numbers(judged: tuple[Path, str]) -> None:
-    numbers = json.loads((judged[0] / "r.json").read_text(encoding="utf-8"))
+def test_pages_and_numbers(judged_study: Judged) -> None:
+    numbers = json.loads((judged_study.folder / "r.json").read_text(encoding="utf-8"))
     assert numbers["verdict"] == "pass"
-    page = (judged[0] / "r.html").read_text(encoding="utf-8")
+    page = (judged_study.folder / "ship/r.html").read_text(encoding="utf-8")
     assert page.lower().startswith("<!doctype html") and "lpab-3s" in page
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command import Judged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -27,8 +28,8 @@ def study() -> DataSet:
 
 
 @pytest.fixture(scope="module")
-def held(study: DataSet) -> HeldOut:
-    return heldout.circuit(study)
+def held(judged_study: Judged) -> HeldOut:
+    return judged_study.found.held
 
 
 def claims(study: DataSet, held: HeldOut) -> list[gate.Claim]:

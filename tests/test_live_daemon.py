@@ -8,7 +8,7 @@ import random
 from pathlib import Path
 
 import pytest
-from live_rig import Bench
+from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file

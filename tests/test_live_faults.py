@@ -13,7 +13,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from live_rig import ROOT, Bench
+from daemon_bench import Bench
+from live_rig import ROOT
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file, model

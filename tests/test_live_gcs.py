@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from live_rig import Bench, free_port
+from daemon_bench import Bench
+from live_rig import free_port
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.config import HttpSection

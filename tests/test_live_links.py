@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from live_rig import OPTIONS, ROOT, Bench, FakeLink, Vehicle, free_port, until
+from daemon_bench import OPTIONS, Bench, FakeLink
+from live_rig import ROOT, Vehicle, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from live_rig import PROGRAM, Bench, Station, Vehicle, free_port, manager_at, running, until
+from daemon_bench import Bench
+from live_rig import PROGRAM, Station, Vehicle, free_port, manager_at, running, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.mavlink.tlog_writer import battery_status

@@ -17,7 +17,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from live_rig import ROOT, Bench, FakeLink, Station, Vehicle, free_port, manager_at, running, until
+from daemon_bench import Bench, FakeLink
+from live_rig import ROOT, Station, Vehicle, free_port, manager_at, running, until
 
 from uavbatt import config
 from uavbatt.config import Config, LinkSection, RecordSection

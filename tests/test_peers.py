@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
-from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 import pytest
+from peers import ardupilot, columns, inav, px4
 
 from uavbatt.records import NAN, Sample
-
-
-def peer(name: str) -> Any:
-    """A module of scripts/peers, which is no part of the installed package."""
-    scripts = str(Path(__file__).resolve().parents[1] / "scripts")
-    if scripts not in sys.path:
-        sys.path.insert(0, scripts)
-    return importlib.import_module(f"peers.{name}")
-
-
-px4, ardupilot, inav, columns = (peer(name) for name in ("px4", "ardupilot", "inav", "columns"))
 
 
 def steady(seconds: int, voltage_V: float, current_A: float, step_s: float = 1.0) -> list[Sample]:
@@ -111,7 +98,7 @@ def test_inav_impedance_from_steps() -> None:
 
 
 @pytest.mark.parametrize("module", [px4, ardupilot, inav])
-def test_every_peer_sees_the_past_only(module: Any) -> None:
+def test_every_peer_sees_the_past_only(module: ModuleType) -> None:
     rng = np.random.default_rng(3)
     samples = [Sample(2.0 * t, 15.5 - 0.005 * t, float(rng.uniform(5, 20))) for t in range(60)]
     whole, part = module.predict(samples, 5.0, 4), module.predict(samples[:40], 5.0, 4)
@@ -120,7 +107,7 @@ def test_every_peer_sees_the_past_only(module: Any) -> None:
 
 
 @pytest.mark.parametrize("module", [ardupilot, inav])
-def test_no_current_no_time(module: Any) -> None:
+def test_no_current_no_time(module: ModuleType) -> None:
     assert np.all(np.isnan(module.predict(steady(10, 15.0, NAN), 5.0, 4)))
 
 

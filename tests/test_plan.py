@@ -121,6 +121,12 @@ def run(*arguments: str) -> tuple[int, str]:
 PACK = ("--cells", "4", "--capacity-ah", "5")
 
 
+def test_json_on_stdout_is_nothing_but_json() -> None:
+    call = [*PACK, "--power-w", "250", "--json", "-"]
+    done = CliRunner().invoke(app, ["plan", *call])
+    assert json.loads(done.stdout)["load"] == "250 W" and "at 20 °C" in done.stderr
+
+
 def test_the_command(tmp_path: Path) -> None:
     page, summary = tmp_path / "plan.html", tmp_path / "plan.json"
     code, said = run(*PACK, "--power-w", "250", "--ambient-c", "5", "--report", str(page), "--json", str(summary))

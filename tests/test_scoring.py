@@ -1,18 +1,17 @@
-"""The scores as they are run, and what a forecast must show for them to mean anything (issue C)."""
+"""The scores as they are run, and what a forecast must show for them to mean anything."""
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+import score
+from scoring import data, lines, m100, m100_tables, table, truth
 
 from uavbatt import simulate
 from uavbatt.battery import file
@@ -26,19 +25,6 @@ from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.records import Flight
 from uavbatt.replay import Step, steps
 from uavbatt.simulate import Mission, fly, with_effects
-
-
-def script(name: str) -> Any:
-    """A module of scripts/, which is no part of the installed package."""
-    scripts = str(Path(__file__).resolve().parents[1] / "scripts")
-    if scripts not in sys.path:
-        sys.path.insert(0, scripts)
-    return importlib.import_module(name)
-
-
-data, lines, m100, m100_tables, table, truth = (
-    script(f"scoring.{name}") for name in ("data", "lines", "m100", "m100_tables", "table", "truth")
-)
 
 # --- tables ------------------------------------------------------------------------------------------------------
 
@@ -116,7 +102,7 @@ def test_the_tables_of_the_benchmark() -> None:
 
 def test_no_data_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("UAVBATT_DATA", "/nowhere/at/all")
-    assert script("score").main(["--only", "truth"]) == 1
+    assert score.main(["--only", "truth"]) == 1
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and "UAVBATT_DATA" in said.err
 

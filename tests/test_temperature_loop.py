@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import Judged
 
 from uavbatt import dataset
 from uavbatt.fitting import prior
@@ -21,8 +22,8 @@ COLD = np.array([-20.0, -17.0, -15.0, -10.0, -5.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def loop() -> TemperatureLoop:
-    found = temperatures.close_loop(dataset.load(), Limits())
+def loop(judged_study: Judged) -> TemperatureLoop:
+    found = judged_study.found.temperatures
     assert found is not None
     return found
 

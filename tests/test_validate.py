@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import Judged
 
 from uavbatt import dataset
 from uavbatt.battery import file as battery_file
@@ -20,8 +21,8 @@ from uavbatt.validation.validate import Validation, validate
 
 
 @pytest.fixture(scope="module")
-def study() -> Validation:
-    return validate(dataset.load(), close_loop=False)
+def study(judged_study: Judged) -> Validation:
+    return judged_study.found
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,9 @@ def main() -> None:
     except BrokenPipeError:  # `uavbatt ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as error:  # a disk that is full, a file that nobody may read
+        print(f"uavbatt: {error.filename or 'input or output'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(1)
     except KeyboardInterrupt:
         print("uavbatt: interrupted", file=sys.stderr)
         sys.exit(130)

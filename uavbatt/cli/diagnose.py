@@ -11,12 +11,15 @@ import typer
 
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
+    BatteryOption,
     CapacityOption,
     CellsOption,
     CutoffOption,
     UncertifiedOption,
+    check_named,
     check_writable,
-    known,
+    say,
+    stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
 
@@ -26,12 +29,13 @@ if TYPE_CHECKING:
     from uavbatt.fitting.observed import Observed
     from uavbatt.loop.close import Closed
     from uavbatt.loop.diagnosis import Diagnosis
+    from uavbatt.pipeline import PackOptions
     from uavbatt.records import Flight
 
 
 def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="LOG|DATASET...", help="Flight logs and data-set folders.")],
-    battery: Annotated[str, typer.Option("--battery", help="Packaged battery by name, or a battery file.")],
+    battery: BatteryOption,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
     cutoff_voltage: CutoffOption = None,
@@ -53,12 +57,13 @@ def diagnose(
     from uavbatt.json_file import write_json
     from uavbatt.telemetry import read_log
 
-    check_writable(json_file, report, output)
+    check_named(output)
+    check_writable(json_file, report, output, reads=sources)
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
         raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
     content = file.read(battery, allow_uncertified=allow_uncertified)
-    stated = (cells, known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
+    stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = _distinct([read_log(p, instance) for p in sources if not p.is_dir()])
     try:
@@ -69,7 +74,7 @@ def diagnose(
         raise
     path = str(file.write(new, output)) if output is not None else None
     for line in _lines(found, closed):
-        typer.echo(line)
+        say(line, json_file, report)
     if json_file is not None:
         write_json(json_file, _as_json(found, closed, path))
     if report is not None:
@@ -77,16 +82,16 @@ def diagnose(
         from uavbatt.report import diagnosis as page
 
         page.write(report, inputs(found, closed, content, new))
-        typer.echo(f"report: {report}")
+        say(f"report: {report}", json_file, report)
     if path is not None:
-        typer.echo(f"{path}: {new.certificate.status}")
+        say(f"{path}: {new.certificate.status}", json_file, report)
 
 
 def _run(
     content: BatteryFile,
     datasets: list[DataSet],
     flights: list[Flight],
-    stated: tuple[int | None, float, float],
+    stated: PackOptions,
     without: tuple[str, ...],
     gate: Path | None,
 ) -> tuple[Diagnosis, Closed, BatteryFile]:
@@ -137,22 +142,18 @@ def _distinct(flights: list[Flight]) -> list[Flight]:
     return flights
 
 
-def _size(
-    name: str, flight: Flight, content: BatteryFile, stated: tuple[int | None, float, float]
-) -> tuple[int, float, float]:
+def _size(name: str, flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
     """Cells, capacity [Ah], cut-off [V]: stated, else the vehicle's, else the battery file's."""
     facts = flight.facts_at(math.inf)
     typed = content.battery
     volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
     guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
-    series = stated[0] or facts.cells_series or guess
+    series = stated.cells or facts.cells_series or guess
     return series, *_rest(name, series, facts.capacity_Ah, facts.critical_voltage_V, content, stated)
 
 
-def _size_of(
-    dataset: DataSet, content: BatteryFile, stated: tuple[int | None, float, float]
-) -> tuple[int, float, float]:
-    series = stated[0] or dataset.cells_series
+def _size_of(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
+    series = stated.cells or dataset.cells_series
     return series, *_rest(dataset.path, series, dataset.capacity_Ah or math.nan, dataset.cutoff_V, content, stated)
 
 
@@ -162,14 +163,14 @@ def _rest(
     capacity_Ah: float,
     cutoff_V: float,
     content: BatteryFile,
-    stated: tuple[int | None, float, float],
+    stated: PackOptions,
 ) -> tuple[float, float]:
     typed = content.battery
-    capacities = (stated[1], capacity_Ah, typed.capacity_Ah if typed.capacity_Ah else math.nan)
+    capacities = (stated.capacity_Ah, capacity_Ah, typed.capacity_Ah if typed.capacity_Ah else math.nan)
     capacity = next((q for q in capacities if math.isfinite(q)), None)
     if capacity is None:
         raise UsageError(f"{name}: capacity: neither the vehicle nor the battery file states it: give --capacity-ah")
-    cutoffs = (stated[2], cutoff_V, typed.cutoff_V * series / typed.cells_series)
+    cutoffs = (stated.cutoff_V, cutoff_V, typed.cutoff_V * series / typed.cells_series)
     return round(capacity, 4), round(next(v for v in cutoffs if math.isfinite(v)), 3)
 
 

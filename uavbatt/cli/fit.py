@@ -15,13 +15,15 @@ from uavbatt.cli.options import (
     CellsOption,
     CutoffOption,
     UncertifiedOption,
+    check_named,
     check_writable,
-    known,
+    stated_pack,
 )
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.file import BatteryFile
+    from uavbatt.pipeline import PackOptions
     from uavbatt.records import Flight
 
 
@@ -46,15 +48,16 @@ def fit(
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
     if battery and output is not None:
         raise UsageError("-o fits a battery file and --battery names one: expected one of the two")
-    check_writable(output, vehicle)
+    check_named(output, vehicle)
+    check_writable(output, vehicle, reads=sources)
     datasets = [dataset.load(path) for path in sources if path.is_dir()]
     flights = [asked_flight(path, instance, join) for path in sources if not path.is_dir()]
-    stated = (cells, known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
+    stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = file.read(battery, allow_uncertified=allow_uncertified)
     else:
         name = (output or vehicle or Path("fitted")).name.split(".")[0]
-        size = size_of(name, datasets, flights, *stated)
+        size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
         print(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...", file=sys.stderr)
         found = fit_battery(size, datasets, flights)
         content = found.file
@@ -68,20 +71,13 @@ def fit(
         typer.echo(_vehicle(vehicle, content, flights, stated))
 
 
-def _vehicle(
-    path: Path,
-    content: BatteryFile,
-    flights: list[Flight],
-    stated: tuple[int | None, float, float],
-) -> str:
+def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> str:
     from uavbatt.battery import vehicle as vehicle_file
     from uavbatt.fitting.vehicle import vehicle_file as learn
-    from uavbatt.pipeline import PackOptions
 
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
-    options = PackOptions(cells=stated[0], capacity_Ah=stated[1], cutoff_V=stated[2])
-    learned = learn(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, options)
+    learned = learn(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
     vehicle_file.write(learned, path)
     phases = learned.phases
     return (

@@ -20,7 +20,7 @@ from uavbatt.cli.options import (
     CutoffOption,
     ReserveOption,
     UncertifiedOption,
-    known,
+    stated_pack,
 )
 from uavbatt.errors import UavbattError, UsageError
 
@@ -63,16 +63,10 @@ def fleet(
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import find
-    from uavbatt.pipeline import PackOptions
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
-    options = PackOptions(
-        cells=cells,
-        capacity_Ah=known(capacity_ah, "--capacity-ah"),
-        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
-        reserve_soc=reserve_soc,
-    )
+    options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     job = Job(file.read(battery, allow_uncertified=allow_uncertified), options, _pattern(aircraft))
     found = find(logs)
     flown = 0

@@ -11,7 +11,7 @@ from uavbatt.cli.logs import InstanceOption
 
 
 def info(
-    log: Annotated[Path, typer.Argument(metavar="LOG")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="DataFlash, tlog, ulg or CSV.")],
     instance: InstanceOption = None,
 ) -> None:
     """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted."""

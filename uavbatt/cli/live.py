@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from uavbatt.cli.live_process import CONFIG_VARIABLE
-from uavbatt.cli.options import known
+from uavbatt.cli.options import BATTERY, RESERVE, UNCERTIFIED, CapacityOption, CellsOption, CutoffOption, known
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -24,12 +24,12 @@ def live(
     gcs: Annotated[list[str] | None, typer.Option("--gcs", help="Where a ground station is.")] = None,
     feed: Annotated[list[str] | None, typer.Option("--feed", help="proxy, battery or named; may be repeated.")] = None,
     http: Annotated[str | None, typer.Option("--http", help="HOST:PORT of the page for a browser.")] = None,
-    battery: Annotated[str | None, typer.Option("--battery", help="Packaged battery, or a battery file.")] = None,
-    cells: Annotated[int | None, typer.Option("--cells", min=1, max=100, help="Cells in series.")] = None,
-    capacity_ah: Annotated[float | None, typer.Option("--capacity-ah", help="Capacity of the pack [Ah].")] = None,
-    cutoff_voltage: Annotated[float | None, typer.Option("--cutoff-voltage", help="Ends the flight [V].")] = None,
-    reserve_soc: Annotated[float | None, typer.Option("--reserve-soc", min=0.0, max=0.99)] = None,
-    allow_uncertified: Annotated[bool | None, typer.Option("--allow-uncertified")] = None,
+    battery: Annotated[str | None, BATTERY] = None,
+    cells: CellsOption = None,
+    capacity_ah: CapacityOption = None,
+    cutoff_voltage: CutoffOption = None,
+    reserve_soc: Annotated[float | None, RESERVE] = None,
+    allow_uncertified: Annotated[bool | None, UNCERTIFIED] = None,
     instance: Annotated[int | None, typer.Option("--instance", min=0, max=255, help="Only this battery.")] = None,
     vehicle: Annotated[str | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew.")] = None,
     load: Annotated[str | None, typer.Option("--load", help="learned, recent or watts.")] = None,
@@ -37,7 +37,7 @@ def live(
     state: Annotated[str | None, typer.Option("--state", metavar="FILE", help="State that survives a crash.")] = None,
     request: Annotated[bool | None, typer.Option("--request", help="Ask the autopilot for rate, parameters.")] = None,
     system: Annotated[int | None, typer.Option("--system", min=1, max=255, help="Only this vehicle.")] = None,
-    component: Annotated[int | None, typer.Option("--component", min=1, max=255)] = None,
+    component: Annotated[int | None, typer.Option("--component", min=1, max=255, help="Only this part of it.")] = None,
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
 ) -> None:
     """Estimate in flight: telemetry in, time left out (scripts/uavbatt.toml says more)."""
@@ -59,7 +59,9 @@ def live(
     for kind in feed or []:
         if kind not in ("proxy", "battery", "named"):
             raise UsageError(f"--feed {kind}: expected proxy, battery or named")
-    _become(checked(_overridden(read(config), given)))
+    merged = checked(_overridden(read(config), given))
+    _check_places(merged)
+    _become(merged)
 
 
 def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
@@ -71,6 +73,15 @@ def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
         for name, keys in given.items()
     }
     return replace(config, **sections)
+
+
+def _check_places(config: Config) -> None:
+    """UsageError when the folder of the recordings is a file, or the state's file a folder."""
+    folder, state = config.record.folder, config.state.file
+    if folder and Path(folder).exists() and not Path(folder).is_dir():
+        raise UsageError(f"--record {folder}: expected a folder, it is a file")
+    if state and Path(state).is_dir():
+        raise UsageError(f"--state {state}: expected a file, it is a folder")
 
 
 def _become(config: Config) -> None:

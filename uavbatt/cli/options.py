@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavbatt.errors import UsageError
 from uavbatt.records import NAN
 
-BatteryOption = Annotated[str, typer.Option("--battery", help="Packaged battery by name, or a battery file.")]
+if TYPE_CHECKING:
+    from uavbatt.pipeline import PackOptions
+
+BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
+RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
+UNCERTIFIED = typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
+BatteryOption = Annotated[str, BATTERY]
 CellsOption = Annotated[int | None, typer.Option("--cells", min=1, max=100, help="Cells in series.")]
 CapacityOption = Annotated[float | None, typer.Option("--capacity-ah", help="Capacity of the pack [Ah].")]
 CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pack voltage that ends the flight [V].")]
-ReserveOption = Annotated[
-    float, typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
-]
-UncertifiedOption = Annotated[
-    bool, typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
-]
+ReserveOption = Annotated[float, RESERVE]
+UncertifiedOption = Annotated[bool, UNCERTIFIED]
+AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+STANDARD_OUTPUT = Path("-")
 DEFAULT_BATTERY = "lipo-generic"
 
 
@@ -33,12 +39,62 @@ def known(value: float | None, option: str) -> float:
     return value
 
 
-def check_writable(*targets: Path | None) -> None:
-    """UsageError before any work when an output can not be written: its folder must exist."""
+def stated_pack(
+    cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
+) -> PackOptions:
+    """What the options state of the pack, for the estimator; UsageError when it cannot be."""
+    from uavbatt.pipeline import PackOptions
+
+    return PackOptions(
+        cells=cells,
+        capacity_Ah=known(capacity_ah, "--capacity-ah"),
+        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
+        reserve_soc=reserve_soc,
+    )
+
+
+def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), makes: Path | None = None) -> None:
+    """UsageError before any work when an output can not be written, or would overwrite another or what is read.
+
+    `makes` is a folder that the command itself will make.
+    """
+    check_apart(targets, reads)
     for target in targets:
-        if target is None or str(target) == "-":
+        if target is None or target == STANDARD_OUTPUT:
             continue
         if target.is_dir():
             raise UsageError(f"{target}: expected a file name to write, it is a directory")
+        if target.exists() and not target.is_file():  # it would be replaced by a file, as /dev/null once was
+            raise UsageError(f"{target}: expected a file name to write, it is a device or pipe (stdout is `-`)")
+        if target.parent == makes and not makes.exists():
+            continue
         if not target.parent.is_dir():
             raise UsageError(f"{target}: expected an existing folder to write into")
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise UsageError(f"{target}: expected a folder that can be written: permission denied")
+
+
+def check_named(*targets: Path | None) -> None:
+    """UsageError for `-`: a battery or vehicle file goes by its name."""
+    if STANDARD_OUTPUT in targets:
+        raise UsageError("-: expected a file name to write")
+
+
+def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) -> None:
+    """UsageError when two outputs are one file, or an output is a file that is read."""
+    read = {os.path.realpath(path) for path in reads if path is not None}
+    taken: set[str] = set()
+    for target in targets:
+        if target is None:
+            continue
+        name = "-" if target == STANDARD_OUTPUT else os.path.realpath(target)
+        if name in taken:
+            raise UsageError(f"{target}: expected a name of its own for each output")
+        if name in read:
+            raise UsageError(f"{target}: expected another name to write, it is read and would be lost")
+        taken.add(name)
+
+
+def say(line: str, *outputs: Path | None) -> None:
+    """A line for a person: on stdout, but on stderr when an output goes there, which is nothing but data then."""
+    typer.echo(line, err=STANDARD_OUTPUT in outputs)

@@ -12,6 +12,7 @@ import typer
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
+    AmbientOption,
     BatteryOption,
     CapacityOption,
     CellsOption,
@@ -20,6 +21,8 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_writable,
     known,
+    say,
+    stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
 
@@ -38,8 +41,10 @@ def plan(
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
     ] = None,
-    ambient_c: Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0)] = 20.0,
-    start_soc: Annotated[float, typer.Option("--start-soc", min=0.01, max=1.0)] = 1.0,
+    ambient_c: AmbientOption = 20.0,
+    start_soc: Annotated[
+        float, typer.Option("--start-soc", min=0.01, max=1.0, help="State of charge at take-off, 0..1.")
+    ] = 1.0,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
     cutoff_voltage: CutoffOption = None,
@@ -52,21 +57,19 @@ def plan(
     """Endurance before take-off, with its interval, and a table over ambient temperature."""
     from uavbatt import plan as planning
     from uavbatt.battery import file
-    from uavbatt.pipeline import PackOptions
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
         raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
-    check_writable(report, summary)
+    check_writable(report, summary, reads=(like, vehicle))
     content = file.read(battery, allow_uncertified=allow_uncertified)
-    stated = (known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage"))
-    options = PackOptions(cells=cells, capacity_Ah=stated[0], cutoff_V=stated[1], reserve_soc=reserve_soc)
+    options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = planning.resolve(content, options, flight)
     load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
     found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc)
     for line in _lines(found):
-        typer.echo(line)
+        say(line, report, summary)
     if report is not None:
         _write_report(report, found)
     if summary is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,14 +14,17 @@ import typer
 from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
+    STANDARD_OUTPUT,
     BatteryOption,
     CapacityOption,
     CellsOption,
     CutoffOption,
     ReserveOption,
     UncertifiedOption,
+    check_apart,
     check_writable,
-    known,
+    say,
+    stated_pack,
 )
 from uavbatt.errors import UsageError
 
@@ -33,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def replay(
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="DataFlash, tlog, ulg or CSV.")],
     battery: BatteryOption = DEFAULT_BATTERY,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
@@ -55,24 +59,23 @@ def replay(
     """
     from uavbatt.battery import file
     from uavbatt.battery import vehicle as vehicle_file
-    from uavbatt.pipeline import PackOptions
 
     several = len(logs) > 1
+    targets = [[_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)] for log in logs]
+    outputs = [summary, *(target for of_one in targets for target in of_one)]
     if several:
-        _check_folders(logs, jsonl, csv, report)
-    check_writable(summary, *([] if several else [jsonl, csv, report]))
+        _check_names(logs, jsonl, csv, report)
+        check_apart(outputs, reads=[*logs, vehicle])
+        for folder in (jsonl, csv, report):
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+    check_writable(*outputs, reads=[*logs, vehicle])
     content = file.read(battery, allow_uncertified=allow_uncertified)
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
-    options = PackOptions(
-        cells=cells,
-        capacity_Ah=known(capacity_ah, "--capacity-ah"),
-        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
-        reserve_soc=reserve_soc,
-    )
+    options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results = []
-    for log in logs:
-        targets = [_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)]
-        results.append(_one(log, content, options, (load, flown), (instance, join), *targets))
+    for log, of_one in zip(logs, targets, strict=True):
+        results.append(_one(log, content, options, (load, flown), (instance, join), (*of_one, summary)))
     if summary is not None:
         from uavbatt.json_file import write_json
 
@@ -85,10 +88,9 @@ def _one(
     options: PackOptions,
     load: tuple[str, VehicleFile | None],
     chosen: tuple[int | None, str],
-    jsonl: Path | None,
-    csv: Path | None,
-    report: Path | None,
+    outputs: Sequence[Path | None],
 ) -> dict[str, Any]:
+    """One log: its lines, table and page written, its summary told and given back."""
     from dataclasses import replace as changed
 
     from uavbatt.cli.loads import stated_load
@@ -97,6 +99,7 @@ def _one(
     from uavbatt.replay import outcome, steps
     from uavbatt.telemetry.recording import forecast_period_s
 
+    jsonl, csv, report = outputs[:3]
     flight = asked_flight(log, *chosen)
     period_s = forecast_period_s(log)
     if math.isfinite(period_s):
@@ -119,7 +122,7 @@ def _one(
 
             flight_page.write(report, flight, run, resolved, found, content)
     for line in _lines(flight, resolved, found, run):
-        typer.echo(line, err=Path("-") in (jsonl, csv, report))  # lines on stdout are nothing but lines
+        say(line, *outputs)
     return _summary(flight, resolved, found, run, content)
 
 
@@ -156,7 +159,7 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
                 verdict = "inside" if c.inside else "outside"
                 lines.append(
                     f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
-                    f"{c.before_end_s:4.0f} s, error {c.error_s:+5.0f} s, {verdict} the 90 % interval"
+                    f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
                 )
             else:
                 lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
@@ -212,12 +215,11 @@ def _target(path: Path | None, log: Path, ending: str, several: bool) -> Path | 
     return path / (log.stem + ending) if path is not None and several else path
 
 
-def _check_folders(logs: list[Path], *folders: Path | None) -> None:
+def _check_names(logs: list[Path], *folders: Path | None) -> None:
     if len({log.stem for log in logs}) < len(logs) and any(folders):
         raise UsageError("several logs of one name: expected different names, one output file is written for each")
     for folder in folders:
         if folder is None:
             continue
-        if folder.exists() and not folder.is_dir():
+        if folder == STANDARD_OUTPUT or (folder.exists() and not folder.is_dir()):
             raise UsageError(f"{folder}: expected a folder, several logs write one file each")
-        folder.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ import typer
 
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
+    AmbientOption,
     BatteryOption,
     CapacityOption,
     CellsOption,
@@ -25,11 +26,13 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="FILE.tlog, FILE.BIN or FILE.csv")],
     battery: BatteryOption = DEFAULT_BATTERY,
     power_w: Annotated[float, typer.Option("--power-w", min=1.0, help="Mean power of the flight [W].")] = 200.0,
-    ambient_c: Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0)] = 20.0,
-    start_soc: Annotated[float, typer.Option("--start-soc", min=0.05, max=1.0)] = 1.0,
+    ambient_c: AmbientOption = 20.0,
+    start_soc: Annotated[
+        float, typer.Option("--start-soc", min=0.05, max=1.0, help="State of charge at take-off, 0..1.")
+    ] = 1.0,
     effect: Annotated[list[str] | None, typer.Option("--effect", help="NAME=VALUE, may be repeated.")] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 1,
-    rate_hz: Annotated[float, typer.Option("--rate-hz", min=0.05, max=50.0)] = 2.0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed, the same log.")] = 1,
+    rate_hz: Annotated[float, typer.Option("--rate-hz", min=0.05, max=50.0, help="Rows of telemetry a second.")] = 2.0,
     cells: CellsOption = 4,
     capacity_ah: CapacityOption = 5.0,
     cutoff_voltage: CutoffOption = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.options import check_writable
+from uavbatt.cli.options import check_writable, say
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def validate(
     """
     from uavbatt import dataset as data
 
-    check_writable(report, json_file)
+    check_writable(report, json_file, makes=ship)
     if ship is not None and ship.exists() and not ship.is_dir():
         raise UsageError(f"--ship {ship}: expected a folder")
     tests = data.load(dataset)
@@ -58,19 +58,21 @@ def validate(
     result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s))
     printed = _printed(tests)
     for line in _lines(result):
-        typer.echo(line)
+        say(line, report, json_file)
+    if ship is not None:
+        ship.mkdir(parents=True, exist_ok=True)
     if json_file is not None:
         write_json(json_file, to_builtins(result, printed), indent=1)
     if report is not None:
         from uavbatt.validation import page
 
         page.write(report, result, printed)
-        typer.echo(f"report: {report}")
+        say(f"report: {report}", report, json_file)
     if ship is not None and result.battery is not None:
         from uavbatt.battery import file
 
         written = file.write(result.battery, ship / f"{result.battery.battery.name}{file.SUFFIX}")
-        typer.echo(f"shipped: {written}")
+        say(f"shipped: {written}", report, json_file)
     elif ship is not None:
         print("nothing shipped: the verdict is not pass", file=sys.stderr)
     raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
@@ -122,23 +124,26 @@ def _paper(tests: DataSet, json_file: Path | None) -> None:
     from uavbatt.validation import paper
 
     replayed = paper.replay(tests)
-    typer.echo(f"{tests.name}: the study's equations (1)-(17) as printed")
-    typer.echo("agreement with the printed tables")
+    for line in _paper_lines(tests.name, replayed):
+        say(line, json_file)
+    if json_file is not None:
+        write_json(json_file, replayed, indent=1)
+
+
+def _paper_lines(name: str, replayed: PaperReplay) -> list[str]:
+    """Where the study's equations meet its printed tables, then each column."""
+    lines = [f"{name}: the study's equations (1)-(17) as printed", "agreement with the printed tables"]
     for found in replayed.agreements:
-        typer.echo(f"  {found.table}: {found.agree} of {found.total} ({found.counted})")
-        for slip in found.slips:
-            typer.echo(f"    not met: {slip}")
+        lines.append(f"  {found.table}: {found.agree} of {found.total} ({found.counted})")
+        lines += [f"    not met: {slip}" for slip in found.slips]
     fisher = replayed.fisher
     if fisher is not None:
         verdict = "reproduced" if fisher.reproducible else "cannot be reproduced"
-        typer.echo(f"  F_emp = {fisher.printed:g} {verdict}: the nearest ratio of any column is {fisher.nearest:.3f}")
-    typer.echo("column by column")
-    for c in replayed.columns:
-        typer.echo(
-            f"  sample {c.sample} {c.quantity} {c.time_s / 60.0:g} min: mean {c.mean:.4f}, sd {c.sd:.4f}, "
-            f"r {c.r:.4f}" + (", drifts by the study's rule" if c.drifts else "")
-        )
-    for note in replayed.notes:
-        typer.echo(f"  note: {note}")
-    if json_file is not None:
-        write_json(json_file, replayed, indent=1)
+        lines.append(f"  F_emp = {fisher.printed:g} {verdict}: the nearest ratio of any column is {fisher.nearest:.3f}")
+    lines.append("column by column")
+    lines += [
+        f"  sample {c.sample} {c.quantity} {c.time_s / 60.0:g} min: mean {c.mean:.4f}, sd {c.sd:.4f}, r {c.r:.4f}"
+        + (", drifts by the study's rule" if c.drifts else "")
+        for c in replayed.columns
+    ]
+    return [*lines, *(f"  note: {note}" for note in replayed.notes)]

@@ -88,9 +88,9 @@ class Report:
         volts = made["voltage_V"]
         known = isinstance(volts, float) and self.cells > 0
         return made | {
-            "instance": float(self.instance),
+            "instance": self.instance,
             "age_s": rounded(self.age_s(now_s), 2),
-            "cells": float(self.cells) if self.cells else None,
+            "cells": self.cells or None,
             "cell_voltage_V": round(volts / self.cells, 3) if known and isinstance(volts, float) else None,
             "battery": self.battery,
             "certificate": self.certificate,

@@ -40,11 +40,6 @@ class Residual:
         return float(np.sqrt(max(float(np.mean(error[:-1] * error[1:])), 0.0))) if error.size > 2 else float("nan")
 
     @property
-    def rest_V(self) -> float:
-        """Mean at rest before take-off [V]; NaN without rest."""
-        return float(np.mean(self.voltage_V[self.rest])) if self.rest.any() else float("nan")
-
-    @property
     def temp_rmse_K(self) -> float:
         """Size of the temperature residual [K]; NaN when not measured."""
         known = self.temp_K[np.isfinite(self.temp_K)]

@@ -22,22 +22,6 @@ Z90 = 1.6448536269514722
 """Half width of the central 90 % interval of a normal distribution, in standard deviations."""
 
 
-def crps_gaussian(truth: ArrayLike, mean: ArrayLike, sd: ArrayLike) -> FloatArray:
-    """CRPS of N(mean, sd), sd > 0: sd [z (2 Phi(z) - 1) + 2 phi(z) - 1/sqrt(pi)], z = (truth - mean)/sd."""
-    sd = np.asarray(sd, float)
-    z = (np.asarray(truth, float) - np.asarray(mean, float)) / sd
-    phi = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    return np.asarray(sd * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * phi - 1.0 / math.sqrt(math.pi)))
-
-
-def crps_samples(truth: float, samples: ArrayLike) -> float:
-    """CRPS of an ensemble: mean |x - truth| - mean |x - x'| / 2, by the sorted form in n log n."""
-    x = np.sort(np.asarray(samples, float))
-    n = x.size
-    spread = float(np.sum((2.0 * np.arange(1, n + 1) - n - 1.0) * x)) / (n * n)
-    return float(np.mean(np.abs(x - truth))) - spread
-
-
 def crps_quantiles(truth: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
     """CRPS of the split normal through the 5, 50 and 95 % points; |truth - median| when they coincide.
 

@@ -102,10 +102,6 @@ class PaperReplay:
     fisher: FisherClaim | None
     notes: tuple[str, ...]
 
-    def no_drift(self, quantity: str) -> bool:
-        """The study's verdict: no column of `quantity` drifts."""
-        return not any(c.drifts for c in self.columns if c.quantity == quantity)
-
 
 def printed_tables() -> dict[str, Any]:
     """The study's printed Tables 5, 8, 9, F_emp and F_kr; figures of Tables 8 and 9 as text."""
