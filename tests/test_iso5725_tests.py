@@ -146,6 +146,20 @@ def test_crossed_with_one_sample_or_gaps():
         intermediate.crossed([[1.0, 2.0]])
 
 
+def test_staggered_nested_recovers_what_was_put_in():
+    rng = np.random.default_rng(4)
+    p = 20_000
+    lab, day, e = rng.normal(0, 2, p), rng.normal(0, 1, (p, 2)), rng.normal(0, 0.5, (p, 3))
+    y = np.column_stack([lab + day[:, 0] + e[:, 0], lab + day[:, 0] + e[:, 1], lab + day[:, 1] + e[:, 2]])
+    found = intermediate.staggered(y)
+    assert (found.s_0, found.s_1, found.s_r) == pytest.approx((2, 1, 0.5), rel=0.03)
+
+
+def test_one_factor_asks_for_fifteen_degrees_of_freedom():
+    assert intermediate.one_factor([[1.0, 2.0]] * 14).enough is False
+    assert intermediate.one_factor([[1.0, 2.0]] * 15).enough is True
+
+
 def test_range_factors_of_iso_5725_6():
     factors = [round(trueness.range_factor(n), 1) for n in range(2, 11)]
     assert factors == [2.8, 3.3, 3.6, 3.9, 4.0, 4.2, 4.3, 4.4, 4.5]
@@ -157,6 +171,19 @@ def test_bias_of_one_laboratory():
     assert found.interval[1] - found.bias == pytest.approx(4.3027 * 0.1 / math.sqrt(3), rel=1e-4)
     assert not found.significant
     assert trueness.laboratory_bias([10.1, 10.2, 10.3], 9.0).significant
+
+
+def test_bias_of_a_method_with_known_precision_uses_A():
+    cells = [[1.0, 1.2], [1.1, 1.3], [0.9, 1.1]]
+    found = trueness.method_bias(cells, 1.0, sigma_r=0.1, sigma_R=0.2)
+    assert found.interval[1] - found.bias == pytest.approx(trueness.bias_factor(3, 2, 2.0) * 0.2)
+
+
+def test_precision_check_fails_a_method_that_scatters_more_than_claimed():
+    rng = np.random.default_rng(5)
+    cells = rng.normal(0, 0.1, (6, 5))
+    assert trueness.precision_check(cells, 0.1, 0.1 * 1.2).ok
+    assert not trueness.precision_check(cells, 0.05, 0.06).ok
 
 
 def test_mann_kendall_is_exact_with_and_without_ties():

@@ -1,4 +1,4 @@
-"""Intermediate precision, ISO 5725-3: fully nested, and crossed Sample + Occasion.
+"""Intermediate precision, ISO 5725-3: one factor, fully nested, staggered nested, crossed Sample + Occasion.
 
 The crossed model is ours, for tests that several samples share (side by side in one chamber on one day):
 
@@ -19,10 +19,20 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, BadCells
+from uavbatt.validation.cells import Array, BadCells, Cells, summarise
 from uavbatt.validation.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
 
 MIN_DF = 15
+
+
+@dataclass(frozen=True, slots=True)
+class OneFactor:
+    """s_I over the results that differ in one factor, in their unit. ISO asks for 15 degrees of freedom."""
+
+    s_I: float
+    df: int
+    enough: bool
+    interval: Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +83,16 @@ class Crossed:
     notes: tuple[str, ...]
 
 
+def one_factor(groups: Cells) -> OneFactor:
+    """s_I = √(ΣΣ(y-ȳ_j)²/Σ(n_j-1)) over groups j of results with one factor changed within each."""
+    summary = summarise(groups)
+    df = int(summary.within_df)
+    if df < 1:
+        raise NotEnoughData("intermediate precision needs two results or more in a group")
+    s_I = math.sqrt(summary.within_ss / df)
+    return OneFactor(s_I, df, df >= MIN_DF, sd_interval(s_I, df))
+
+
 def _table(values: ArrayLike, shape: str, *sizes: int | None) -> tuple[Array, float]:
     """The table less its first value, and that value."""
     try:
@@ -105,6 +125,24 @@ def nested(results: ArrayLike) -> Nested:
     weights = (1 / (a * n), 1 / n - 1 / (a * n), 1 - 1 / n)
     dfs = (p - 1.0, p * (a - 1.0), p * a * (n - 1.0))
     return _nested(reference + float(labs.mean()), (ms_0, ms_1, ms_e), dfs, raw, weights)
+
+
+def staggered(results: ArrayLike) -> Nested:
+    """Staggered nested design, `results[laboratory, 3]`: y_1, y_2 under repeatability, y_3 in the other setting.
+
+    w_1 = |y_1-y_2|, w_2 = |(y_1+y_2)/2 - y_3|; MSe = Σw_1²/(2p), MS1 = 2Σw_2²/(3p), MS0 = 3Σ(ȳ_i-ȳ)²/(p-1);
+    s_1² = ¾(MS1-MSe), s_0² = MS0/3 - 5MS1/12 + MSe/12.
+    """
+    y, reference = _table(results, "laboratory x 3", None, 3)
+    p, labs = len(y), y.mean(axis=1)
+    if p < 2:
+        raise NotEnoughData("a staggered nested design needs two laboratories or more")
+    ms_e = float(((y[:, 0] - y[:, 1]) ** 2).sum()) / (2 * p)
+    ms_1 = 2 * float(((y[:, :2].mean(axis=1) - y[:, 2]) ** 2).sum()) / (3 * p)
+    ms_0 = 3 * float(((labs - labs.mean()) ** 2).sum()) / (p - 1)
+    raw = (ms_0 / 3 - 5 * ms_1 / 12 + ms_e / 12, 0.75 * (ms_1 - ms_e), ms_e)
+    weights = (1 / 3, 3 / 4 - 5 / 12, 1 - 3 / 4 + 1 / 12)
+    return _nested(reference + float(labs.mean()), (ms_0, ms_1, ms_e), (p - 1.0, float(p), float(p)), raw, weights)
 
 
 def _nested(
