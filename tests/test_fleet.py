@@ -23,7 +23,7 @@ from uavbatt.battery.build import pack_of
 from uavbatt.errors import BadInput, MissingExtra, UsageError
 from uavbatt.fleet import journal, run, tables
 from uavbatt.fleet.fly import Job, fly
-from uavbatt.fleet.logs import LogFile, find
+from uavbatt.fleet.logs import JOURNAL, LogFile, find
 from uavbatt.fleet.row import LOST, Row, row_of
 from uavbatt.pipeline import PackOptions
 from uavbatt.simulate import Mission, write
@@ -172,13 +172,23 @@ def test_logs_behind_addresses(tmp_path: Path, log: bytes) -> None:
     assert gone.status == LOST and "a log that can be read" in gone.reason
 
 
+def test_the_table_of_an_earlier_run_is_no_log(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    for name in ("a.csv", "flights.csv", "out/flights.csv", "out/flights.jsonl"):
+        (tmp_path / name).write_text("time_s,voltage_V\n")
+    assert [Path(log.name).relative_to(tmp_path.resolve()) for log in find([str(tmp_path)])] == [
+        Path("a.csv"),
+        Path("flights.csv"),
+    ]
+
+
 def test_the_journal_survives_a_crash(tmp_path: Path) -> None:
     keys = {"k0": 0, "k1": 1, "k2": 2, "k3": 3}
     with journal.Journal(tmp_path, keys) as first:
         first.add(2, "k2", Row(file="c", end_soc=0.25))
         first.add(0, "k0", Row(file="a", status=LOST, reason="its disk was away"))
         first.add(1, "k1", Row(file="b", inside_60=True))
-    path = tmp_path / journal.NAME
+    path = tmp_path / JOURNAL
     path.write_bytes(path.read_bytes() + b'{"key": "k3", "fi')
     with journal.Journal(tmp_path, keys) as second:
         assert [n in second for n in range(4)] == [False, True, True, False]

@@ -48,6 +48,12 @@ def planned(
     return endurance(content, resolve(content, OPTIONS), load, ambient_C, start_soc)
 
 
+def test_a_pack_that_is_at_its_end_says_so() -> None:
+    """A power that takes the voltage below the cut-off at once: no time, and why."""
+    found = planned(4000.0)
+    assert found.median_s == 0.0 and "before take-off" in found.remark
+
+
 # --- what shortens it --------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,7 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 from __future__ import annotations
 
 import select
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -174,6 +175,8 @@ class Daemon:
         gap_s = now_s - self._start_s + self._saved.get("age_s", 0.0)
         estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)
         resolved = tracked.estimator.resolved
+        if resolved is not None and (before is None or before.cells != resolved.cells):
+            print(f"uavbatt: battery {instance}: {resolved.words}", file=sys.stderr, flush=True)
         self._counts["rows"] += 1
         self._counts["refused"] += remaining.status is Status.REFUSED
         self._sender.requests.row()

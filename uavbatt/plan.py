@@ -139,6 +139,8 @@ def endurance(
     if found is None:
         return Endurance(ambient_C, NAN, NAN, NAN, NAN, "no end within six hours: this is not the load of a flight")
     times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
+    if found.median_s <= 0.0:
+        return Endurance(ambient_C, *times_s, "the pack is at its cut-off or its reserve before take-off")
     return Endurance(ambient_C, *times_s, range_remark(battery, ambient_C))
 
 

@@ -44,6 +44,14 @@ class Resolved:
     low_V: float
     low_from: str
 
+    @property
+    def words(self) -> str:
+        """The size of the pack and its cut-off, each with where it came from."""
+        return (
+            f"{self.cells}S from {self.cells_from}, {self.capacity_Ah:g} Ah from {self.capacity_from}, "
+            f"cut-off {self.cutoff_V:g} V from {self.cutoff_from}"
+        )
+
 
 def resolve(
     battery: BatteryFile,

@@ -52,7 +52,7 @@ def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
         if not quantity.low <= value <= quantity.high:
             raise UsageError(
                 f"--effect {name}={value:g}: expected {quantity.name} in {quantity.low:g}..{quantity.high:g} "
-                f"{quantity.unit}"
+                f"{quantity.unit if quantity.unit != '1' else ''}".rstrip()
             )
         if effect.acts_on == "cell":
             cell = Parameters(**{**cell._asdict(), quantity.name: value})

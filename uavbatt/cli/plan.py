@@ -105,9 +105,7 @@ def _lines(plan: Plan) -> list[str]:
     """The plan for a person."""
     resolved, here = plan.resolved, plan.here
     lines = [
-        f"{resolved.battery} ({resolved.status}): {resolved.cells}S from {resolved.cells_from}, "
-        f"{resolved.capacity_Ah:g} Ah from {resolved.capacity_from}, cut-off {resolved.cutoff_V:g} V from "
-        f"{resolved.cutoff_from}",
+        f"{resolved.battery} ({resolved.status}): {resolved.words}",
         f"  load       {plan.load}; state of charge {plan.start_soc:g} at take-off",
         *(f"  warning    {warning}" for warning in plan.warnings),
         f"  at {here.ambient_C:g} °C: {_clock(here.median_s)} [{_clock(here.lo_s)}, {_clock(here.hi_s)}]"

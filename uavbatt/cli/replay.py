@@ -141,9 +141,7 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
     status = {"certified": "certified", "fitted": "fitted, not certified", "generic": "generic, not certified"}
     lines = [
         f"{flight.source}: {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
-        f"  battery    {resolved.battery} ({status[resolved.status]}); {resolved.cells}S from {resolved.cells_from}, "
-        f"{resolved.capacity_Ah:g} Ah from {resolved.capacity_from}, cut-off {resolved.cutoff_V:g} V from "
-        f"{resolved.cutoff_from}",
+        f"  battery    {resolved.battery} ({status[resolved.status]}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, state of charge {_number(found.end_soc, '.3f')} "
         f"± {_number(found.end_soc_sd, '.3f')}; refused in the air {_number(found.refused_in_air, '.1%')}, "
         f"mean NIS {_number(found.mean_nis, '.2f')}",

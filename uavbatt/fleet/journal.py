@@ -18,10 +18,8 @@ from uavbatt.aside import written_aside
 from uavbatt.battery.file import content_hash
 from uavbatt.errors import BadInput
 from uavbatt.fleet.fly import Job
-from uavbatt.fleet.logs import LogFile
+from uavbatt.fleet.logs import JOURNAL, LogFile
 from uavbatt.fleet.row import LOST, Row, row_of
-
-NAME = "flights.jsonl"
 
 
 def key(log: LogFile, job_key: str) -> str:
@@ -39,7 +37,7 @@ class Journal:
 
     def __init__(self, folder: Path, keys: Mapping[str, int]) -> None:
         """keys: key of every log of this run -> its number; raises BadInput when the folder cannot be written."""
-        self.path = folder / NAME
+        self.path = folder / JOURNAL
         self._keys = keys
         self._places: dict[int, int] = {}
         try:

@@ -17,6 +17,7 @@ from typing import Any
 from uavbatt.errors import BadInput, UsageError
 
 SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
+JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # what a fleet's own folder holds: no logs
 _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag", "created", "CRC")
 
 
@@ -57,9 +58,14 @@ def _local(pattern: str) -> Iterator[LogFile]:
         path = Path(name)
         files = (p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else (path,)
         for file in files:
-            if file.is_file():
+            if file.is_file() and not _is_own_table(file):
                 stat = file.stat()
                 yield LogFile(str(file.resolve()), stat.st_size, str(stat.st_mtime_ns))
+
+
+def _is_own_table(file: Path) -> bool:
+    """The table of an earlier run, which a pattern may well sweep in."""
+    return file.name == TABLE and (file.parent / JOURNAL).exists()
 
 
 def _remote(pattern: str) -> Iterator[LogFile]:

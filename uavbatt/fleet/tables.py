@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from uavbatt.aside import written_aside
+from uavbatt.fleet.logs import TABLE
 from uavbatt.fleet.row import COLUMNS, Row
 
-PARQUET, CSV = "flights.parquet", "flights.csv"
+PARQUET, CSV = "flights.parquet", TABLE
 _BATCH = 1000
 _TIME = "start_utc"
 

@@ -142,7 +142,7 @@ def lines(info: LogInfo) -> list[str]:
         f"log          {info.source} ({info.kind})",
         f"vehicle      {_vehicle(info.identity)}",
         f"battery      instance {info.instance} of {others}",
-        f"rows         {info.rows} in {info.duration_s:.0f} s, median rate {info.rate_Hz:.3g} Hz",
+        f"rows         {info.rows} in {info.duration_s:.0f} s, median rate {_number(info.rate_Hz, 'Hz')}",
         f"voltage      {_span(info.voltage_range_V, 'V')}",
         f"current      {_span(info.current_range_A, 'A')}",
         f"temperature  {_temperature(info)}",
