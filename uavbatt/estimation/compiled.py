@@ -22,6 +22,7 @@ from uavbatt.estimation import noise
 from uavbatt.estimation.recursion import BLOCK_S, FULL_SOC_SD, GATE, NUDGE, Begun
 
 share(noise)
+PER_NUDGES = 0.5 / NUDGE
 
 
 @compiled
@@ -61,32 +62,34 @@ def projected(P: Array, H: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def nudged(x: Array) -> Array:
-    """The columns of a central difference: [17, 8], up and down in turn, the last `x` itself."""
-    columns = np.empty((2 * SIZE + 1, SIZE))
-    for k in range(2 * SIZE + 1):
-        for j in range(SIZE):
-            columns[k, j] = x[j]
-    for j in range(SIZE):
-        columns[2 * j, j] += NUDGE[j]
-        columns[2 * j + 1, j] -= NUDGE[j]
-    return columns
+def nudge(at: Array, x: Array, k: int) -> None:
+    """Make of point k - 1 of a central difference point k: up and down in each component in turn, `x` itself last."""
+    j = k // 2
+    if k % 2:
+        at[j] = x[j] - NUDGE[j]
+        return
+    if k > 0:
+        at[j - 1] = x[j - 1]
+    if j < SIZE:
+        at[j] = x[j] + NUDGE[j]
 
 
 @compiled
 def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_s: float) -> tuple[Array, Array]:
     """Mean and covariance `dt_s` later, as `SocFilter._predict` by `belief.transition`."""
-    columns, F = nudged(x), np.empty((SIZE, SIZE))
+    columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
     stride, bias_kept = model.stride(pack.cell, dt_s), eq.kept(dt_s, pack.bias_tau_s)
     for k in range(2 * SIZE + 1):
-        now = b.unpack(pack, columns[k])
+        nudge(at, x, k)
+        now = b.unpack(pack, at)
         later = model.advance_by(now.cell, now.state, c_rate(now.installation, mean_A), ambient_C, stride)
         columns[k, C.SOC], columns[k, C.POLARISATION], columns[k, C.DIFFUSION] = later[:3]
         columns[k, C.CORE], columns[k, C.SENSOR] = later.core_C, later.sensor_C
-        columns[k, C.BIAS] = eq.approach(columns[k, C.BIAS], 0.0, bias_kept)
+        columns[k, C.LOG_RESISTANCE], columns[k, C.LOG_CAPACITY] = at[C.LOG_RESISTANCE], at[C.LOG_CAPACITY]
+        columns[k, C.BIAS] = eq.approach(at[C.BIAS], 0.0, bias_kept)
     for j in range(SIZE):
         for i in range(SIZE):
-            F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) / (2.0 * NUDGE[j])
+            F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) * PER_NUDGES[j]
     spread = carried(F, P)
     q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
     for j in range(SIZE):
@@ -135,12 +138,13 @@ def update(
     """Belief after the means of a block, innovation [V], its NIS, expected voltage, as `SocFilter._update`."""
     size = 2 if np.isfinite(temp_C) else 1
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
-    columns, volts = nudged(x), np.empty(2 * SIZE + 1)
-    for j in range(2 * SIZE + 1):
-        volts[j] = b.reported_voltage(pack, b.unpack(pack, columns[j]), columns[j, C.BIAS], current_A)
+    volts, at = np.empty(2 * SIZE + 1), x.copy()
+    for k in range(2 * SIZE + 1):
+        nudge(at, x, k)
+        volts[k] = b.reported_voltage(pack, b.unpack(pack, at), at[C.BIAS], current_A)
     expected_V = volts[2 * SIZE]
     for j in range(SIZE):
-        H[0, j] = (volts[2 * j] - volts[2 * j + 1]) / (2.0 * NUDGE[j])
+        H[0, j] = (volts[2 * j] - volts[2 * j + 1]) * PER_NUDGES[j]
     y[0] = voltage_V - expected_V
     R[0, 0] = noise.reading_variance(pack, x, current_A, step_A)
     if size == 2:

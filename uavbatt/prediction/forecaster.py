@@ -30,7 +30,7 @@ LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 # Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power, steps twice as
 # long move the end by less than 0.2 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
-STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 20.0
+STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
 STEADY_TAU_S = 20.0
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
 LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
