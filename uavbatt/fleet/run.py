@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,7 @@ def run(connection: AbstractContextManager[Any], logs: Sequence[LogFile], job: J
     with journal.Journal(folder, {key: number for number, key in enumerate(keys)}) as done:
         yield Finished(None, len(done), len(logs))
         if len(done) < len(logs):
-            to_do = (number for number in range(len(logs)) if number not in done)
+            to_do = [number for number in range(len(logs)) if number not in done]
             with connection as client:
                 for number, row in _flown(client, logs, job, to_do):
                     done.add(number, keys[number], row)
@@ -104,11 +104,13 @@ def rows(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[Row]:
         yield from done.rows()
 
 
-def _flown(client: Any, logs: Sequence[LogFile], job: Job, numbers: Iterator[int]) -> Iterator[tuple[int, Row]]:
+def _flown(client: Any, logs: Sequence[LogFile], job: Job, to_do: Sequence[int]) -> Iterator[tuple[int, Row]]:
     """(number of the log, its row) as they come back."""
     from distributed import as_completed
 
-    limit = _UNDER_WAY_PER_WORKER * max(sum(client.nthreads().values()), 1)
+    threads = max(sum(client.nthreads().values()), 1)
+    limit, numbers = _UNDER_WAY_PER_WORKER * threads, iter(to_do)
+    job = replace(job, flights_each=len(to_do) // threads)
     under_way: dict[Any, int] = {}
     coming = as_completed(loop=client.loop)
 
