@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
@@ -10,6 +11,7 @@ def main() -> None:
     """Entry point of `uavbatt`: one line for what went wrong, and the exit code of its kind."""
     # Small matrices: a second thread of the linear algebra only gets in the way of the first.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    gc.set_threshold(50_000)  # rows are values without circles: looking for some took a seventh of a replay
     from uavbatt.cli.app import app
     from uavbatt.errors import UavbattError
 
