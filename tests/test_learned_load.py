@@ -22,7 +22,17 @@ from uavbatt.prediction.learned import (
     UnknownAircraft,
     learned_load,
 )
-from uavbatt.prediction.load import Load, Now, RecentLoad, Scenarios, equal_levels
+from uavbatt.prediction.load import (
+    GUST_MEMORY_S,
+    MANOEUVRE_MEMORY_S,
+    Load,
+    Now,
+    RecentLoad,
+    Scenarios,
+    Swings,
+    equal_levels,
+    shown_shares,
+)
 
 STEP_S = 5.0
 
@@ -133,8 +143,37 @@ def test_an_unknown_aircraft_expects_a_surge() -> None:
     assert UnknownAircraft().typical_W(now(flight_W=200.0, recent_W=400.0)) == pytest.approx(300.0)
 
 
+def shown(swings: Swings) -> RecentLoad:
+    """What a flight with these swings shows on average."""
+    slow, fast = shown_shares()
+    variance, gust_variance = slow * swings.manoeuvres**2 + fast * swings.gusts**2
+    return RecentLoad(300.0, 300.0, 300.0, float(variance), 300.0, float(gust_variance))
+
+
+@pytest.mark.parametrize("swings", [Swings(0.15, 0.1), Swings(0.0, 0.2), Swings(0.25, 0.0), Swings(0.05, 0.3)])
+def test_swings_are_what_the_averages_show_of_them(swings: Swings) -> None:
+    assert shown(swings).swings == pytest.approx(swings, abs=1e-9)
+
+
+def test_before_it_has_shown_any_a_flight_swings_a_little() -> None:
+    assert RecentLoad().swings == pytest.approx((0.15, 0.10), abs=0.005)
+
+
+def test_the_averages_show_the_share_that_is_claimed() -> None:
+    """Ten hours of a power that wanders with a memory of 40 s and of 8 s, followed row by row."""
+    random, memory = np.random.default_rng(4), np.exp(-1.0 / np.array([MANOEUVRE_MEMORY_S, GUST_MEMORY_S]))
+    swing, recent, found = np.zeros(2), RecentLoad(), []
+    for k, fresh in enumerate(random.standard_normal((36000, 2)) * np.sqrt(1.0 - memory**2)):
+        swing = memory * swing + fresh
+        recent = recent.after(float(k), 300.0 * (1.0 + 0.08 * float(swing[0]) + 0.05 * float(swing[1])))
+        found.append((recent.variance, recent.gust_variance))
+    seen = np.mean(found[1000:], axis=0)
+    expected = shown(Swings(0.08, 0.05))
+    assert seen == pytest.approx([expected.variance, expected.gust_variance], rel=0.12)
+
+
 def test_a_scattered_recent_load_widens_the_prior() -> None:
-    calm, gusty = (Now(300.0, 300.0, 0.7, 300.0, RecentLoad(300.0, 300.0, 300.0, variance=s**2)) for s in (0.05, 0.25))
+    calm, gusty = (Now(300.0, 300.0, 0.7, 300.0, shown(Swings(s, s))) for s in (0.05, 0.25))
     spread = [float(np.std(np.log(UnknownAircraft().scenarios(n, STEP_S, 3).power_W[0]))) for n in (calm, gusty)]
     assert spread[1] > 1.15 * spread[0]
 

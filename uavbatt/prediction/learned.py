@@ -17,7 +17,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.vehicle import VehicleFile
-from uavbatt.prediction.load import Now, Scenarios, equal_levels, gusty
+from uavbatt.prediction.load import Now, Scenarios, equal_levels, swinging
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -106,11 +106,11 @@ class UnknownAircraft:
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Levels x surge factors x where in the rest of the flight the surge begins."""
-        spread = float(np.hypot(PRIOR_SPREAD, now.recent.spread))
+        spread = float(np.hypot(PRIOR_SPREAD, 0.5 * now.recent.mean_sd))  # the flight so far is the other half
         levels = self.typical_W(now) * equal_levels(spread, LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)
         weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
-        return gusty(Scenarios(power_W, weight, np.full(steps, dt_s)), now.recent.gusts)
+        return swinging(Scenarios(power_W, weight, np.full(steps, dt_s)), now.recent.swings)
