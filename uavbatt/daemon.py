@@ -14,6 +14,7 @@ import select
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -176,7 +177,8 @@ class Daemon:
         estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)
         resolved = tracked.estimator.resolved
         if resolved is not None and (before is None or before.cells != resolved.cells):
-            print(f"uavbatt: battery {instance}: {resolved.words}", file=sys.stderr, flush=True)
+            with suppress(OSError, ValueError):  # whoever read our words may be gone: that ends no flight
+                print(f"uavbatt: battery {instance}: {resolved.words}", file=sys.stderr, flush=True)
         self._counts["rows"] += 1
         self._counts["refused"] += remaining.status is Status.REFUSED
         self._sender.requests.row()

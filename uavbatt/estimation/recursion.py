@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +78,15 @@ class Moments(NamedTuple):
 
     x: Array
     P: Array
+
+
+def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
+    """(∂f/∂x, f(x)) by central differences, all columns in one call of `function`."""
+    nudges = np.diag(NUDGE)
+    columns = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
+    values = function(columns)
+    plus, minus = values[:, 1 : SIZE + 1], values[:, SIZE + 1 :]
+    return (plus - minus) / (2.0 * NUDGE), values[:, 0].copy()
 
 
 def conditioned(at: Moments, measured: Array, observation: Array, expected: Array, noise_R: Array) -> Moments:

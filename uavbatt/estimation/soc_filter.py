@@ -29,7 +29,6 @@ from uavbatt.estimation.recursion import (
     GATE,
     NO_SUMMARY,
     NOTHING,
-    NUDGE,
     Block,
     Moments,
     Postponed,
@@ -38,6 +37,7 @@ from uavbatt.estimation.recursion import (
     Summary,
     conditioned,
     is_complete,
+    jacobian,
     no_warnings,
     summary,
 )
@@ -204,7 +204,7 @@ class SocFilter:
     def _predict(self, mean_A: float, dt_s: float) -> None:
         """Carry the belief over dt under the mean current."""
         x, P = self._moments()
-        F, moved = _jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), x)
+        F, moved = jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), x)
         rate = float(c_rate(self.pack.installation, mean_A))
         self._hold(moved, F @ P @ F.T + np.diag(noise.process_variances(self.pack, x, rate, dt_s)))
 
@@ -219,7 +219,7 @@ class SocFilter:
             warmth = x[C.SENSOR] + pack.installation.offset_K
             return np.stack([volts, warmth]) if has_temp else np.stack([volts])
 
-        observation, expected = _jacobian(reading, x)
+        observation, expected = jacobian(reading, x)
         measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
         innovation = measured - expected
         variances = [noise.reading_variance(pack, x, current_A, step_A)]
@@ -296,12 +296,3 @@ def _why_nothing(sample: Sample) -> str:
     if is_complete(sample):
         return "time went backwards"
     return "no voltage in this row" if not math.isfinite(sample.voltage_V) else "no current in this row"
-
-
-def _jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-    """(∂f/∂x, f(x)) by central differences, all columns in one call of `function`."""
-    nudges = np.diag(NUDGE)
-    columns = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
-    values = function(columns)
-    plus, minus = values[:, 1 : SIZE + 1], values[:, SIZE + 1 :]
-    return (plus - minus) / (2.0 * NUDGE), values[:, 0].copy()
