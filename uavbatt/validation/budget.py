@@ -74,7 +74,7 @@ def coverage_factor(df: Array, instants: int) -> Array:
 def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
     """(combined standard uncertainty, effective degrees of freedom) per instant."""
     u = np.asarray(np.hypot(u_A, u_B))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
     return u, df
 
