@@ -15,7 +15,7 @@ from uavbatt.aside import written_aside
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.build import Pack
-from uavbatt.battery.effects import EFFECTS, effect_named
+from uavbatt.battery.effects import EFFECTS, effect_named, unit_words
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
 from uavbatt.errors import UsageError
@@ -52,7 +52,7 @@ def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
         if not quantity.low <= value <= quantity.high:
             raise UsageError(
                 f"--effect {name}={value:g}: expected {quantity.name} in {quantity.low:g}..{quantity.high:g} "
-                f"{quantity.unit if quantity.unit != '1' else ''}".rstrip()
+                f"{unit_words(quantity.unit)}".rstrip()
             )
         if effect.acts_on == "cell":
             cell = Parameters(**{**cell._asdict(), quantity.name: value})

@@ -35,6 +35,7 @@ from uavbatt.simulate import Mission, fly
 Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio
 HAS_TWIN = fast.is_installed()
 PROGPY = Path(__file__).with_name("progpy_forecast.py")
+LOAD_SPREAD = 0.15  # of the power that the forecasts are asked about
 
 
 def pack() -> Pack:
@@ -144,7 +145,7 @@ def twin(samples: list[Sample]) -> Callable[[], Any]:
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
     """A forecast whose end is `minutes` away, and from what it is made."""
     forecaster = Forecaster(
-        pack(), Settings(ConstantLoad(pack().installation.capacity_Ah * 14.8 * 0.9 * 60.0 / minutes, 0.15))
+        pack(), Settings(ConstantLoad(pack().installation.capacity_Ah * 14.8 * 0.9 * 60.0 / minutes, LOAD_SPREAD))
     )
     mean = np.zeros(SIZE)
     mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = 0.95, 25.0, 25.0
@@ -194,7 +195,7 @@ def reference_ends_s(belief: Belief, asked: Question, draws: int = 4096) -> Any:
     x = random.multivariate_normal(belief.mean, belief.covariance, draws).T
     x[C.SOC] = np.clip(x[C.SOC], 0.0, 1.02)
     mean_W = float(np.median(asked.power_W))
-    power_W = np.broadcast_to(mean_W * np.exp(0.15 * random.standard_normal(draws)), (steps, draws))
+    power_W = np.broadcast_to(mean_W * np.exp(LOAD_SPREAD * random.standard_normal(draws)), (steps, draws))
     bias = random.standard_normal((steps, draws))
     found = time_to_end(asked.pack, x, power_W, asked.ambient_C, np.ones(steps), wander=Wander(bias, bias))
     return np.minimum(found.end_s, asked.horizon_s)

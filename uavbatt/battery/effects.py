@@ -191,6 +191,11 @@ INSTALLATION_EFFECTS = (
 EFFECTS = {effect.name: effect for effect in CELL_EFFECTS + INSTALLATION_EFFECTS}
 
 
+def unit_words(unit: str) -> str:
+    """A unit as it is shown: nothing for a pure number."""
+    return "" if unit == "1" else unit
+
+
 def effect_named(name: str) -> Effect:
     """The effect of that name; KeyError with the known names otherwise."""
     try:

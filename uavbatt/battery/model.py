@@ -193,11 +193,9 @@ def _core_C(
     p: Parameters, core_C: Number, heat_W: Number, c_rate: Number, ambient_C: Number, dt_s: Number, still: Number
 ) -> Number:
     """Core temperature after a step in which `heat_W` [W/Ah] is held; `still` is what stays of it without airflow."""
-    if not eq.acts(p.airflow_gain_h):
-        return eq.approach(core_C, eq.settled_temperature(heat_W, ambient_C, p.cooling_WpKAh), still)
     cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
-    settled_C = eq.settled_temperature(heat_W, ambient_C, cooling)
-    return eq.relax(core_C, settled_C, dt_s, p.heat_capacity_JpKAh / cooling)
+    share = eq.kept(dt_s, p.heat_capacity_JpKAh / cooling) if eq.acts(p.airflow_gain_h) else still
+    return eq.approach(core_C, eq.settled_temperature(heat_W, ambient_C, cooling), share)
 
 
 class Stride(NamedTuple):

@@ -22,6 +22,7 @@ from uavbatt.cli.options import (
     stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
     from uavbatt.battery.file import BatteryFile
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from uavbatt.loop.close import Closed
     from uavbatt.loop.diagnosis import Diagnosis
     from uavbatt.pipeline import PackOptions
-    from uavbatt.records import Flight
 
 
 def diagnose(
@@ -104,7 +104,7 @@ def _run(
     from uavbatt.pipeline import PackOptions
 
     tests = data.load(gate) if gate is not None else None
-    sizes = {_size(f.source, f, content, stated) for f in flights} | {_size_of(d, content, stated) for d in datasets}
+    sizes = {_flown_size(f, content, stated) for f in flights} | {_tested_size(d, content, stated) for d in datasets}
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
         raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
@@ -142,36 +142,31 @@ def _distinct(flights: list[Flight]) -> list[Flight]:
     return flights
 
 
-def _size(name: str, flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
-    """Cells, capacity [Ah], cut-off [V]: stated, else the vehicle's, else the battery file's."""
-    facts = flight.facts_at(math.inf)
+def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
+    """As `_size`; where nobody tells the cells, the fullest voltage at the start does."""
     typed = content.battery
     volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
     guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
-    series = stated.cells or facts.cells_series or guess
-    return series, *_rest(name, series, facts.capacity_Ah, facts.critical_voltage_V, content, stated)
+    return _size(flight.source, flight.facts_at(math.inf), guess, content, stated)
 
 
-def _size_of(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
-    series = stated.cells or dataset.cells_series
-    return series, *_rest(dataset.path, series, dataset.capacity_Ah or math.nan, dataset.cutoff_V, content, stated)
+def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
+    """As `_size`: a data set tells of its pack what a vehicle tells of its."""
+    said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
+    return _size(dataset.path, said, dataset.cells_series, content, stated)
 
 
-def _rest(
-    name: str,
-    series: int,
-    capacity_Ah: float,
-    cutoff_V: float,
-    content: BatteryFile,
-    stated: PackOptions,
-) -> tuple[float, float]:
-    typed = content.battery
-    capacities = (stated.capacity_Ah, capacity_Ah, typed.capacity_Ah if typed.capacity_Ah else math.nan)
-    capacity = next((q for q in capacities if math.isfinite(q)), None)
-    if capacity is None:
-        raise UsageError(f"{name}: capacity: neither the vehicle nor the battery file states it: give --capacity-ah")
-    cutoffs = (stated.cutoff_V, cutoff_V, typed.cutoff_V * series / typed.cells_series)
-    return round(capacity, 4), round(next(v for v in cutoffs if math.isfinite(v)), 3)
+def _size(
+    name: str, said: PackFacts, guess: int, content: BatteryFile, stated: PackOptions
+) -> tuple[int, float, float]:
+    """Cells, capacity [Ah], cut-off [V], rounded so that records of one pack agree."""
+    from uavbatt.resolved import resolve
+
+    try:
+        found = resolve(content, stated, said, guess)
+    except UsageError as error:
+        raise UsageError(f"{name}: {error}") from None
+    return found.cells, round(found.capacity_Ah, 4), round(found.cutoff_V, 3)
 
 
 class _Progress:
@@ -190,6 +185,7 @@ class _Progress:
 
 
 def _lines(found: Diagnosis, closed: Closed) -> list[str]:
+    from uavbatt.battery.effects import unit_words
     from uavbatt.loop.words import MEANING
 
     said = {
@@ -201,8 +197,7 @@ def _lines(found: Diagnosis, closed: Closed) -> list[str]:
     for one in found.classes:
         lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")
         for name, i in one.parameters.items():
-            unit = "" if i.unit == "1" else f" {i.unit}"
-            lines.append(f"    {name} = {i.value:.4g} [{i.lo:.4g}, {i.hi:.4g}]{unit}")
+            lines.append(f"    {name} = {i.value:.4g} [{i.lo:.4g}, {i.hi:.4g}] {unit_words(i.unit)}".rstrip())
         lines.append(f"    check: {one.would_separate}")
     lines += [f"  doubt: {reason}" for reason in found.reasons]
     if not found.problem.evidence.has_temperature:

@@ -82,7 +82,7 @@ def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) ->
     """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
     from uavbatt.aside import written_aside
     from uavbatt.fleet.tables import CSV, PARQUET
-    from uavbatt.report.fleet import fleet_report
+    from uavbatt.report.fleet import counted, fleet_report
     from uavbatt.report.fleet_groups import gathered
 
     overview = gathered(rows)
@@ -91,7 +91,7 @@ def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) ->
     with written_aside(folder / PAGE) as file:
         file.write(fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
-    typer.echo(f"{logs} log{'s' * (logs != 1)} ({flown} done now): {overview.flights} flown, {failed} could not be")
+    typer.echo(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
         typer.echo(f"  {count:5d}  {reason}")
     typer.echo(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")

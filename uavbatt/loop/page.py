@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import tomli_w
 
+from uavbatt.battery.effects import unit_words
 from uavbatt.battery.file import BatteryFile
 from uavbatt.loop.classes import EffectClass
 from uavbatt.loop.close import Closed
@@ -49,7 +50,7 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
 
 def _suspect(one: EffectClass) -> Suspect:
     values = tuple(
-        (QUANTITY.get(name, name), name, i.value, i.lo, i.hi, "" if i.unit == "1" else i.unit)
+        (QUANTITY.get(name, name), name, i.value, i.lo, i.hi, unit_words(i.unit))
         for name, i in one.parameters.items()
     )
     return Suspect(tuple((m, MEANING[m], CHECK[m]) for m in one.members), one.probability, values)

@@ -27,8 +27,8 @@ FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
-# Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power, steps twice as
-# long move the end by less than 0.2 %.
+# Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power the longer steps
+# move the end by less than 0.3 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
 STEADY_TAU_S = 20.0
@@ -265,9 +265,9 @@ class Forecaster:
 
 def _step_s(load: Load, typical_s: float) -> float:
     """How long the steps of a simulation are whose end is about `typical_s` away [s]."""
-    if isinstance(load, ConstantLoad):
-        return min(max(typical_s / STEADY_STEPS, SHORTEST_STEP_S), LONGEST_STEADY_STEP_S)
-    return min(max(typical_s / STEPS, SHORTEST_STEP_S), LONGEST_STEP_S)
+    is_steady = isinstance(load, ConstantLoad)
+    steps, longest_s = (STEADY_STEPS, LONGEST_STEADY_STEP_S) if is_steady else (STEPS, LONGEST_STEP_S)
+    return min(max(typical_s / steps, SHORTEST_STEP_S), longest_s)
 
 
 def _quantile(ordered: Array, level: float) -> float:

@@ -106,11 +106,12 @@ class UnknownAircraft:
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Levels x surge factors x where in the rest of the flight the surge begins."""
-        spread = float(np.hypot(PRIOR_SPREAD, 0.5 * now.recent.mean_sd))  # the flight so far is the other half
+        swings = now.recent.swings
+        spread = float(np.hypot(PRIOR_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
         levels = self.typical_W(now) * equal_levels(spread, LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)
         weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
-        return swinging(Scenarios(power_W, weight, np.full(steps, dt_s)), now.recent.swings)
+        return swinging(Scenarios(power_W, weight, np.full(steps, dt_s)), swings)

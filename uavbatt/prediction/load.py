@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.prediction.spread import LONGEST
 
 MEAN_TAU_S = 60.0
 WINDOW_TAU_S = 20.0
@@ -30,7 +31,6 @@ STEPS_IN_BLOCK = 32
 PRIOR_SPREAD, PRIOR_GUST = 0.062, 0.116
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
 SCENARIOS = 9
-LONGEST = 1024  # steps, after which the normals come again
 SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
 
 
@@ -111,18 +111,18 @@ class RecentLoad(NamedTuple):
             manoeuvres, gusts = slow @ seen / (slow @ slow), 0.0
         return Swings(math.sqrt(manoeuvres), math.sqrt(gusts))
 
-    @property
-    def mean_sd(self) -> float:
-        """Relative sd of the mean of a coming flight around that of the last minute, at least 3 %."""
-        left = MANOEUVRE_MEMORY_S / (MANOEUVRE_MEMORY_S + MEAN_TAU_S)
-        return math.hypot(SMALLEST_SPREAD, min(self.swings.manoeuvres, 1.0) * math.sqrt(left))
-
 
 class Swings(NamedTuple):
     """Relative sd of the power's two wandering parts around its mean, as they are and not as an average shows them."""
 
     manoeuvres: float
     gusts: float
+
+    @property
+    def mean_sd(self) -> float:
+        """Relative sd of the mean of a coming flight around that of the last minute, at least 3 %."""
+        left = MANOEUVRE_MEMORY_S / (MANOEUVRE_MEMORY_S + MEAN_TAU_S)
+        return math.hypot(SMALLEST_SPREAD, min(self.manoeuvres, 1.0) * math.sqrt(left))
 
 
 def shown_share(short_s: float, long_s: float, memory_s: float) -> float:
@@ -183,7 +183,8 @@ class RecentMean:
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """The recent mean, wandering as it has."""
-        return swinging(constant(self.typical_W(now), now.recent.mean_sd, dt_s, steps), now.recent.swings)
+        swings = now.recent.swings
+        return swinging(constant(self.typical_W(now), swings.mean_sd, dt_s, steps), swings)
 
 
 def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenarios:

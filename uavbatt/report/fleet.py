@@ -37,7 +37,7 @@ def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str
     """The whole page as HTML. `battery`: the file that all were flown with; `remarks`: names and values of the run."""
     ranked = _ranked(found.groups.values())
     return page(
-        f"Fleet: {_count(found.flights, 'flight')} of {_whose(list(found.groups))}",
+        f"Fleet: {counted(found.flights, 'flight')} of {_whose(list(found.groups))}",
         "uavbatt fleet",
         _answer(found, ranked),
         section("Packs over time", *_health(ranked)),
@@ -74,8 +74,8 @@ def _is_grown(found: Change | None) -> bool:
 def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
     hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
     failed = sum(found.failures.values())
-    lost = f"; {_count(failed, 'log')} could not be flown" if failed else ""
-    first = f"{_count(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
+    lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""
+    first = f"{counted(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
     grown = [g.name for g, resistance, _ in ranked if _is_grown(resistance)]
     health = "No pack or aircraft with flights enough shows a resistance that has certainly grown."
     if grown:
@@ -87,7 +87,7 @@ def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
         said.append(
             paragraph(
                 f"Two minutes before the end the forecasts were off by {number(_mean(np.abs(errors)), 0, 's')} on "
-                f"average, in {_count(judged, 'flight')} that show their end; the truth was inside the 90 % interval "
+                f"average, in {counted(judged, 'flight')} that show their end; the truth was inside the 90 % interval "
                 f"in {inside} of them."
             )
         )
@@ -158,7 +158,7 @@ def _look(found: Overview) -> list[Html]:
     ]
     more = found.looked - len(rows)
     by_count = sorted(found.reasons.items(), key=lambda one: -one[1])
-    said = [bullets(f"{_count(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
+    said = [bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
     said.append(table(("log", "aircraft", "date", "charge at end", "why"), rows, text_columns=(0, 1, 2, 4)))
     if more > 0:
         said.append(paragraph(f"The first {MOST_LISTED}; {more} more in flights.csv, column `look`.", css="quiet"))
@@ -217,5 +217,6 @@ def _whose(groups: Sequence[str]) -> str:
     return groups[0] if len(groups) == 1 else f"{len(groups)} packs or aircraft"
 
 
-def _count(n: int, what: str) -> str:
+def counted(n: int, what: str) -> str:
+    """A number of things, with its plural."""
     return f"{n} {what}{'' if n == 1 else 's'}"
