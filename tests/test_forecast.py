@@ -39,7 +39,7 @@ def belief(soc: float = 0.7, temp_C: float = 25.0, soc_sd: float = 0.01, exact: 
     mean, sd = np.zeros(SIZE), np.zeros(SIZE)
     mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = soc, temp_C, temp_C
     sd[C.SOC], sd[C.LOG_RESISTANCE], sd[C.LOG_CAPACITY] = soc_sd, 0.05, 0.02
-    return Belief(0.0, mean, np.diag((sd * (0.0 if exact else 1.0)) ** 2) + 1e-14 * np.eye(SIZE), temp_C)
+    return Belief.gaussian(0.0, mean, np.diag((sd * (0.0 if exact else 1.0)) ** 2) + 1e-14 * np.eye(SIZE), temp_C)
 
 
 def forecast(

@@ -196,6 +196,6 @@ def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     forecaster = Forecaster(pack, Settings(load))
     forecaster._load, forecaster._flown_s, forecaster._flown_J = recent, 200.0, 56000.0
     forecaster._took_off_s = -200.0
-    found = forecaster.forecast(Belief(0.0, mean, np.diag(sd**2), 25.0), 0.0)
+    found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)
     assert found is not None and math.isfinite(found.median_s)
     return found

@@ -21,6 +21,7 @@ from uavbatt.battery import file as battery_file
 from uavbatt.battery.belief import Belief
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.service import capacities
 from uavbatt.estimation.recursion import Summary
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
@@ -166,7 +167,7 @@ class Estimator:
 
     def _begin(self, pack: Pack, first: Sample | None = None) -> None:
         """A new battery: nothing that was believed of the last one holds."""
-        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C)
+        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=capacities(pack))
         if first is not None and self._coming:
             self._filter.look_ahead([first, *(cleaned for _, cleaned in self._coming)])
         self._forecaster = Forecaster(

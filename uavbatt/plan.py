@@ -16,6 +16,7 @@ from uavbatt.battery import model
 from uavbatt.battery.belief import SIZE, Belief, C
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.service import capacities
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariance
 from uavbatt.pipeline import Estimator, PackOptions, Resolved
@@ -146,11 +147,12 @@ def endurance(
 
 def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
     """What is known of a pack before take-off: its stated charge, the temperature of the air, the file's spreads."""
-    state = model.rested(start_soc, ambient_C)
-    mean = np.zeros(SIZE)
-    mean[: C.SENSOR + 1] = state
-    covariance = start_covariance(pack, state, START_SOC_SD, AMBIENT_SD_K)
-    return Belief(0.0, mean, covariance, ambient_C)
+    state, members = model.rested(start_soc, ambient_C), capacities(pack)
+    means = np.zeros((members.log_scale.size, SIZE))
+    means[:, : C.SENSOR + 1], means[:, C.LOG_CAPACITY] = state, members.log_scale
+    charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
+    covariance = start_covariance(pack, state, charge, AMBIENT_SD_K, members.sd)
+    return Belief(0.0, means, np.tile(covariance, (len(means), 1, 1)), members.weight, ambient_C)
 
 
 def range_remark(battery: BatteryFile, ambient_C: float) -> str:

@@ -29,8 +29,9 @@ class Saved:
     """One battery in the saved state: the belief `since_row_s` before the last row, and what goes with it."""
 
     since_row_s: float
-    mean: list[float]
-    covariance: list[list[float]]
+    means: list[list[float]]
+    covariances: list[list[list[float]]]
+    weights: list[float]
     ambient_C: float
     resolved: Resolved
     facts: PackFacts
@@ -75,8 +76,9 @@ class TrackedBattery:
             return None
         made = Saved(
             since_row_s=last.time_s - belief.time_s,
-            mean=belief.mean.tolist(),
-            covariance=belief.covariance.tolist(),
+            means=belief.means.tolist(),
+            covariances=belief.covariances.tolist(),
+            weights=belief.weights.tolist(),
             ambient_C=belief.ambient_C,
             resolved=resolved,
             facts=facts,
@@ -94,10 +96,13 @@ class TrackedBattery:
         try:
             was = msgspec.convert(saved, Saved)
             at_s = sample.time_s - gap_s - was.since_row_s
-            belief = Belief(at_s, np.array(was.mean), np.array(was.covariance), was.ambient_C)
-            if belief.mean.shape != (SIZE,) or belief.covariance.shape != (SIZE, SIZE):
+            members, weights = len(was.weights), np.array(was.weights)
+            belief = Belief(at_s, np.array(was.means), np.array(was.covariances), weights, was.ambient_C)
+            if belief.means.shape != (members, SIZE) or belief.covariances.shape != (members, SIZE, SIZE):
                 return
-            if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
+            if not all(np.isfinite(part).all() for part in (belief.means, belief.covariances, weights)):
+                return
+            if members == 0 or (weights <= 0.0).any():
                 return
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
             self.estimator.restore(belief, was.resolved, was.facts, before_A, was.past.moved(at_s))

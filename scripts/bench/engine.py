@@ -150,7 +150,7 @@ def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
     mean = np.zeros(SIZE)
     mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = 0.95, 25.0, 25.0
     sd = np.array([0.01, 0.003, 0.003, 1.0, 1.0, 0.05, 0.03, 0.005])
-    belief = Belief(0.0, mean, np.diag(sd**2), 20.0)
+    belief = Belief.gaussian(0.0, mean, np.diag(sd**2), 20.0)
     found = forecaster.question(belief, 0.0)
     assert found is not None
     return found, belief, forecaster

@@ -40,16 +40,43 @@ class C(IntEnum):
 
 
 SIZE = len(C)
+DOUBT_LENGTH = 0.25  # of the charge
 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Mean [8] and covariance [8, 8] at `time_s`, with the ambient temperature that the heat flows to."""
+    """A belief is a sum of Gaussians at `time_s`; each member holds another capacity of the pack for likely.
+
+    means [members, 8], covariances [members, 8, 8], weights [members] with sum 1; the ambient temperature [°C] is
+    the one that the heat flows to.
+    """
 
     time_s: float
-    mean: Array
-    covariance: Array
+    means: Array
+    covariances: Array
+    weights: Array
     ambient_C: float
+
+    @classmethod
+    def gaussian(cls, time_s: float, mean: Array, covariance: Array, ambient_C: float) -> Belief:
+        """A belief of one member: mean [8], covariance [8, 8]."""
+        return cls(time_s, mean[None], covariance[None], np.ones(1), ambient_C)
+
+    @property
+    def mean(self) -> Array:
+        """Mean [8] of the whole sum."""
+        return np.asarray(self.weights @ self.means)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance [8, 8] of the whole sum: within the members and between their means."""
+        return mixed_covariance(self.means, self.covariances, self.weights)
+
+
+def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
+    """Covariance [8, 8] of a sum of Gaussians."""
+    apart = means - weights @ means
+    return np.asarray(np.tensordot(weights, covariances, 1) + (apart.T * weights) @ apart)
 
 
 class Unpacked(NamedTuple):
@@ -80,6 +107,17 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
     out[C.CORE], out[C.SENSOR] = later.core_C, later.sensor_C
     out[C.BIAS] = eq.relax(x[C.BIAS], 0.0, dt_s, pack.bias_tau_s)
     return out
+
+
+def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
+    """Variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
+
+    The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another.
+    """
+    position = (soc - model.LOWEST_SOC) / model.GRID_STEP
+    index = eq.segment(position, model.LAST_POSITION)
+    share = np.minimum(np.maximum(position, 0.0), model.LAST_POSITION) - index
+    return eq.interpolated(pack.ocv_sd_V, index, share) ** 2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:

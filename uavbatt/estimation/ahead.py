@@ -61,20 +61,26 @@ def by_numpy(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
         shown = filter.take(sample)
         if len(places) < len(postponed):
             places.append(len(found))
-        if math.isfinite(shown.nis):
-            moments = filter.standing.moments
+        moments = filter.standing.moments
         if math.isfinite(shown.soc):
             time_s = sample.time_s
         found.append(Row(sample, moments, time_s, shown))
     filter.postponed = None
     if postponed:
-        expected_V = b.voltage(
-            filter.pack, np.array([p.x for p in postponed]).T, np.array([p.current_A for p in postponed])
-        ).tolist()
+        expected_V = _expected_V(filter, postponed)
         for k, volts, row in zip(places, expected_V, postponed, strict=True):
             shown = found[k].shown._replace(innovation_V=row.voltage_V - volts, expected_V=volts)
             found[k] = found[k]._replace(shown=shown)
     return found
+
+
+def _expected_V(filter: SocFilter, postponed: list[Postponed]) -> list[float]:
+    """Voltages that the rows should have shown, by the members' weights."""
+    x = np.array([p.x for p in postponed])
+    rows, members, _ = x.shape
+    current_A = np.repeat([p.current_A for p in postponed], members)
+    volts = b.voltage(filter.pack, x.reshape(rows * members, -1).T, current_A).reshape(rows, members)
+    return [float(v) for v in np.sum(volts * np.array([p.weight for p in postponed]), axis=1)]
 
 
 def by_twin(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
@@ -92,11 +98,11 @@ def by_twin(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     assert now.moments is not None
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     begun = Begun(now.time_s, now.current_A, now.block_A, before.moments is None, np.array(now.block, dtype=float))
-    means, covariances, in_force, shown, end = compiled.run(
-        as_numbers(filter.pack), now.ambient_C, table, begun, now.moments.x, now.moments.P
+    *beliefs, in_force, shown, end = compiled.run(
+        as_numbers(filter.pack), now.ambient_C, table, begun, *now.moments
     )
     fast.is_made("filter")
-    every = [Moments(x, P) for x, P in zip(means, covariances, strict=True)]
+    every = [Moments(*belief) for belief in zip(*beliefs, strict=True)]
     held = [before.moments, *every[1:]]
     time_s, found = before.time_s, []
     for sample, k, row in zip(samples, in_force.tolist(), shown.tolist(), strict=True):

@@ -18,10 +18,11 @@ from uavbatt.battery.build import Pack
 from uavbatt.battery.compiled import compiled, share
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
-from uavbatt.estimation import noise
-from uavbatt.estimation.recursion import BLOCK_S, FULL_SOC_SD, GATE, NUDGE, Begun
+from uavbatt.estimation import noise, recursion
+from uavbatt.estimation.recursion import BLOCK_S, FULL_SOC_SD, GATE, NUDGE, Begun, weighed
 
 share(noise)
+share(recursion)
 PER_NUDGES = 0.5 / NUDGE
 
 
@@ -75,7 +76,9 @@ def nudge(at: Array, x: Array, k: int) -> None:
 
 
 @compiled
-def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_s: float) -> tuple[Array, Array]:
+def predict(
+    pack: Pack, x: Array, P: Array, mean_A: float, block_A: float, ambient_C: float, dt_s: float
+) -> tuple[Array, Array]:
     """Mean and covariance `dt_s` later, as `SocFilter._predict` by `belief.transition`."""
     columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
     stride, bias_kept = model.stride(pack.cell, dt_s), eq.kept(dt_s, pack.bias_tau_s)
@@ -91,7 +94,8 @@ def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_
         for i in range(SIZE):
             F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) * PER_NUDGES[j]
     spread = carried(F, P)
-    q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
+    rate, before = c_rate(pack.installation, mean_A), c_rate(pack.installation, block_A)
+    q = noise.process_variances(pack, x, rate, dt_s, before)
     for j in range(SIZE):
         spread[j, j] += q[j]
     return columns[2 * SIZE], spread
@@ -134,8 +138,8 @@ def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Arra
 @compiled
 def update(
     pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float
-) -> tuple[Array, Array, float, float, float]:
-    """Belief after the means of a block, innovation [V], its NIS, expected voltage, as `SocFilter._update`."""
+) -> tuple[Array, Array, float, float, float, float]:
+    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, as `SocFilter._update`."""
     size = 2 if np.isfinite(temp_C) else 1
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
     volts, at = np.empty(2 * SIZE + 1), x.copy()
@@ -154,6 +158,7 @@ def update(
     PHt, S = projected(P, H)
     for i in range(size):
         S[i, i] += R[i, i]
+    variance_V2 = S[0, 0]
     nis = y[0] ** 2 / S[0, 0]
     if size == 2:
         nis = y[0] ** 2 * S[1, 1] - 2.0 * y[0] * y[1] * S[0, 1] + y[1] ** 2 * S[0, 0]
@@ -173,82 +178,105 @@ def update(
     for i in range(SIZE):
         for j in range(i):
             spread[i, j] = spread[j, i] = 0.5 * (spread[i, j] + spread[j, i])
-    return later, spread, y[0], nis, expected_V
+    return later, spread, y[0], variance_V2, nis, expected_V
 
 
 @compiled
 def close(
-    pack: Pack, x: Array, P: Array, block: Array, block_A: float, ambient_C: float
-) -> tuple[Array, Array, float, float, float, float]:
-    """Take a block in, as `SocFilter._close`: what `update` returns, and the block's mean current."""
-    if block[1] > 0.0:
-        x, P = predict(pack, x, P, block[2] / block[1], ambient_C, block[1])
+    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, ambient_C: float
+) -> tuple[Array, float, float, float, float]:
+    """Take a block in, as `SocFilter._close`: changes every member in place.
+
+    Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, and the block's
+    mean current.
+    """
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
-    x, P, innovation_V, nis, expected_V = update(pack, x, P, block[3] / block[0], mean_A, mean_C, mean_A - block_A)
+    weight, members = np.exp(log_weight), log_weight.size
+    innovation_V, variance_V2 = np.empty(members), np.empty(members)
+    shown_V, shown_nis, expected_V = 0.0, 0.0, 0.0
+    for k in range(members):
+        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / block[1], block_A, ambient_C, block[1])
+        step_A = mean_A - block_A
+        mean, spread, innovation_V[k], variance_V2[k], nis, volts = update(
+            pack, mean, spread, block[3] / block[0], mean_A, mean_C, step_A
+        )
+        shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
+        expected_V += weight[k] * volts
+        for i in range(SIZE):
+            x[k, i] = mean[i]
+            for j in range(SIZE):
+                P[k, i, j] = spread[i, j]
     for i in range(block.size):
         block[i] = 0.0
-    return x, P, innovation_V, nis, expected_V, mean_A
+    return weighed(log_weight, innovation_V, variance_V2), shown_V, shown_nis, expected_V, mean_A
 
 
 @compiled
-def keep(means: Array, covariances: Array, k: int, x: Array, P: Array) -> None:
-    """Write a belief down; element by element, which compiles in a fraction of the time of a slice."""
-    for i in range(SIZE):
-        means[k, i] = x[i]
-        for j in range(SIZE):
-            covariances[k, i, j] = P[i, j]
+def look(
+    pack: Pack, x: Array, log_weight: Array, drawn_As: float, current_A: float, voltage_V: float, shown: Array
+) -> None:
+    """Write down what a row within a block shows, as `SocFilter._between`."""
+    expected_V, soc = 0.0, 0.0
+    for k in range(log_weight.size):
+        weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])
+        left = x[k, C.SOC] - drawn_As / (3600.0 * now.installation.present_capacity_Ah)
+        between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=left))
+        expected_V += weight * b.reported_voltage(pack, between, x[k, C.BIAS], current_A)
+        soc += weight * left
+    shown[0], shown[2], shown[3] = voltage_V - expected_V, expected_V, soc
 
 
 @compiled
-def run(pack: Pack, ambient_C: float, rows: Array, begun: Begun, x: Array, P: Array) -> tuple[Any, ...]:
+def run(
+    pack: Pack, ambient_C: float, rows: Array, begun: Begun, x: Array, P: Array, log_weight: Array
+) -> tuple[Any, ...]:
     """All rows [time, voltage, current, temperature; n] from a belief at the time and in the block of `begun`.
 
-    Returns the beliefs (means [m, 8] and covariances, the given one first), which of them is in force after each row,
-    what each row shows [n, 4] as `Shown` has it, and where that ends, as `Begun` has it.
+    Returns the beliefs (means [m, members, 8], covariances and ln of the weights, the given one first), which of them
+    is in force after each row, what each row shows [n, 4] as `Shown` has it, and where that ends, as `Begun` has it.
     """
-    n = rows.shape[1]
-    means, covariances = np.empty((n + 2, SIZE)), np.empty((n + 2, SIZE, SIZE))
-    in_force, shown, last = np.zeros(n, np.int64), np.empty((n, 4)), 0
-    keep(means, covariances, 0, x, P)
-    block, now = begun.block.copy(), b.unpack(pack, x)
+    n, last = rows.shape[1], 0
     at_s, before_A, block_A, is_first = begun.time_s, begun.current_A, begun.block_A, begun.is_first
+    most = min(n, int((np.nanmax(rows[0]) - min(at_s, np.nanmin(rows[0]))) / BLOCK_S)) + 4
+    means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
+    log_weights = np.empty((most, log_weight.size))
+    in_force, shown = np.zeros(n, np.int64), np.full((n, 4), np.nan)
+    x, P, block = x.copy(), P.copy(), begun.block.copy()
+    means[0], covariances[0], log_weights[0] = x, P, log_weight
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
         in_force[k] = last
-        for j in range(4):
-            shown[k, j] = np.nan
         dt_s = 0.0 if is_first else time_s - at_s
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
         current_A = true_current(pack.installation, metered_A, voltage_V)
         if is_first:
-            before_A = block_A = current_A
-        closing = dt_s > BLOCK_S and block[1] > 0.0  # rows before a gap belong to the time before it
-        while True:
-            if not closing:
-                block[0] += 1.0
-                block[1] += dt_s
-                block[2] += 0.5 * (before_A + current_A) * dt_s
-                block[3] += voltage_V
-                block[4] += current_A
-                if np.isfinite(temp_C):
-                    block[5] += temp_C
-                    block[6] += 1.0
-                at_s, before_A = time_s, current_A
-                if block[1] < BLOCK_S and not is_first:
-                    capacity_As = 3600.0 * now.installation.present_capacity_Ah
-                    soc = x[C.SOC] - block[2] / capacity_As
-                    between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=soc))
-                    expected_V = b.reported_voltage(pack, between, x[C.BIAS], current_A)
-                    shown[k, 0], shown[k, 2], shown[k, 3] = voltage_V - expected_V, expected_V, soc
-                    break
-            x, P, innovation_V, nis, expected_V, block_A = close(pack, x, P, block, block_A, ambient_C)
-            now = b.unpack(pack, x)
-            if not closing:
-                is_first, last = False, last + 1
-                keep(means, covariances, last, x, P)
-                in_force[k] = last
-                shown[k, 0], shown[k, 1], shown[k, 2], shown[k, 3] = innovation_V, nis, expected_V, x[C.SOC]
-                break
-            closing = False
-    return means[: last + 1], covariances[: last + 1], in_force, shown, (at_s, before_A, block_A, is_first, block)
+            is_first, at_s, before_A, block_A = False, time_s, current_A, current_A
+            last += 1
+            means[last], covariances[last], log_weights[last] = x, P, log_weight
+            in_force[k] = last
+            look(pack, x, log_weight, 0.0, current_A, voltage_V, shown[k])
+            continue
+        if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
+            log_weight, _, _, _, block_A = close(pack, x, P, log_weight, block, block_A, ambient_C)
+        block[0] += 1.0
+        block[1] += dt_s
+        block[2] += 0.5 * (before_A + current_A) * dt_s
+        block[3] += voltage_V
+        block[4] += current_A
+        if np.isfinite(temp_C):
+            block[5] += temp_C
+            block[6] += 1.0
+        at_s, before_A = time_s, current_A
+        if block[1] < BLOCK_S:
+            look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
+            continue
+        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A = close(
+            pack, x, P, log_weight, block, block_A, ambient_C
+        )
+        shown[k, 3] = np.sum(np.exp(log_weight) * x[:, C.SOC])
+        last += 1
+        means[last], covariances[last], log_weights[last] = x, P, log_weight
+        in_force[k] = last
+    end = (at_s, before_A, block_A, is_first, block)
+    return means[: last + 1], covariances[: last + 1], log_weights[: last + 1], in_force, shown, end

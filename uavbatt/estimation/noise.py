@@ -6,26 +6,28 @@ All per cell and per C, so that they hold for any pack. Variances are returned r
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery import belief as b
 from uavbatt.battery import model, start
 from uavbatt.battery.belief import SIZE, C
 from uavbatt.battery.build import Pack
+from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, State
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
 # The model's own error of the OCV counts half there: the fit has seen rested starts too.
 RESTED_BIAS = 0.5
+# An electrode that reacts more sluggishly than the tested ones takes a voltage at once when the load comes, nearly the
+# same at every load (half of it at 0.3 C: Butler and Volmer), 0.05 V a cell at 0.6 of the exchange current.
+REACTION_SD_V, REACTION_HALF_RATE = 0.025, 0.3
 # Under load, before the pack has shown itself, the drop is known to half of itself.
 UNSEEN_SHARE, OVERPOTENTIAL_SD_V, LOADED_SOC_SD = 0.5, 0.003, 0.15
 ROUNDS = 6
 UNKNOWN_TEMP_SD_K = 10.0
-# Age takes capacity and adds resistance: a pack with more ohms than its type has less charge, as far as it is age and
-# not the make that spreads the resistance.
-AGE_CORRELATION, AGED_RESISTANCE_SD = -0.7, 0.075
-
 # The row's current stands for an interval in which the load moved: 6 % of the charge for rows 1 s apart or
 # less (averaging logger), 15 % when a row comes every 10 s or slower (a snapshot of a gusty load).
 SNAPSHOT_SHARE = (0.06, 0.15)
@@ -54,75 +56,105 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
     return shares[0] + (shares[1] - shares[0]) * weight
 
 
-def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> tuple[State, float]:
-    """(state, sd of its charge) of a cell that shows `cell_V` [V] under `c_rate` [1/h] in the first row.
+class First(NamedTuple):
+    """The first belief of a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+
+    state: State
+    mean: Array
+    covariance: Array
+
+
+def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> First:
+    """What a cell that shows `cell_V` [V] under `c_rate` [1/h] in the first row is believed to be.
 
     The drop depends on the charge, which depends on the drop: a few rounds settle it.
     """
     idle = abs(c_rate) < start.IDLE_C_RATE
-    shown_sd_V = float(np.hypot(RESTED_VOLTAGE_SD_V, pack.bias_sd_V * (RESTED_BIAS if idle else 1.0)))
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
-    read = start.charge_at(pack.cell, cell_V, shown_sd_V)
+    model_sd_V = pack.bias_sd_V * (RESTED_BIAS if idle else 1.0)
+    read = start.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
         state = start.underway(pack.cell, read.soc, temp_C, c_rate)
         ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
         drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
-        read = start.charge_at(pack.cell, cell_V + drop_V, float(np.hypot(shown_sd_V, drop_share * drop_V)))
-    if idle:
-        read = start.perhaps_full(read)
-    return start.underway(pack.cell, read.soc, temp_C, c_rate), min(read.sd, LOADED_SOC_SD)
+        bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
+        reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
+        read = start.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
+    joint = start.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
+    mean, covariance = joint
+    if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
+        covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
+    return First(start.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
 
 
-def start_covariance(pack: Pack, state: State, soc_sd: float, temp_sd_K: float) -> Array:
-    """Covariance of the first belief, around `state`."""
-    sd = np.empty(SIZE)
-    sd[C.SOC] = soc_sd
+def start_covariance(pack: Pack, state: State, charge: Array, temp_sd_K: float, capacity_sd: float) -> Array:
+    """Covariance [8, 8] of the first belief around `state`; `charge` [2, 2] is that of (soc, discrepancy)."""
+    sd = np.zeros(SIZE)
     sd[C.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
     sd[C.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
     sd[C.CORE] = sd[C.SENSOR] = temp_sd_K
     sd[C.LOG_RESISTANCE] = pack.resistance_scale_sd
-    sd[C.LOG_CAPACITY] = pack.capacity_scale_sd
-    sd[C.BIAS] = pack.bias_sd_V
+    sd[C.LOG_CAPACITY] = capacity_sd
     covariance = np.diag(sd**2)
-    by_age = AGE_CORRELATION * min(pack.resistance_scale_sd, AGED_RESISTANCE_SD) * pack.capacity_scale_sd
-    covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY] = covariance[C.LOG_CAPACITY, C.LOG_RESISTANCE] = by_age
+    covariance[np.ix_((C.SOC, C.BIAS), (C.SOC, C.BIAS))] = charge
     return covariance
 
 
-def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
-    """What the model's step from `mean` over `dt_s` at C-rate `rate_c` leaves open, [8].
+def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, before_c: float) -> Array:
+    """What the model's step from `mean` over `dt_s` at C-rate `rate_c`, `before_c` before it, leaves open.
 
-    Over a long gap nothing says that the load went on.
+    mean and result [8] or [8, members]. Over a long gap nothing says that the load went on.
     """
     share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
-    q = np.zeros(SIZE)
+    q = np.zeros(mean.shape)
     q[C.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
     if dt_s > LONGEST_GAP_S:
         q[C.SOC] += (0.5 * rate_c * dt_s / 3600.0) ** 2
-    q[C.POLARISATION] = _lagging(pack.lag_share[0], mean[C.POLARISATION], dt_s, pack.cell.polarisation_tau_s)
-    q[C.DIFFUSION] = _lagging(pack.lag_share[1], mean[C.DIFFUSION], dt_s, pack.cell.diffusion_tau_s)
+    drop_V = np.abs(rate_c) * scaled_resistance(pack, mean) * np.exp(-mean[C.LOG_CAPACITY])
+    fast_V, slow_V = drop_V * pack.cell.polarisation_ratio, drop_V * pack.cell.diffusion_ratio
+    q[C.POLARISATION] = _lagging(pack.lag_share[0], mean[C.POLARISATION], fast_V, dt_s, pack.cell.polarisation_tau_s)
+    q[C.DIFFUSION] = _lagging(pack.lag_share[1], mean[C.DIFFUSION], slow_V, dt_s, pack.cell.diffusion_tau_s)
     q[C.CORE] = CORE_WALK_K2PS * dt_s
     q[C.SENSOR] = CORE_WALK_K2PS * dt_s
     q[C.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
     q[C.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
     q[C.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
+    q[C.BIAS] += b.ocv_doubt(pack, mean[C.SOC], rate_c * dt_s / 3600.0)
+    q[C.BIAS] += (REACTION_SD_V * (reacting(rate_c) - reacting(before_c))) ** 2
     return q
 
 
-def _lagging(share: float, overpotential_V: float, dt_s: float, tau_s: float) -> float:
-    """An overpotential whose ratio is known to a share wanders within that share of itself, with its own tau."""
-    forgotten = -np.expm1(-2.0 * dt_s / tau_s)
-    return float(OVERPOTENTIAL_WALK_V2PS * dt_s + (share * overpotential_V) ** 2 * forgotten)
+def reacting(rate_c: float) -> float:
+    """Share of its full size that the overpotential of a sluggish electrode has under a load."""
+    return abs(rate_c) / (abs(rate_c) + REACTION_HALF_RATE)
 
 
-def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -> float:
-    """Variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new since the row before."""
-    r_ohmAh = model.resistance(pack.cell, mean[C.SOC], mean[C.CORE]) * math.exp(mean[C.LOG_RESISTANCE])
-    ohm = r_ohmAh / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
-    return float(pack.installation.cells**2 * voltage_variance(pack, ohm * current_A, ohm * step_A))
+def scaled_resistance(pack: Pack, mean: Array) -> Number:
+    """Resistance at once [ohm·Ah] of the pack that is believed in."""
+    return model.resistance(pack.cell, mean[C.SOC], mean[C.CORE]) * np.exp(mean[C.LOG_RESISTANCE])
 
 
-def voltage_variance(pack: Pack, drop_V: float, step_V: float) -> float:
+def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: float, tau_s: float) -> Number:
+    """An overpotential whose ratio is known to a share is wrong by that share of itself: it errs as it moves.
+
+    While it stands still so does its error, which is the discrepancy's then. What is believed of it counts as far as the
+    load explains it: else it would grow by its own doubt, and swallow the knee of an emptying pack.
+    """
+    now_V = np.minimum(np.abs(overpotential_V), settled_V)
+    moved_V = np.abs(settled_V - now_V) * -np.expm1(-dt_s / tau_s)
+    return OVERPOTENTIAL_WALK_V2PS * dt_s + share**2 * moved_V * (2.0 * now_V + moved_V)
+
+
+def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -> Number:
+    """Variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new since the row before.
+
+    mean [8] or [8, members].
+    """
+    ohm = scaled_resistance(pack, mean) / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
+    return pack.installation.cells**2 * voltage_variance(pack, ohm * current_A, ohm * step_A)
+
+
+def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
     """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
     share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else DROP_SHARE, pack.guess_sd)
     return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.belief import SIZE, C
+from uavbatt.battery.belief import SIZE, C, mixed_covariance
 from uavbatt.battery.model import Array
 from uavbatt.records import Sample
 
@@ -17,6 +17,7 @@ NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
 GATE = 16.0
 BLOCK_S = 2.0
 FULL_SOC_SD = 0.01
+EVIDENCE_SHARE, LEAST_WEIGHT = 0.3, 1e-5
 
 
 class Block(NamedTuple):
@@ -74,30 +75,56 @@ class Begun(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Mean and covariance, where filterpy's filter is not needed."""
+    """A sum of Gaussians, where filterpy's filters are not needed: means, covariances, ln of the weights."""
 
-    x: Array
-    P: Array
+    x: Array  # [members, 8]
+    P: Array  # [members, 8, 8]
+    log_weight: Array  # [members]
+
+    @property
+    def weight(self) -> Array:
+        """Weights [members]; their sum is 1."""
+        return np.asarray(np.exp(self.log_weight))
 
 
 def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-    """(∂f/∂x, f(x)) by central differences, all columns in one call of `function`."""
+    """(∂f/∂x [members, n, 8], f(x) [members, n]) by central differences, all columns in one call of `function`."""
     nudges = np.diag(NUDGE)
-    columns = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
-    values = function(columns)
+    points = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
+    members, count, _ = points.shape
+    values = function(points.reshape(members * count, SIZE).T).T.reshape(members, count, -1)
     plus, minus = values[:, 1 : SIZE + 1], values[:, SIZE + 1 :]
-    return (plus - minus) / (2.0 * NUDGE), values[:, 0].copy()
+    return np.swapaxes((plus - minus) / (2.0 * NUDGE)[:, None], 1, 2), values[:, 0].copy()
 
 
-def conditioned(at: Moments, measured: Array, observation: Array, expected: Array, noise_R: Array) -> Moments:
-    """The belief after a measurement, with Joseph's form of the covariance: `ExtendedKalmanFilter.update` of filterpy.
+def conditioned(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
+    """Means and covariances after a measurement, with Joseph's form: `ExtendedKalmanFilter.update` of filterpy.
 
-    Said once more here because importing filterpy takes longer than all the updates of a replay.
+    Said once more here because importing filterpy takes longer than all the updates of a replay. innovation
+    [members, n], observation [members, n, 8], noise_R [members, n, n].
     """
-    PHt = at.P @ observation.T
+    PHt = P @ np.swapaxes(observation, 1, 2)
     gain = PHt @ np.linalg.inv(observation @ PHt + noise_R)
     keep = np.eye(SIZE) - gain @ observation
-    return Moments(at.x + gain @ (measured - expected), keep @ at.P @ keep.T + gain @ noise_R @ gain.T)
+    spread = keep @ P @ np.swapaxes(keep, 1, 2) + gain @ noise_R @ np.swapaxes(gain, 1, 2)
+    return x + (gain @ innovation[:, :, None])[:, :, 0], spread
+
+
+def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array) -> Array:
+    """ln of the members' weights after each has been surprised by `innovation_V` of variance `variance_V2` [members].
+
+    One yardstick for all, the mean variance: a member that holds its readings for less noisy would otherwise win by
+    that alone, since all of them believe readings less than their noise deserves. The errors of neighbouring readings
+    are the same error, so that each counts by EVIDENCE_SHARE. No member's weight falls below LEAST_WEIGHT: whoever was
+    wrong all along may be right about the knee.
+    """
+    yardstick_V2 = np.sum(np.exp(log_weight) * variance_V2)
+    surprise = np.minimum(innovation_V**2 / yardstick_V2, GATE)
+    raised = log_weight - 0.5 * EVIDENCE_SHARE * (surprise - np.min(surprise))
+    weight = np.exp(raised - np.max(raised))
+    weight = weight / np.sum(weight)
+    found: Array = np.log(LEAST_WEIGHT + (1.0 - LEAST_WEIGHT * weight.size) * weight)
+    return found
 
 
 class Standing(NamedTuple):
@@ -124,9 +151,10 @@ NOTHING = Shown(math.nan, math.nan, math.nan, math.nan)
 
 
 class Postponed(NamedTuple):
-    """A row whose expected voltage is worked out later, with those of other rows."""
+    """A row whose expected voltage is worked out later, with those of other rows; x [members, 8]."""
 
     x: Array
+    weight: Array
     current_A: float
     voltage_V: float
 
@@ -159,13 +187,15 @@ def no_warnings(sample: Sample, known: Summary) -> tuple[str, ...]:
     return ()
 
 
-def summary(x: Array, covariance: Array) -> Summary:
+def summary(at: Moments) -> Summary:
     """Mean and spread of what is told of a belief."""
+    weight = at.weight
+    x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
     sd = np.sqrt(np.diag(covariance))
     resistance, capacity = float(x[C.LOG_RESISTANCE]), float(x[C.LOG_CAPACITY])
     shared = covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY]
     return Summary(
-        x=x,
+        x=at.x,
         soc=float(x[C.SOC]),
         soc_sd=float(sd[C.SOC]),
         core_temp_C=float(x[C.CORE]),

@@ -21,6 +21,7 @@ from uavbatt.battery.belief import SIZE, Belief, C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.battery.service import Capacities, known_capacity
 from uavbatt.estimation import ahead, noise
 from uavbatt.estimation.ahead import Row
 from uavbatt.estimation.recursion import (
@@ -40,6 +41,7 @@ from uavbatt.estimation.recursion import (
     jacobian,
     no_warnings,
     summary,
+    weighed,
 )
 from uavbatt.estimation.skew import Skew
 from uavbatt.records import NAN, Estimate, Sample, Status
@@ -53,12 +55,18 @@ ROOM_TEMP_C = 22.0
 
 
 class SocFilter:
-    """Samples in, estimates out; holds the belief between them. One instance follows one battery."""
+    """Samples in, estimates out; holds the belief between them. One instance follows one battery.
 
-    def __init__(self, pack: Pack, *, ambient_C: float = NAN) -> None:
+    The belief is a sum of Gaussians, one for each capacity that the pack may have (`battery.service`): each is an
+    extended Kalman filter of its own, and the readings weigh them. Without `capacities` there is one.
+    """
+
+    def __init__(self, pack: Pack, *, ambient_C: float = NAN, capacities: Capacities | None = None) -> None:
         self.pack = pack
         self.given_ambient_C = ambient_C
-        self._kalman: ExtendedKalmanFilter | Moments | None = None
+        self._capacities = capacities or known_capacity(pack)
+        self._kalman: list[ExtendedKalmanFilter] = []
+        self._at: Moments | None = None
         self._time_s = NAN
         self._current_A = self._block_A = NAN
         self._block = Block()
@@ -71,17 +79,15 @@ class SocFilter:
 
     @property
     def belief(self) -> Belief | None:
-        """Mean and covariance after the last sample; None before the first usable one."""
-        if self._kalman is None:
+        """What is believed after the last sample; None before the first usable one."""
+        if self._at is None:
             return None
-        x, P = self._moments()
-        if not isinstance(self._kalman, Moments):  # filterpy's filter goes on in place
-            x, P = x.copy(), P.copy()
-        return Belief(self._time_s, x, P, self._ambient_C)
+        return Belief(self._time_s, self._at.x, self._at.P, self._at.weight, self._ambient_C)
 
     def restore(self, belief: Belief, current_A: float = 0.0) -> None:
         """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A`."""
-        self._begin(belief.mean.copy(), belief.covariance.copy(), belief.time_s, belief.ambient_C)
+        at = Moments(belief.means, belief.covariances, np.log(belief.weights))
+        self._begin(at, belief.time_s, belief.ambient_C)
         self._current_A = self._block_A = current_A
         self._block = Block()
 
@@ -106,7 +112,7 @@ class SocFilter:
 
     def _looked_up(self) -> Row:
         row = self._ahead.popleft()
-        self._kalman, self._time_s, self._ambient_C = row.moments, row.time_s, self._after.ambient_C
+        self._at, self._time_s, self._ambient_C = row.moments, row.time_s, self._after.ambient_C
         if not self._ahead:
             self.standing = self._after
         return row
@@ -114,21 +120,19 @@ class SocFilter:
     @property
     def standing(self) -> Standing:
         """Where the filter stands, as a value."""
-        moments = self._moments() if self._kalman is not None else None
-        return Standing(moments, self._time_s, self._current_A, self._block_A, self._block, self._ambient_C)
+        return Standing(self._at, self._time_s, self._current_A, self._block_A, self._block, self._ambient_C)
 
     @standing.setter
     def standing(self, at: Standing) -> None:
-        self._kalman, self._time_s, self._current_A, self._block_A = at[:4]
+        self._at, self._time_s, self._current_A, self._block_A = at[:4]
         self._block, self._ambient_C = at.block, at.ambient_C
 
     def take(self, sample: Sample) -> Shown:
         """A sample whose voltage and current are of the same instant; what it shows."""
         if not is_complete(sample):
             return NOTHING
-        if self._kalman is None:
-            current_A = self.start(sample)
-            return self._update(Block().after(sample, current_A, 0.0, current_A), step_A=0.0)
+        if self._at is None:
+            return self._first(sample)
         current_A = float(true_current(self.pack.installation, sample.current_A, sample.voltage_V))
         dt_s = sample.time_s - self._time_s
         if dt_s < 0.0:
@@ -141,6 +145,14 @@ class SocFilter:
             return self._between(sample, current_A)
         return self._close()
 
+    def _first(self, sample: Sample) -> Shown:
+        """The first row: the belief has its voltage in it already."""
+        current_A = self.start(sample)
+        assert self._at is not None
+        expected_V = float(self._at.weight @ b.voltage(self.pack, self._at.x.T, current_A))
+        soc = float(self._at.weight @ self._at.x[:, C.SOC])
+        return Shown(sample.voltage_V - expected_V, NAN, expected_V, soc)
+
     def _close(self) -> Shown:
         """Take the rows of the block in."""
         block, self._block = self._block, Block()
@@ -148,36 +160,32 @@ class SocFilter:
         step_A, self._block_A = block.current_A - self._block_A, block.current_A
         return self._update(block, step_A)
 
-    def _begin(self, mean: Array, covariance: Array, time_s: float, ambient_C: float) -> None:
-        self._kalman, self._time_s, self._ambient_C = Moments(mean, covariance), time_s, ambient_C
+    def _begin(self, at: Moments, time_s: float, ambient_C: float) -> None:
+        self._at, self._time_s, self._ambient_C = at, time_s, ambient_C
 
     def _moments(self) -> Moments:
-        assert self._kalman is not None
-        return Moments(self._kalman.x, self._kalman.P)
+        assert self._at is not None
+        return self._at
 
-    def _hold(self, x: Array, P: Array) -> None:
-        """Let this be the belief."""
-        if self._kalman is None or isinstance(self._kalman, Moments):
-            self._kalman = Moments(x, P)
-        else:
-            self._kalman.x, self._kalman.P = x, P
-
-    def _condition(self, measured: Array, observation: Array, expected: Array, noise_R: Array) -> None:
+    def _condition(self, at: Moments, innovation: Array, observation: Array, noise_R: Array) -> Moments:
         """Take a measurement in: filterpy's work, but for rows that are worked out ahead."""
-        if self.postponed is None:
-            self._filterpy().update(measured, lambda x: observation, lambda x: expected, R=noise_R)
-        else:
-            self._hold(*conditioned(self._moments(), measured, observation, expected, noise_R))
+        if self.postponed is not None:
+            return Moments(*conditioned(at.x, at.P, innovation, observation, noise_R), at.log_weight)
+        x, P = at.x.copy(), at.P.copy()
+        for member, kalman in enumerate(self._filterpy(len(x))):
+            kalman.x, kalman.P = x[member], P[member]
+            row = observation[member]
+            kalman.update(innovation[member], lambda x, row=row: row, lambda x: 0.0, R=noise_R[member])
+            x[member], P[member] = kalman.x, kalman.P
+        return Moments(x, P, at.log_weight)
 
-    def _filterpy(self) -> ExtendedKalmanFilter:
-        """The belief as filterpy's filter, which is loaded here: rows that are worked out ahead do not need it."""
-        if isinstance(self._kalman, Moments):
+    def _filterpy(self, members: int) -> list[ExtendedKalmanFilter]:
+        """filterpy's filters, which are loaded here: rows that are worked out ahead do not need them."""
+        if len(self._kalman) < members:
             from filterpy.kalman import ExtendedKalmanFilter
 
-            kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
-            kalman.x, kalman.P = self._kalman.x.copy(), self._kalman.P.copy()
-            self._kalman = kalman
-        return self._kalman
+            self._kalman = [ExtendedKalmanFilter(dim_x=SIZE, dim_z=2) for _ in range(members)]
+        return self._kalman[:members]
 
     def start(self, sample: Sample) -> float:
         """First belief: from the rested voltage, or wide from the voltage under load. Returns the true current [A]."""
@@ -191,26 +199,31 @@ class SocFilter:
         ambient_C = self.given_ambient_C if math.isfinite(self.given_ambient_C) else temp_C
         rate = float(c_rate(pack.installation, current_A))
         cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
-        state, soc_sd = noise.first_state(pack, cell_V, temp_C, rate)
-        mean = np.zeros(SIZE)
-        mean[: C.SENSOR + 1] = state
-        mean[C.SOC] += float(pack.installation.start_soc_shift)
-        covariance = noise.start_covariance(pack, state, soc_sd, temp_sd_K)
-        self._begin(mean, covariance, sample.time_s, ambient_C)
+        first = noise.first_state(pack, cell_V, temp_C, rate)
+        members = self._capacities
+        x = np.zeros((members.log_scale.size, SIZE))
+        x[:, : C.SENSOR + 1] = first.state
+        x[:, C.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
+        x[:, C.BIAS], x[:, C.LOG_CAPACITY] = first.mean[1], members.log_scale
+        covariance = noise.start_covariance(pack, first.state, first.covariance, temp_sd_K, members.sd)
+        P = np.tile(covariance, (x.shape[0], 1, 1))
+        self._begin(Moments(x, P, np.log(members.weight)), sample.time_s, ambient_C)
         self._current_A = self._block_A = current_A
         self._block = Block()
         return current_A
 
     def _predict(self, mean_A: float, dt_s: float) -> None:
         """Carry the belief over dt under the mean current."""
-        x, P = self._moments()
-        F, moved = jacobian(lambda x: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s), x)
-        rate = float(c_rate(self.pack.installation, mean_A))
-        self._hold(moved, F @ P @ F.T + np.diag(noise.process_variances(self.pack, x, rate, dt_s)))
+        at, pack = self._moments(), self.pack
+        F, moved = jacobian(lambda x: b.transition(pack, x, mean_A, self._ambient_C, dt_s), at.x)
+        rate, before = (float(c_rate(pack.installation, amps)) for amps in (mean_A, self._block_A))
+        q = noise.process_variances(pack, at.x.T, rate, dt_s, before)
+        spread = F @ at.P @ np.swapaxes(F, 1, 2) + q.T[..., None] * np.eye(SIZE)
+        self._at = Moments(moved, spread, at.log_weight)
 
     def _update(self, block: Block, step_A: float) -> Shown:
         """Condition the belief on the means of a block of rows."""
-        (x, P), pack = self._moments(), self.pack
+        at, pack = self._moments(), self.pack
         current_A, temp_C = block.current_A, block.temp_C
         has_temp = math.isfinite(temp_C)
 
@@ -219,49 +232,57 @@ class SocFilter:
             warmth = x[C.SENSOR] + pack.installation.offset_K
             return np.stack([volts, warmth]) if has_temp else np.stack([volts])
 
-        observation, expected = jacobian(reading, x)
+        observation, expected = jacobian(reading, at.x)
         measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
         innovation = measured - expected
-        variances = [noise.reading_variance(pack, x, current_A, step_A)]
+        noise_R = np.zeros((len(at.x), measured.size, measured.size))
+        noise_R[:, 0, 0] = noise.reading_variance(pack, at.x.T, current_A, step_A)
         if has_temp:
-            variances.append(pack.temperature_sd_K**2)
-        noise_R = np.diag(variances)
-        spread = observation @ P @ observation.T + noise_R
-        nis = float(innovation @ np.linalg.solve(spread, innovation))
-        if nis > GATE:  # believe it less, so that its normalised innovation is GATE
-            noise_R = noise_R + spread * (nis / GATE - 1.0)
-        self._condition(measured, observation, expected, noise_R)
-        self._keep_soc_possible()
-        x, P = self._moments()
-        self._hold(x, 0.5 * (P + P.T))
-        return Shown(float(innovation[0]), nis, float(expected[0]), float(x[C.SOC]))
+            noise_R[:, 1, 1] = pack.temperature_sd_K**2
+        spread = observation @ at.P @ np.swapaxes(observation, 1, 2) + noise_R
+        nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
+        # Far off (NIS above GATE): believe it less, so that its normalised innovation is GATE.
+        doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
+        after = self._kept_possible(self._condition(at, innovation, observation, doubted))
+        P = 0.5 * (after.P + np.swapaxes(after.P, 1, 2))
+        log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0])
+        self._at = Moments(after.x, P, log_weight)
+        weight, soc = at.weight, float(self._at.weight @ after.x[:, C.SOC])
+        return Shown(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
 
     def _between(self, sample: Sample, current_A: float) -> Shown:
         """Within a block: the last belief, less the charge drawn since."""
-        assert self._kalman is not None
-        x = self._kalman.x.copy()
-        capacity_As = 3600.0 * self.pack.installation.present_capacity_Ah * math.exp(x[C.LOG_CAPACITY])
-        x[C.SOC] -= self._block.charge_As / capacity_As
+        at = self._moments()
+        x, weight = at.x.copy(), at.weight
+        capacity_As = 3600.0 * self.pack.installation.present_capacity_Ah * np.exp(x[:, C.LOG_CAPACITY])
+        x[:, C.SOC] -= self._block.charge_As / capacity_As
+        soc = float(weight @ x[:, C.SOC])
         if self.postponed is not None:
-            self.postponed.append(Postponed(x, current_A, sample.voltage_V))
-            return Shown(NAN, NAN, NAN, float(x[C.SOC]))
-        expected_V = float(b.voltage(self.pack, x, current_A))
-        return Shown(sample.voltage_V - expected_V, NAN, expected_V, float(x[C.SOC]))
+            self.postponed.append(Postponed(x, weight, current_A, sample.voltage_V))
+            return Shown(NAN, NAN, NAN, soc)
+        expected_V = float(weight @ b.voltage(self.pack, x.T, current_A))
+        return Shown(sample.voltage_V - expected_V, NAN, expected_V, soc)
 
-    def _keep_soc_possible(self) -> None:
+    def _kept_possible(self, at: Moments) -> Moments:
         """A cell is never more than full: told to the filter as a reading, so that what is correlated follows."""
-        excess = float(self._moments().x[C.SOC]) - 1.0
-        if excess > 0.0:
-            row = np.zeros((1, SIZE))
-            row[0, C.SOC] = 1.0
-            self._condition(np.array([-excess]), row, np.zeros(1), np.eye(1) * FULL_SOC_SD**2)
+        over = at.x[:, C.SOC] > 1.0
+        if not over.any():
+            return at
+        row = np.zeros((int(over.sum()), 1, SIZE))
+        row[:, 0, C.SOC] = 1.0
+        some = Moments(at.x[over], at.P[over], at.log_weight[over])
+        noise_R = np.full((len(row), 1, 1), FULL_SOC_SD**2)
+        told = self._condition(some, 1.0 - some.x[:, [C.SOC]], row, noise_R)
+        x, P = at.x.copy(), at.P.copy()
+        x[over], P[over] = told.x, told.P
+        return Moments(x, P, at.log_weight)
 
     def _estimate(self, sample: Sample, shown: Shown, warn: Callable[[Sample, Summary], tuple[str, ...]]) -> Estimate:
-        if self._kalman is not None and self._summary.x is not self._kalman.x:
-            self._summary = summary(self._kalman.x, self._kalman.P)
+        if self._at is not None and self._summary.x is not self._at.x:
+            self._summary = summary(self._at)
         known = self._summary
         status, reason = Status.OK, ""
-        if self._kalman is None or not math.isfinite(shown.soc):
+        if self._at is None or not math.isfinite(shown.soc):
             status, reason = Status.REFUSED, _why_nothing(sample)
         elif known.soc_sd > REFUSED_SOC_SD:
             status, reason = Status.REFUSED, f"state of charge known only to ±{known.soc_sd:.0%}"

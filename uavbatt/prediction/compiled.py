@@ -14,6 +14,7 @@ from uavbatt.battery import model
 from uavbatt.battery.belief import C
 from uavbatt.battery.build import Pack
 from uavbatt.battery.compiled import as_numbers, compiled
+from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.prediction import spread
@@ -54,10 +55,10 @@ def time_to_end(
     """End of flight and of the low-voltage warning [s] of each column; inf beyond the horizon."""
     batch = x.shape[1]
     memory, end_s, low_s = np.exp(-dt_s / pack.bias_tau_s), np.empty(batch), np.empty(batch)
-    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
     for j in range(batch):
         end_s[j], low_s[j] = one(
-            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, memory, kick_V, bias[:, j], row[:, j], by_rows
+            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, memory, kick_V2, bias[:, j], row[:, j], by_rows
         )
     return end_s, low_s
 
@@ -71,7 +72,7 @@ def one(
     dt_s: Array,
     reserve_soc: float,
     memory: Array,
-    kick_V: Array,
+    kick_V2: Array,
     bias: Array,
     row: Array,
     by_rows: bool,
@@ -117,8 +118,9 @@ def one(
             rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_W / size)
         if dt_s[k] != lags_s:
             lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
+        doubt_V2 = b.ocv_doubt(pack, state.soc, rate * (dt_s[k] / SECONDS_PER_HOUR))
         state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags)
-        bias_V = memory[k] * bias_V + kick_V[k] * bias[k]
+        bias_V = memory[k] * bias_V + np.sqrt(kick_V2[k] + doubt_V2) * bias[k]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
-from uavbatt.battery.belief import C, unpack
+from uavbatt.battery.belief import C, ocv_doubt, unpack
 from uavbatt.battery.build import Pack
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
@@ -66,7 +66,7 @@ def time_to_end(
     steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
     harness_ohmAh = series_resistance(installation, 0.0)
     memory = np.exp(-dt_s / pack.bias_tau_s)
-    kick_V = pack.bias_sd_V * np.sqrt(1.0 - memory**2)
+    kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
     lags = [model.Lags(*step) for step in zip(*model.lags(cell, dt_s), strict=True)]
     sight = _Sight(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
     way = _Way(*np.zeros((len(_Way._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
@@ -93,8 +93,12 @@ def time_to_end(
         now, asked = asked, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
             rate = model.rate_at_power(cell, emf_V, series_ohmAh, 0.5 * (now + asked))
+        if wander is not None:
+            doubt_V2 = ocv_doubt(pack, state.soc, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
         state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
-        bias_V = memory[k] * bias_V + (0.0 if wander is None else kick_V[k] * wander.bias[k])
+        bias_V = memory[k] * bias_V
+        if wander is not None:
+            bias_V = bias_V + np.sqrt(kick_V2[k] + doubt_V2) * wander.bias[k]
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
 
 

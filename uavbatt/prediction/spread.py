@@ -43,16 +43,24 @@ def shuffled(count: int) -> Array:
 
 
 def draws(belief: Belief) -> Array:
-    """Columns [8, DRAWS] of the belief; soc kept within 0..1.02.
+    """Columns [8, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
 
     By the symmetric root of the covariance, which moves when the covariance does and not with the signs that a
     decomposition happens to give its vectors.
     """
-    values, vectors = np.linalg.eigh(belief.covariance)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    columns = belief.mean[:, None] + root @ normals()
+    member = _shared_out(belief.weights)
+    used, place = np.unique(member, return_inverse=True)
+    values, vectors = np.linalg.eigh(belief.covariances[used])
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    columns = belief.means[member].T + np.einsum("nij,jn->in", root[place], normals())
     columns[C.SOC] = np.clip(columns[C.SOC], 0.0, 1.02)
     return np.asarray(columns)
+
+
+def _shared_out(weights: Array) -> Array:
+    """Index of the member of each draw [DRAWS]: always the same ranks, so that few draws change when weights do."""
+    found = np.searchsorted(np.cumsum(weights / weights.sum()), shuffled(weights.size) - 1e-12)
+    return np.asarray(np.minimum(found, weights.size - 1))
 
 
 def assigned(weight: Array) -> Array:
