@@ -40,7 +40,7 @@ class C(IntEnum):
 
 
 SIZE = len(C)
-DOUBT_LENGTH = 0.25  # of the charge
+DOUBT_LENGTH = 1.0  # of the charge
 
 
 @dataclass(frozen=True, slots=True)

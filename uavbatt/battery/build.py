@@ -44,7 +44,7 @@ ROW_SHARE = 0.12
 COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
-SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.035, 3000.0
+SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.02, 3000.0
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25}
 
 

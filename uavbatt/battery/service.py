@@ -17,12 +17,12 @@ from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 
 MEMBERS = 13
-# ln of the capacity against the stated one: packs in service, and those of which something stated is wrong.
-SERVICE_MEAN, SERVICE_SD = -0.07, 0.12
-WRONG_SHARE, WRONG_MEAN, WRONG_SD = 0.12, -0.3, 0.35
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP = 0.6  # sd of a member as a share of the distance to the next
+# Shares, means and sds of ln(capacity / stated): packs as good as new, packs in service, and those of which something
+# stated is wrong.
+PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
 
 
 class Capacities(NamedTuple):
@@ -35,13 +35,12 @@ class Capacities(NamedTuple):
 
 def capacities(pack: Pack) -> Capacities:
     """The prior of a pack that nobody measured; `pack.capacity_scale_sd` widens it."""
-    sd = math.hypot(SERVICE_SD, pack.capacity_scale_sd)
-    low = min(SMALLEST, SERVICE_MEAN - REACH * sd)
-    high = max(LARGEST, SERVICE_MEAN + REACH * sd)
-    scale = np.linspace(low, high, MEMBERS)
-    wrong_sd = max(WRONG_SD, sd)
-    weight = (1.0 - WRONG_SHARE) * _normal((scale - SERVICE_MEAN) / sd) / sd
-    weight += WRONG_SHARE * _normal((scale - WRONG_MEAN) / wrong_sd) / wrong_sd
+    widest = math.hypot(PRIOR[1][2], pack.capacity_scale_sd)
+    scale = np.linspace(min(SMALLEST, -REACH * widest), max(LARGEST, REACH * widest), MEMBERS)
+    weight = np.zeros(MEMBERS)
+    for share, mean, own_sd in PRIOR:
+        sd = math.hypot(own_sd, pack.capacity_scale_sd)
+        weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / sd
     return Capacities(scale, OVERLAP * float(scale[1] - scale[0]), weight / weight.sum())
 
 
@@ -49,6 +48,3 @@ def known_capacity(pack: Pack) -> Capacities:
     """One member, around what is stated: for a pack that was measured."""
     return Capacities(np.zeros(1), pack.capacity_scale_sd, np.ones(1))
 
-
-def _normal(z: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * z**2))

@@ -40,11 +40,7 @@ OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
 VOLTAGE_SD_V = 0.004
-# The drop itself is known to this share. Most of that error is the same from reading to reading (the model's R, the
-# current sensor's noise that a filter would read as a smaller resistance), and a filter that took readings two
-# seconds apart for independent would soon be sure of a wrong charge. So each is believed less than its own noise
-# deserves: the innovations stay well inside their band (NIS about 0.1 to 0.3 instead of 2), and the charge inside its
-# own. Measured on flights with known truth: 2 % gives a soc RMSE of 0.026 on the worst flight, 6 % gives 0.014.
+# The drop itself is known to this share from reading to reading; what is the same in all of them is the discrepancy's.
 DROP_SHARE = 0.06
 # An autopilot's own compensation is as good as its guess of the resistance.
 COMPENSATED_SHARE = 0.35
