@@ -1,0 +1,107 @@
+"""Do the readings and the belief still fit each other? A value that goes from row to row.
+
+A filter explains whatever it is given. So what it had to assume is held against what can be: a discrepancy far outside
+its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands still. Each has
+its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.belief import Belief, C
+from uavbatt.battery.build import Pack
+from uavbatt.battery.model import SOC_GRID
+from uavbatt.estimation.sensors import (
+    DEAD_S,
+    LEAST_RISE_CELL_V,
+    LOADED_C_RATE,
+    REFUSED_STUCK_S,
+    STUCK_S,
+    Load,
+    Readings,
+)
+from uavbatt.records import Estimate, Sample
+
+FAR_SDS = 3.0
+NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
+SMALL_PACK, SURE_SDS = 0.9, 1.5
+
+STUCK_VOLTAGE = "the voltage has not moved under load for half a minute: a stuck sensor?"
+STUCK_CURRENT = "the current has not moved for half a minute while the voltage does: a stuck sensor?"
+DEAD_CURRENT = "the current fell to nothing while the voltage did not recover: a dead current sensor?"
+UNFITTING = "voltage and current have not fitted this battery for a minute"
+FAR_OFF = "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted"
+SMALL = "this pack holds less than stated: aged or smaller, or a current sensor that reads low"
+
+
+class Innovations(NamedTuple):
+    """Mean of the normalised innovation squared over about a minute, and since when it has been too large [s]."""
+
+    mean: float = 0.0
+    high_since_s: float = math.nan
+
+    def after(self, time_s: float, nis: float) -> Innovations:
+        """The same with one more block of rows; rows within a block have none."""
+        if not math.isfinite(nis):
+            return self
+        keep = math.exp(-NIS_BLOCK_S / NIS_TAU_S)
+        mean = keep * self.mean + (1.0 - keep) * nis
+        if mean <= NIS_LIMIT:
+            return Innovations(mean)
+        return Innovations(mean, self.high_since_s if math.isfinite(self.high_since_s) else time_s)
+
+    def is_unfitting(self, time_s: float) -> bool:
+        """Whether they have been too large for a minute."""
+        return math.isfinite(self.high_since_s) and time_s - self.high_since_s >= NIS_AFTER_S
+
+
+class Monitor(NamedTuple):
+    """What was seen so far, and what follows from it."""
+
+    readings: Readings = Readings()
+    load: Load = Load()
+    innovations: Innovations = Innovations()
+    doubts: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    refusal: str = ""
+
+    def after(self, sample: Sample, estimate: Estimate, belief: Belief | None, pack: Pack) -> Monitor:
+        """The monitor after one more row, its estimate and the belief that it led to."""
+        time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
+        if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.readings.time_s:
+            return self
+        cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
+        readings = self.readings.after(time_s, volts, amps, cells)
+        least = Load(voltage_V=LEAST_RISE_CELL_V * cells, current_A=LOADED_C_RATE * capacity_Ah)
+        load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, least)
+        innovations = self.innovations.after(time_s, estimate.nis)
+        still = (
+            (STUCK_VOLTAGE, readings.stuck_voltage_s(cells, capacity_Ah)),
+            (STUCK_CURRENT, readings.stuck_current_s()),
+        )
+        doubts = [words for words, for_s in still if for_s >= STUCK_S]
+        refusals = [words for words, for_s in still if for_s >= REFUSED_STUCK_S]
+        if load.dead_s(time_s) >= DEAD_S:
+            refusals.append(DEAD_CURRENT)
+        if innovations.is_unfitting(time_s):
+            doubts.append(UNFITTING)
+        if is_far_off(belief, pack):
+            doubts.append(FAR_OFF)
+        remarks = (SMALL,) if is_small(estimate) else ()
+        return Monitor(readings, load, innovations, tuple(doubts), remarks, refusals[0] if refusals else "")
+
+
+def is_far_off(belief: Belief, pack: Pack) -> bool:
+    """Whether the discrepancy has left its prior: its size where the charge is believed to be."""
+    mean_V, soc = belief.weights @ belief.means[:, [C.BIAS, C.SOC]]
+    file_V = float(np.interp(soc, SOC_GRID, pack.ocv_sd_V))
+    return bool(abs(mean_V) > FAR_SDS * math.hypot(pack.bias_sd_V, file_V))
+
+
+def is_small(estimate: Estimate) -> bool:
+    """Whether the pack surely holds less than what is stated, by more than packs scatter."""
+    return estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd < SMALL_PACK

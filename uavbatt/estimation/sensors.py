@@ -1,0 +1,102 @@
+"""Sensors that lie in silence: a reading that does not move while it must, a current that vanishes from under a load."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
+# An emptying cell falls by at least so much per unit of charge; a voltage that must have fallen by three of its own
+# smallest steps and by 10 mV, and did not move, is stuck.
+LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
+COARSEST_STEP_V = 0.1  # of a voltmeter that has not shown its smallest step yet
+# A cell's voltage that goes down and up by so much, again and again, does it because of a current.
+TURN_CELL_V, TURNS = 0.012, 6
+LOADED_C_RATE = 0.4
+DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35, 0.02, 3.0, 10.0
+
+
+class Still(NamedTuple):
+    """A reading since it last moved: its value, since when [s], and the smallest step that it ever made."""
+
+    value: float = math.nan
+    since_s: float = math.nan
+    step: float = math.inf
+
+    def after(self, time_s: float, value: float) -> Still:
+        """The same with one more reading."""
+        if value == self.value:
+            return self
+        change = abs(value - self.value)
+        return Still(value, time_s, min(self.step, change) if math.isfinite(change) else self.step)
+
+    def age_s(self, time_s: float) -> float:
+        """For how long the reading has not moved [s]; 0 before the first one."""
+        return time_s - self.since_s if math.isfinite(self.since_s) else 0.0
+
+
+class Readings(NamedTuple):
+    """Voltage and current since they last moved: what was drawn meanwhile, how often the voltage turned."""
+
+    time_s: float = math.nan
+    voltage: Still = Still()
+    current: Still = Still()
+    drawn_Ah: float = 0.0  # since the voltage last moved
+    turn_V: float = math.nan  # farthest point since the voltage last turned
+    is_rising: bool = False
+    turns: int = 0  # since the current last moved
+
+    def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> Readings:
+        """The same with one more row."""
+        dt_s = max(time_s - self.time_s, 0.0) if math.isfinite(self.time_s) else 0.0
+        voltage, current = self.voltage.after(time_s, voltage_V), self.current.after(time_s, current_A)
+        drawn_Ah = self.drawn_Ah + max(current_A, 0.0) * dt_s / 3600.0 if voltage is self.voltage else 0.0
+        turn_V, is_rising, turns = self.turn_V, self.is_rising, self.turns if current is self.current else 0
+        step_V = voltage_V - turn_V if math.isfinite(turn_V) else 0.0
+        if (step_V > 0.0) is is_rising:
+            turn_V = voltage_V
+        elif abs(step_V) > TURN_CELL_V * cells:
+            turn_V, is_rising, turns = voltage_V, not is_rising, turns + 1
+        return Readings(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
+
+    def stuck_voltage_s(self, cells: float, capacity_Ah: float) -> float:
+        """For how long the voltage has stood still although it must have moved [s]; 0 when it is sound."""
+        step_V = min(self.voltage.step, COARSEST_STEP_V)
+        must_V = LEAST_FALL_V * cells * self.drawn_Ah / capacity_Ah
+        return self.voltage.age_s(self.time_s) if must_V > max(STUCK_STEPS * step_V, STUCK_V) else 0.0
+
+    def stuck_current_s(self) -> float:
+        """For how long the current has stood still while the voltage went down and up [s]; 0 when it is sound."""
+        return self.current.age_s(self.time_s) if self.turns >= TURNS else 0.0
+
+
+class Load(NamedTuple):
+    """The load of the last seconds, and since when the current is gone from under it while the voltage stays down."""
+
+    time_s: float = math.nan
+    voltage_V: float = math.nan
+    current_A: float = math.nan
+    owed_V: float = math.nan  # what the cells give back when the load is gone
+    gone_since_s: float = math.nan
+
+    def after(self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, least: Load) -> Load:
+        """The same with one more row; `least` holds the load that counts and the rise that shows."""
+        fresh = Load(time_s, voltage_V, current_A)
+        if not math.isfinite(self.current_A):
+            return fresh
+        if self.current_A < least.current_A or current_A > DEAD_SHARE * self.current_A:
+            keep = math.exp(-max(time_s - self.time_s, 0.0) / RECENT_TAU_S)
+            return Load(
+                time_s,
+                voltage_V + keep * (self.voltage_V - voltage_V),
+                current_A + keep * (self.current_A - current_A),
+            )
+        is_new = not math.isfinite(self.gone_since_s)
+        owed_V = predicted_V - self.voltage_V if is_new else self.owed_V
+        if not owed_V > least.voltage_V or voltage_V - self.voltage_V > RECOVERED_SHARE * owed_V:
+            return fresh
+        return self._replace(owed_V=owed_V, gone_since_s=time_s if is_new else self.gone_since_s)
+
+    def dead_s(self, time_s: float) -> float:
+        """For how long the current sensor has been dead [s]; 0 when it is sound."""
+        return time_s - self.gone_since_s if math.isfinite(self.gone_since_s) else 0.0
