@@ -25,6 +25,7 @@ import numpy as np
 from uavbatt.discharge_csv import MIN_POINTS, Array, read_runs
 from uavbatt.discharge_csv import Run as Run
 from uavbatt.errors import BadInput
+from uavbatt.limits import CAPACITY_AH
 
 QUANTITIES = ("voltage_V", "surface_C", "current_A")
 _T = TypeVar("_T")
@@ -65,7 +66,7 @@ class _Battery(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     cutoff_V: _Positive
     load: str
     source: str
-    capacity_Ah: _Positive | None = None
+    capacity_Ah: Annotated[float, msgspec.Meta(ge=CAPACITY_AH[0], le=CAPACITY_AH[1])] | None = None
     uncertainty: Uncertainty = Uncertainty()
 
 
@@ -98,6 +99,11 @@ class DataSet:
     def ambients_C(self) -> tuple[float, ...]:
         """Every ambient temperature of the set, ascending [°C]."""
         return tuple(sorted({r.ambient_C for r in self.runs}))
+
+    @property
+    def first_V(self) -> float:
+        """The highest voltage that a run begins with [V]; NaN without runs."""
+        return max((float(run.voltage_V[0]) for run in self.runs), default=float("nan"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from uavbatt.prediction.load import Load, Now, Scenarios, equal_levels
 from uavbatt.records import NAN, Flight, PackFacts
 from uavbatt.resolved import certificate_remark
 from uavbatt.resolved import resolve as size_of_pack
+from uavbatt.statements import check
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
@@ -93,10 +94,14 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     typed = battery.battery
     if options.cells is None and battery.status == "generic":
         raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
-    return size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
+    found = size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
+    if found.refusal:
+        raise UsageError(found.refusal)
+    return found
 
 
 def _as_flown(battery: BatteryFile, options: PackOptions, like: Flight) -> Resolved:
+    check(battery, options, like)
     estimator = Estimator(battery, options)
     estimator.update_facts(like.facts_at(math.inf))
     for sample in like.samples:
@@ -121,7 +126,8 @@ def made(
 
     curve, remark = at(CURVE_C), certificate_remark(battery, resolved)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
-    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, (remark,) if remark else ())
+    warnings = (*((remark,) if remark else ()), *resolved.notices)
+    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, warnings)
 
 
 def endurance(

@@ -50,8 +50,8 @@ class PackOptions:
 
     def __post_init__(self) -> None:
         check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C, self.reserve_soc)
-        if not self.forecast_period_s > 0.0:
-            raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected a positive number of seconds")
+        if not self.forecast_period_s >= 0.0:
+            raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +134,16 @@ def resolve(
         notices=(*cells_notices, *notices, *_oddities(doubts), *_scaled_far(battery, cells, capacity_Ah)),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
     )
+
+
+def checked(battery: BatteryFile, pack: Resolved, seen: Seen) -> Resolved:
+    """The pack, if what the caller states of it fits the voltages that were seen; UsageError in words if not."""
+    if pack.refusal:
+        raise UsageError(pack.refusal)
+    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from == "--cells" else None
+    if doubt is not None and doubt.is_certain:
+        raise UsageError(f"--cells: {doubt.words}")
+    return pack
 
 
 def resting(battery: BatteryFile) -> Resting:

@@ -21,7 +21,7 @@ from uavbatt.limits import C_RATE, KELVIN, LONGEST_ROW_S, POWER_FACTOR, USUAL_C_
 from uavbatt.prediction.learned import GRID_S, LearnedLoad
 from uavbatt.prediction.load import ConstantLoad, Load
 from uavbatt.records import NAN, Flight, Sample
-from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, resolve, resting
+from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, checked, resolve
 
 MINUTE_S = 60.0
 SEVERAL_ROWS = 3
@@ -222,36 +222,33 @@ def stated_power(load: Load) -> PowerRange | None:
     return lowest_W, highest_W
 
 
-def first_seen(samples: Iterable[Sample], capacity_Ah: float) -> Seen:
-    """The voltages before the load of a record; of its first row alone where that is all."""
-    found = Statements()
+def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
+    """The voltages before the load of a record, or of its first minutes; without a capacity none counts as rested."""
+    found, start_s = Statements(), NAN
     for sample in samples:
-        if math.isfinite(sample.voltage_V):
-            idle = _is_idle(sample, capacity_Ah)
-            if found.rows and not idle:
-                break
-            found = found._with_voltage(sample.voltage_V, idle)._replace(
-                rows=found.rows + 1, voltage_V=sample.voltage_V
-            )
+        if not math.isfinite(sample.voltage_V):
+            continue
+        start_s = start_s if found.rows else sample.time_s
+        is_idle = _is_idle(sample, capacity_Ah)
+        if sample.time_s - start_s > FIRST_ROWS_S or (found.rows >= SEVERAL_ROWS and not is_idle):
+            break
+        found = found._with_voltage(sample.voltage_V, is_idle)
+        found = found._replace(rows=found.rows + 1, voltage_V=sample.voltage_V)
     return found.seen
 
 
 def check(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
     """UsageError when what the caller states of the pack cannot be, by the first rows of the flight."""
-    rows = [s for s in flight.samples if math.isfinite(s.voltage_V)]
-    if not rows:
+    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
+    if first is None:
         return
-    rows = [s for s in rows if s.time_s - rows[0].time_s <= FIRST_ROWS_S]
-    facts, cell = flight.facts_at(rows[-1].time_s), resting(battery)
-    guess = cells_from_voltage(rows[0].voltage_V, battery.battery.cells_series)
-    capacity_Ah = resolve(battery, options, facts, guess).capacity_Ah
-    seen = first_seen(rows, capacity_Ah)
-    pack = resolve(battery, options, facts, guess, seen=seen)
-    doubt = cells_doubt(pack.cells, seen, cell)
-    if pack.refusal:
-        raise UsageError(f"{flight.source}: {pack.refusal}")
-    if doubt is not None and doubt.is_certain and pack.cells_from == "--cells":
-        raise UsageError(f"{flight.source}: {doubt.words}")
+    facts = flight.facts_at(first.time_s + FIRST_ROWS_S)
+    guess = cells_from_voltage(first.voltage_V, battery.battery.cells_series)
+    try:
+        seen = first_seen(flight.samples, resolve(battery, options, facts, guess).capacity_Ah)
+        checked(battery, resolve(battery, options, facts, guess, seen=seen), seen)
+    except UsageError as error:
+        raise UsageError(f"{flight.source}: {error}") from None
 
 
 def _is_idle(sample: Sample, capacity_Ah: float) -> bool:

@@ -58,6 +58,8 @@ def fit(
     else:
         name = (output or vehicle or Path("fitted")).name.split(".")[0]
         size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
+        for notice in size.notices:
+            print(f"warning: {notice}", file=sys.stderr)
         print(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...", file=sys.stderr)
         found = fit_battery(size, datasets, flights)
         content = found.file
