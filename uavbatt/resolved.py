@@ -95,6 +95,8 @@ def resolve(
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
     cells, cells_from, cells_notices = _cells(given, said, guess, seen, resting(battery))
+    if cells_notices:  # a PX4 works its critical voltage out from its count of cells
+        said = replace(said, critical_voltage_V=NAN)
     said, notices = believed(said, cells, seen)
     capacity_Ah, capacity_from = _first(
         (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
@@ -186,7 +188,7 @@ def _cells(
     doubt = cells_doubt(said.cells_series, seen, cell)
     if doubt is None or not doubt.is_certain:
         return said.cells_series, "vehicle", ()
-    return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used",)
+    return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used, nor its critical voltage",)
 
 
 def _oddities(doubts: list[Doubt | None]) -> tuple[str, ...]:

@@ -57,7 +57,7 @@ class Statements(NamedTuple):
     drawn_Ah: float = 0.0
     most_overdrawn: float = 0.0  # share of the stated capacity, while the cells were far from empty
     calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
-    strain_V: float = 0.0  # of a cell, beyond what the discharge explains; the least of the last `strained_s`
+    strain_V: float = 0.0  # of a cell, beyond what the discharge explains: the mean of about a minute
     strained_s: float = 0.0
     negative_s: float = 0.0
 
@@ -157,8 +157,8 @@ class Statements(NamedTuple):
         is_plateau = self.voltage_V > PLATEAU_CELL_V * pack.cells
         if not (strain_V > STRAIN_CELL_V and 0.0 < rate < USUAL_C_RATE[0] and is_plateau):
             return self._replace(strained_s=0.0, strain_V=0.0) if self.strained_s else self
-        least_V = min(self.strain_V, strain_V) if self.strained_s else strain_V
-        return self._replace(strained_s=self.strained_s + step_s, strain_V=least_V)
+        keep = math.exp(-step_s / MINUTE_S) if self.strained_s else 0.0
+        return self._replace(strained_s=self.strained_s + step_s, strain_V=strain_V + (self.strain_V - strain_V) * keep)
 
     def _time_doubt(self) -> Doubt | None:
         if self.long_rows < SEVERAL_ROWS:
