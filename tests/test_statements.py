@@ -285,7 +285,7 @@ def of_another(power_W: float) -> VehicleFile:
 @pytest.mark.parametrize(("power_W", "is_other"), [(900.0, True), (120.0, True), (330.0, False), (250.0, False)])
 def test_a_vehicle_file_of_another_aircraft_is_said(power_W: float, is_other: bool) -> None:
     rows = after(replace(STATED, load=learned_load(of_another(power_W))))
-    assert ("is it another's file?" in said(rows)) is is_other
+    assert ("another aircraft's?" in said(rows)) is is_other
 
 
 def test_a_battery_file_of_another_pack_is_said(tmp_path: Path) -> None:
@@ -392,6 +392,22 @@ def test_plan_ends_before_any_work(wrong: tuple[str, ...], words: str, tmp_path:
     is_one_line_of_usage(done, words, tmp_path)
 
 
+def test_plan_ends_on_a_power_that_no_pack_gives(tmp_path: Path) -> None:
+    done = called("plan", "--cells", "4", "--capacity-ah", "0.5", "--power-w", "800", folder=tmp_path)
+    is_one_line_of_usage(done, "800 W on 4S 0.5 Ah is 108 C", tmp_path)
+    done = called("plan", "--cells", "4", "--capacity-ah", "0.5", "--power-w", "300", folder=tmp_path)
+    assert done.returncode == 0 and "300 W on 4S 0.5 Ah is 41 C" in done.stdout
+
+
+@pytest.mark.parametrize("command", [("fit", "-o", "n.battery.toml"), ("diagnose", "--battery", "lipo-generic")])
+@pytest.mark.parametrize(("capacity_Ah", "words"), [("0.5", "1.5 times the stated 0.5 Ah"), ("500", "less than 0.3 C")])
+def test_fit_and_diagnose_hold_the_capacity_against_the_whole_flight(
+    command: tuple[str, ...], capacity_Ah: str, words: str, log: Path, tmp_path: Path
+) -> None:
+    done = called(*command, log, "--cells", "4", "--capacity-ah", capacity_Ah, folder=tmp_path)
+    is_one_line_of_usage(done, words, tmp_path)
+
+
 @pytest.mark.parametrize(("wrong", "words"), [ABSURD[k] for k in (0, 3, 5, 7, 9)])
 @pytest.mark.parametrize(
     "command", [("plan", "--like"), ("fit", "-o", "n.battery.toml"), ("diagnose", "--battery", "lipo-generic")]
@@ -437,7 +453,7 @@ def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:
 def test_replay_with_another_aircrafts_vehicle_file(log: Path, tmp_path: Path) -> None:
     path = write_vehicle(of_another(900.0), tmp_path / "other.vehicle.toml")
     done = called("replay", log, "--vehicle", path, folder=tmp_path)
-    assert done.returncode == 0 and "is it another's file?" in done.stdout
+    assert done.returncode == 0 and "another aircraft's?" in done.stdout
 
 
 def test_a_table_in_milliseconds_is_refused_with_its_column(tmp_path: Path) -> None:

@@ -66,16 +66,15 @@ def cells_doubt(cells: int, seen: Seen, resting: Resting) -> Doubt | None:
     """What the first voltages say against a count of cells in series."""
     first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
-        return Doubt(f"{_count(cells)}: {seen.first_V:.2f} V is {first_V:.2f} V a cell, {_expected_cells(seen)}", True)
+        words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
+        return Doubt(f"{_count(cells)}: {words}", True)
     if rested_V < resting.empty_V:
-        words = f"{seen.rested_V:.2f} V at rest is {rested_V:.2f} V a cell, {_expected_cells(seen)}"
+        words = f"{seen.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {_expected_cells(seen, resting.empty_V)}"
         return Doubt(f"{_count(cells)}: {words}", True)
     if rested_V < resting.low_V:
-        return Doubt(f"{_count(cells)} at {rested_V:.2f} V a cell at rest: nearly empty, or another count", False)
+        return Doubt(f"{_count(cells)} at {rested_V:.1f} V a cell at rest: nearly empty, or another count", False)
     if first_V > FULLEST_CELL_V:
-        return Doubt(
-            f"{_count(cells)} at {first_V:.2f} V a cell: fuller than cells are, or another count", False
-        )
+        return Doubt(f"{_count(cells)} at {first_V:.1f} V a cell: fuller than cells are, or another count", False)
     return None
 
 
@@ -107,6 +106,14 @@ def capacity_doubt(capacity_Ah: float) -> Doubt | None:
         return None
     slip = " (mAh?)" if capacity_Ah > highest_Ah else ""
     return Doubt(f"{capacity_Ah:g} Ah, expected {lowest_Ah:g} to {highest_Ah:g} Ah{slip}", True)
+
+
+def rate_doubt(what: str, c_rate: float) -> Doubt | None:
+    """What speaks against a C-rate [1/h] that is to last; one that is too low is no flight, and has its own words."""
+    if c_rate <= USUAL_C_RATE[1]:
+        return None
+    is_certain = c_rate > C_RATE[1]
+    return Doubt(f"{what} {c_rate:.0f} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
 
 
 def check_stated(
@@ -162,11 +169,11 @@ def _count(cells: int) -> str:
     return f"{cells} cell{'s' if cells > 1 else ''} in series"
 
 
-def _expected_cells(seen: Seen) -> str:
+def _expected_cells(seen: Seen, lowest_V: float) -> str:
     """The bounds, and the counts that the voltage fits."""
     volts = seen.first_V if math.isnan(seen.rested_V) else seen.rested_V
     fewest = max(1, math.ceil(volts / FULLEST_CELL_V))
-    return f"expected {LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V before the load, as with {fewest}"
+    return f"expected {lowest_V:.3g} to {HIGHEST_CELL_V:g} V before the load, as with {fewest}"
 
 
 def _slip(volts: float, cells: int) -> str:

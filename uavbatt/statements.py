@@ -55,7 +55,7 @@ class Statements(NamedTuple):
     loaded_A: float = NAN  # means of about a minute, under load only
     loaded_W: float = NAN
     drawn_Ah: float = 0.0
-    most_overdrawn: float = 0.0  # share of the stated capacity, while the cells were far from empty
+    plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
     calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
     strain_V: float = 0.0  # of a cell, beyond what the discharge explains: the mean of about a minute
     strained_s: float = 0.0
@@ -132,8 +132,8 @@ class Statements(NamedTuple):
         if rate > LOADED_C_RATE:
             now = now._under_load(current_A, step_s)
         cell_V = self.voltage_V / pack.cells
-        if cell_V > PLATEAU_CELL_V and drawn_Ah > now.most_overdrawn * pack.capacity_Ah:
-            now = now._replace(most_overdrawn=drawn_Ah / pack.capacity_Ah)
+        if cell_V > PLATEAU_CELL_V and drawn_Ah > now.plateau_Ah:
+            now = now._replace(plateau_Ah=drawn_Ah)
         return now._strained(rate, step_s, pack)
 
     def _under_load(self, current_A: float, step_s: float) -> Statements:
@@ -184,9 +184,9 @@ class Statements(NamedTuple):
         return None
 
     def _charge_doubt(self, capacity_Ah: float) -> Doubt | None:
-        if self.most_overdrawn <= OVERDRAWN:
+        if self.plateau_Ah <= OVERDRAWN * capacity_Ah:
             return None
-        is_certain = self.most_overdrawn > SURELY_OVERDRAWN
+        is_certain = self.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
         share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
         words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
         return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
@@ -199,7 +199,7 @@ class Statements(NamedTuple):
             return None
         more = "more than twice" if self.loaded_W > high_W else "less than half"
         spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
-        return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: is it another's file?", False)
+        return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
 
     def _temperature_doubt(self) -> Doubt | None:
         if self.kelvin_rows < SEVERAL_ROWS:
@@ -249,6 +249,16 @@ def check(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
         checked(battery, resolve(battery, options, facts, guess, seen=seen), seen)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None
+
+
+def check_whole(flight: Flight, pack: Resolved, resting: Resting) -> None:
+    """UsageError when any row of the flight contradicts for certain what is believed of its pack."""
+    found = Statements()
+    for sample in flight.samples:
+        found = found.after(sample, sample, pack)
+        doubts = found.doubts(pack, resting)
+        if doubts and doubts[0].is_certain and found.rows >= SEVERAL_ROWS:
+            raise UsageError(f"{flight.source}: {doubts[0].words}")
 
 
 def _is_idle(sample: Sample, capacity_Ah: float) -> bool:

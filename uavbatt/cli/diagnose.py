@@ -145,13 +145,17 @@ def _distinct(flights: list[Flight]) -> list[Flight]:
 
 def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
     """As `_size`; where nobody tells the cells, the fullest voltage at the start does."""
-    from uavbatt.statements import first_seen
+    from uavbatt.resolved import resolve, resting
+    from uavbatt.statements import check_whole, first_seen
 
     typed = content.battery
     volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
     guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
     seen = first_seen(flight.samples)
-    return _size(flight.source, flight.facts_at(math.inf), guess, content, stated, seen)
+    said = flight.facts_at(math.inf)
+    size = _size(flight.source, said, guess, content, stated, seen)
+    check_whole(flight, resolve(content, stated, said, guess, seen=seen), resting(content))
+    return size
 
 
 def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:

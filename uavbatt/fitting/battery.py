@@ -15,7 +15,7 @@ from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import Fit
 from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
 from uavbatt.records import Flight
-from uavbatt.resolved import believed
+from uavbatt.resolved import Resolved, believed
 from uavbatt.statements import first_seen
 
 # Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
@@ -33,6 +33,13 @@ class Size:
     capacity_Ah: float
     cutoff_V: float
     notices: tuple[str, ...] = ()  # what the vehicles say and was not believed, or is odd
+
+    @property
+    def resolved(self) -> Resolved:
+        """The same as any estimate is made for."""
+        by = "fit"
+        sized = (self.cells, by, self.capacity_Ah, by, self.cutoff_V, by)
+        return Resolved(self.name, "fitted", *sized, float("nan"), by)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +79,7 @@ def fit_battery(
             source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
             remarks=list(_unknown(found, stack, bool(bench))),
         ),
-        parameters=assemble.parameter_table(
-            found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd
-        ),
+        parameters=assemble.parameter_table(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
         discrepancy=left,
         certificate=Certificate(status="fitted", data_sha256=datasets[0].sha256 if len(datasets) == 1 else ""),
@@ -167,5 +172,3 @@ def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
     if not stack.rested.any():
         lines.append("no record starts at rest: the open-circuit voltage near full is the prior's")
     return tuple(lines)
-
-
