@@ -183,10 +183,11 @@ class Estimator:
             return
         before, self._statements = self._statements, self._statements.after(raw, sample, self.resolved)
         seen, cells = self._statements.seen, self.resolved.cells
-        if self.resolved.cells_from != "--cells" and self._statements.denies(cells, self._resting):
-            self._resolve_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
-        elif math.isnan(before.seen.rested_V) and math.isfinite(seen.rested_V):
-            self._resolve_again(cells)  # a cut-off may lie above it
+        if seen is not before.seen:
+            if self.resolved.cells_from != "--cells" and self._statements.denies(cells, self._resting):
+                self._resolve_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
+            elif math.isnan(before.seen.rested_V) and math.isfinite(seen.rested_V):
+                self._resolve_again(cells)  # a cut-off may lie above it
         self._doubts = self._statements.doubts(self.resolved, self._resting, self._stated_W)
 
     def _begin(self, pack: Pack, first: Sample | None = None) -> None:

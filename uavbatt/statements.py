@@ -37,6 +37,78 @@ OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]
+NOTHING = (None,) * 8
+
+
+class Means(NamedTuple):
+    """Load of about the last minute, of rows under load only: seconds of them, and means of current and power."""
+
+    loaded_s: float = 0.0
+    current_A: float = NAN
+    power_W: float = NAN
+
+    def after(self, current_A: float, power_W: float, step_s: float) -> Means:
+        """With one more row."""
+        if self is NO_LOAD:
+            return Means(step_s, current_A, power_W)
+        keep = math.exp(-step_s / MINUTE_S)
+        mean_A, mean_W = (self.current_A - current_A) * keep, (self.power_W - power_W) * keep
+        return Means(self.loaded_s + step_s, current_A + mean_A, power_W + mean_W)
+
+
+class Strain(NamedTuple):
+    """How long, and how far [V a cell], the voltage has given way beyond what the discharge explains."""
+
+    lasting_s: float = 0.0
+    mean_V: float = 0.0
+
+    def after(self, strain_V: float, step_s: float) -> Strain:
+        """With one more row."""
+        keep = math.exp(-step_s / MINUTE_S) if self.lasting_s else 0.0
+        return Strain(self.lasting_s + step_s, strain_V + (self.mean_V - strain_V) * keep)
+
+
+NO_LOAD, NO_STRAIN = Means(), Strain()
+
+
+class Current(NamedTuple):
+    """What the current has shown so far, and the voltage under it."""
+
+    time_s: float = NAN
+    current_A: float = NAN
+    load: Means = NO_LOAD
+    drawn_Ah: float = 0.0
+    plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
+    calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
+    strain: Strain = NO_STRAIN
+    negative_s: float = 0.0
+
+    @property
+    def has_flown(self) -> bool:
+        """True from the first row under load on."""
+        return self.load is not NO_LOAD
+
+    def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: Resolved) -> Current:
+        """With one more row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
+        gap_s, rate, has_flown = time_s - self.time_s, current_A / pack.capacity_Ah, self.has_flown
+        step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
+        drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
+        calm_V = NAN if gap_s >= LONGEST_ROW_S else self.calm_V
+        if gap_s != gap_s or (not has_flown and calm_V == calm_V):  # NaN: the first row; no count any more
+            calm_V = rested_V
+        is_plateau = volts > PLATEAU_CELL_V * pack.cells
+        strain_V = (calm_V - volts) / pack.cells - OCV_SLOPE_V * max(drawn_Ah, 0.0) / pack.capacity_Ah
+        is_strained = strain_V > STRAIN_CELL_V and 0.0 < rate < USUAL_C_RATE[0] and is_plateau
+        return Current(
+            time_s,
+            current_A,
+            self.load.after(current_A, current_A * volts, step_s) if rate > LOADED_C_RATE else self.load,
+            drawn_Ah,
+            max(self.plateau_Ah, drawn_Ah) if is_plateau else self.plateau_Ah,
+            calm_V,
+            self.strain.after(strain_V, step_s) if is_strained else NO_STRAIN,
+            0.0 if rate > REVERSED_C_RATE else self.negative_s + step_s * (rate < -REVERSED_C_RATE),
+        )
 
 
 class Statements(NamedTuple):
@@ -47,39 +119,20 @@ class Statements(NamedTuple):
     time_s: float = NAN
     voltage_V: float = NAN
     long_rows: int = 0  # in turn, LONGEST_ROW_S apart or more
-    kelvin_rows: int = 0
-    current_s: float = NAN
-    current_A: float = NAN
-    has_flown: bool = False
-    loaded_s: float = 0.0
-    loaded_A: float = NAN  # means of about a minute, under load only
-    loaded_W: float = NAN
-    drawn_Ah: float = 0.0
-    plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
-    calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
-    strain_V: float = 0.0  # of a cell, beyond what the discharge explains: the mean of about a minute
-    strained_s: float = 0.0
-    negative_s: float = 0.0
+    kelvin_rows: int = 0  # in turn
+    current: Current = Current()
 
     def after(self, raw: Sample, sample: Sample, pack: Resolved) -> Statements:
         """The next state after a row, `raw` as it came and `sample` as the filter has it, of a pack of this size."""
-        now = self._with_temperature(raw.temp_C)
-        if not math.isfinite(sample.voltage_V):
-            return now
-        gap_s = sample.time_s - now.time_s
-        now = now._with_voltage(sample.voltage_V, _is_idle(raw, pack.capacity_Ah))
-        now = now._replace(
-            rows=now.rows + 1,
-            time_s=sample.time_s,
-            voltage_V=sample.voltage_V,
-            long_rows=now.long_rows + 1 if gap_s >= LONGEST_ROW_S else 0,
-        )
-        return now._with_current(raw.current_A, pack) if math.isfinite(raw.current_A) else now
-
-    def denies(self, cells: int, resting: Resting) -> bool:
-        """Whether the voltages say for certain that there are not so many cells."""
-        doubt = cells_doubt(cells, self.seen, resting)
-        return doubt is not None and doubt.is_certain
+        kelvin_rows = self._kelvin_rows(raw.temp_C)
+        time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
+        if not math.isfinite(volts):
+            return self._replace(kelvin_rows=kelvin_rows)
+        seen = self._seen(volts, _is_idle(raw, pack.capacity_Ah))
+        long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
+        is_metered = math.isfinite(current_A)
+        current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
+        return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
 
     def doubts(self, pack: Resolved, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
         """What speaks against the statements, the certain first; power_W: lowest and highest stated of this aircraft.
@@ -96,69 +149,33 @@ class Statements(NamedTuple):
             self._power_doubt(power_W),
             self._temperature_doubt(),
         )
+        if found == NOTHING:
+            return ()
         return tuple(sorted((doubt for doubt in found if doubt is not None), key=lambda doubt: not doubt.is_certain))
 
-    def _with_temperature(self, temp_C: float) -> Statements:
+    def denies(self, cells: int, resting: Resting) -> bool:
+        """True if the voltages say for certain that there are not so many cells."""
+        doubt = cells_doubt(cells, self.seen, resting)
+        return doubt is not None and doubt.is_certain
+
+    def shown(self, volts: float, is_idle: bool) -> Statements:
+        """With one more voltage [V] alone."""
+        return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
+
+    def _kelvin_rows(self, temp_C: float) -> int:
         if KELVIN[0] <= temp_C <= KELVIN[1]:
-            return self._replace(kelvin_rows=self.kelvin_rows + 1)
-        return self._replace(kelvin_rows=0) if self.kelvin_rows and math.isfinite(temp_C) else self
+            return self.kelvin_rows + 1
+        return 0 if math.isfinite(temp_C) else self.kelvin_rows
 
-    def _with_voltage(self, volts: float, is_idle: bool) -> Statements:
+    def _seen(self, volts: float, is_idle: bool) -> Seen:
         """The highest voltage that two rows in turn have shown: one may be damaged. Rest ends with the first load."""
-        shown_V = min(volts, self.voltage_V) if self.rows else volts
-        first_V = max(shown_V, self.seen.first_V) if self.rows > 1 else shown_V
-        rested_V = self.seen.rested_V
-        if is_idle and not self.has_flown:
+        (first_V, rested_V), rows = self.seen, self.rows
+        shown_V = min(volts, self.voltage_V) if rows else volts
+        if rows < 2 or shown_V > first_V:
+            first_V = shown_V
+        if is_idle and not self.current.has_flown:
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
-        seen = Seen(first_V, rested_V)
-        return self if seen == self.seen else self._replace(seen=seen)
-
-    def _with_current(self, current_A: float, pack: Resolved) -> Statements:
-        """The row's current: charge, means under load, sign and strain; `time_s` and `voltage_V` are the row's."""
-        gap_s, rate = self.time_s - self.current_s, current_A / pack.capacity_Ah
-        step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
-        drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
-        is_first = math.isnan(self.current_s)
-        calm_V = NAN if gap_s >= LONGEST_ROW_S else self.calm_V
-        if is_first or (math.isfinite(calm_V) and not self.has_flown):
-            calm_V = self.seen.rested_V
-        now = self._replace(
-            current_s=self.time_s,
-            current_A=current_A,
-            drawn_Ah=drawn_Ah,
-            calm_V=calm_V,
-            negative_s=0.0 if rate > REVERSED_C_RATE else self.negative_s + step_s * (rate < -REVERSED_C_RATE),
-        )
-        if rate > LOADED_C_RATE:
-            now = now._under_load(current_A, step_s)
-        cell_V = self.voltage_V / pack.cells
-        if cell_V > PLATEAU_CELL_V and drawn_Ah > now.plateau_Ah:
-            now = now._replace(plateau_Ah=drawn_Ah)
-        return now._strained(rate, step_s, pack)
-
-    def _under_load(self, current_A: float, step_s: float) -> Statements:
-        keep = math.exp(-step_s / MINUTE_S) if self.has_flown else 0.0
-        watts = current_A * self.voltage_V
-
-        def mean(before: float, now: float) -> float:
-            return now + (before - now) * keep if keep else now
-
-        return self._replace(
-            has_flown=True,
-            loaded_s=self.loaded_s + step_s,
-            loaded_A=mean(self.loaded_A, current_A),
-            loaded_W=mean(self.loaded_W, watts),
-        )
-
-    def _strained(self, rate: float, step_s: float, pack: Resolved) -> Statements:
-        """How far the voltage gives way under a load that is light for the capacity."""
-        drop_V = (self.calm_V - self.voltage_V) / pack.cells
-        strain_V = drop_V - OCV_SLOPE_V * max(self.drawn_Ah, 0.0) / pack.capacity_Ah
-        is_plateau = self.voltage_V > PLATEAU_CELL_V * pack.cells
-        if not (strain_V > STRAIN_CELL_V and 0.0 < rate < USUAL_C_RATE[0] and is_plateau):
-            return self._replace(strained_s=0.0, strain_V=0.0) if self.strained_s else self
-        keep = math.exp(-step_s / MINUTE_S) if self.strained_s else 0.0
-        return self._replace(strained_s=self.strained_s + step_s, strain_V=strain_V + (self.strain_V - strain_V) * keep)
+        return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
 
     def _time_doubt(self) -> Doubt | None:
         if self.long_rows < SEVERAL_ROWS:
@@ -166,38 +183,39 @@ class Statements(NamedTuple):
         return Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
 
     def _sign_doubt(self) -> Doubt | None:
-        if self.negative_s < (REGENERATING_S if self.has_flown else REVERSED_S):
+        if self.current.negative_s < (REGENERATING_S if self.current.has_flown else REVERSED_S):
             return None
         return Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
 
     def _rate_doubt(self, capacity_Ah: float) -> Doubt | None:
-        said = f"the stated {capacity_Ah:g} Ah gives"
-        if self.loaded_s >= MINUTE_S and self.loaded_A > USUAL_C_RATE[1] * capacity_Ah:
-            is_certain = self.loaded_A > C_RATE[1] * capacity_Ah
+        load, strain = self.current.load, self.current.strain
+        if load.loaded_s >= MINUTE_S and load.current_A > USUAL_C_RATE[1] * capacity_Ah:
+            is_certain = load.current_A > C_RATE[1] * capacity_Ah
             bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
-            return Doubt(f"{said} more than {bound:g} C for a minute: is the capacity right?", is_certain)
-        if self.strained_s >= MINUTE_S:
-            is_certain = self.current_A < C_RATE[0] * capacity_Ah and self.strain_V > SURE_STRAIN_CELL_V
+            words = f"more than {bound:g} C for a minute: is the capacity right?"
+            return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+        if strain.lasting_s >= MINUTE_S:
+            is_certain = self.current.current_A < C_RATE[0] * capacity_Ah and strain.mean_V > SURE_STRAIN_CELL_V
             bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
-            words = f"{said} less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
-            return Doubt(words, is_certain)
+            words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
+            return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
         return None
 
     def _charge_doubt(self, capacity_Ah: float) -> Doubt | None:
-        if self.plateau_Ah <= OVERDRAWN * capacity_Ah:
+        if self.current.plateau_Ah <= OVERDRAWN * capacity_Ah:
             return None
-        is_certain = self.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
+        is_certain = self.current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
         share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
         words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
         return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
 
     def _power_doubt(self, power_W: PowerRange | None) -> Doubt | None:
-        if power_W is None or self.loaded_s < MINUTE_S:
+        if power_W is None or self.current.load.loaded_s < MINUTE_S:
             return None
         low_W, high_W = power_W
-        if low_W / POWER_FACTOR <= self.loaded_W <= high_W * POWER_FACTOR:
+        if low_W / POWER_FACTOR <= self.current.load.power_W <= high_W * POWER_FACTOR:
             return None
-        more = "more than twice" if self.loaded_W > high_W else "less than half"
+        more = "more than twice" if self.current.load.power_W > high_W else "less than half"
         spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
         return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
 
@@ -232,8 +250,7 @@ def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
         is_idle = _is_idle(sample, capacity_Ah)
         if sample.time_s - start_s > FIRST_ROWS_S or (found.rows >= SEVERAL_ROWS and not is_idle):
             break
-        found = found._with_voltage(sample.voltage_V, is_idle)
-        found = found._replace(rows=found.rows + 1, voltage_V=sample.voltage_V)
+        found = found.shown(sample.voltage_V, is_idle)
     return found.seen
 
 
