@@ -229,6 +229,14 @@ def test_a_critical_voltage_that_cannot_be_is_left_out(critical_V: float) -> Non
         assert "one cell's value? 4 of them make 13.2 V" in said(rows)
 
 
+def test_a_critical_voltage_for_another_count_than_the_callers_is_left_out() -> None:
+    estimator = Estimator(file.read("lipo-generic"), PackOptions(cells=4, forecast_period_s=30.0))
+    estimator.update_facts(replace(FACTS, cells_series=3, critical_voltage_V=10.5))  # 3 cells of 3.5 V: PX4
+    estimate, _ = estimator.step(flown()[0])
+    assert estimator.resolved is not None and estimator.resolved.cutoff_V == pytest.approx(13.2)
+    assert any("the vehicle states 3" in warning for warning in estimate.warnings)
+
+
 def test_a_low_voltage_warning_that_cannot_be_is_said() -> None:
     rows = after(replace(STATED, low_V=NAN), replace(FACTS, low_voltage_V=25.0))
     assert "low-voltage warning of the vehicle, 25 V is 6.25 V a cell of 4" in said(rows)

@@ -1,4 +1,4 @@
-"""What a pack can be: the limits that every statement about one is held against, for every command, live and library.
+"""The limits of what a pack can be: every statement about one is held against them, in every command and live.
 
 Two bounds each: outside the first a statement is nonsense and is not used (certain), outside the second it is odd and
 is said (likely). Cells are judged at rest or at the first rows: under load an empty cell shows anything.
@@ -28,28 +28,28 @@ POWER_FACTOR = 2.0  # beyond it another aircraft flew
 
 
 class Doubt(NamedTuple):
-    """What speaks against a statement, in words."""
+    """A doubt says in words what speaks against a statement, and if that is certain."""
 
     words: str
     is_certain: bool
 
 
 class Resting(NamedTuple):
-    """What a cell of the battery file's type shows at rest when it is empty and when little is left [V]."""
+    """A cell of the battery file's type rests at these voltages when it is empty and when little is left [V]."""
 
     empty_V: float = EMPTIEST_CELL_V
     low_V: float = 3.5
 
 
 class Seen(NamedTuple):
-    """Pack voltages that statements are held against [V], NaN until seen: at the first rows, and of them at rest."""
+    """Statements are held against these pack voltages [V]: of the first rows, and of them at rest; NaN until seen."""
 
     first_V: float = math.nan
     rested_V: float = math.nan
 
 
 class Names(NamedTuple):
-    """What the caller calls the arguments that are checked."""
+    """A caller knows the checked arguments by these names."""
 
     cells: str = "cells="
     capacity: str = "capacity_Ah="
@@ -63,7 +63,7 @@ OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltag
 
 
 def cells_doubt(cells: int, seen: Seen, resting: Resting) -> Doubt | None:
-    """What the first voltages say against a count of cells in series."""
+    """The first voltages of a record speak against a count of cells in series, or do not (None)."""
     first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
         words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
@@ -86,7 +86,7 @@ def cells_from_voltage(voltage_V: float, typical: int) -> int:
 
 
 def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan) -> Doubt | None:
-    """What speaks against a voltage of the pack that is to end the flight, or to warn of its end [V]; NaN is fine."""
+    """A pack voltage [V] that is to end the flight, or to warn of its end, is judged by the cell; NaN is not stated."""
     cell_V, (lowest_V, highest_V) = volts / cells, ENDING_CELL_V
     said = f"{what}{volts:g} V is {cell_V:.3g} V a cell of {cells}"
     if not math.isnan(volts) and not lowest_V <= cell_V <= highest_V:
@@ -100,7 +100,7 @@ def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan
 
 
 def capacity_doubt(capacity_Ah: float) -> Doubt | None:
-    """What speaks against a capacity [Ah] by itself; NaN is fine."""
+    """A capacity [Ah] is judged by itself; NaN is not stated."""
     lowest_Ah, highest_Ah = CAPACITY_AH
     if math.isnan(capacity_Ah) or lowest_Ah <= capacity_Ah <= highest_Ah:
         return None
@@ -109,7 +109,7 @@ def capacity_doubt(capacity_Ah: float) -> Doubt | None:
 
 
 def rate_doubt(what: str, c_rate: float) -> Doubt | None:
-    """What speaks against a C-rate [1/h] that is to last; one that is too low is no flight, and has its own words."""
+    """A C-rate [1/h] that is to last is judged; one that is too low is no flight, which is said elsewhere."""
     if c_rate <= USUAL_C_RATE[1]:
         return None
     is_certain = c_rate > C_RATE[1]

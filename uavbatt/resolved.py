@@ -149,7 +149,7 @@ def checked(battery: BatteryFile, pack: Resolved, seen: Seen) -> Resolved:
 
 
 def resting(battery: BatteryFile) -> Resting:
-    """What a rested cell of this battery shows when empty, and when little is left [V], as far as a file may say so."""
+    """A rested cell of this battery shows so much when empty, and when little is left [V], as far as a file may say."""
     table = battery.parameters
     low_V = float(np.interp(LITTLE_SOC, table.ocv_soc, table.ocv_V))
     empty_V = min(table.ocv_V[0], EMPTIEST_CELL_V + RESTING_SLACK_V)
@@ -157,7 +157,7 @@ def resting(battery: BatteryFile) -> Resting:
 
 
 def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFacts, tuple[str, ...]]:
-    """What the vehicle says, without what cannot be of a pack of so many cells; what was left out and what is odd."""
+    """The vehicle is believed but for what cannot be of a pack of so many cells; notices say what is left out."""
     capacity = capacity_doubt(said.capacity_Ah)
     critical = ending_doubt("critical voltage of the vehicle, ", said.critical_voltage_V, cells, seen.rested_V)
     low = ending_doubt("low-voltage warning of the vehicle, ", said.low_voltage_V, cells)
@@ -182,7 +182,10 @@ def _cells(
 ) -> tuple[int, str, tuple[str, ...]]:
     """The count of cells, where it came from, and the vehicle's own if it was not believed."""
     if given.cells is not None:
-        return int(given.cells), "--cells", ()
+        if said.cells_series in (None, given.cells):
+            return int(given.cells), "--cells", ()
+        notice = f"--cells {given.cells}: the vehicle states {said.cells_series}, whose critical voltage is not used"
+        return int(given.cells), "--cells", (notice,)
     if said.cells_series is None:
         return int(guess[0]), guess[1], ()
     doubt = cells_doubt(said.cells_series, seen, cell)

@@ -1,4 +1,4 @@
-"""What is stated of the pack, held against what is measured: a value that goes from row to row.
+"""Statements about the pack are held against what is measured: a value that goes from row to row.
 
 The first voltages judge the count of cells, the current its own sign, a minute in flight the capacity and the power
 that a vehicle file promises, the steps of time their unit. What is certain refuses the number until the rows say
@@ -41,14 +41,14 @@ NOTHING = (None,) * 8
 
 
 class Means(NamedTuple):
-    """Load of about the last minute, of rows under load only: seconds of them, and means of current and power."""
+    """Rows under load last so long [s], and have these means of current and power over about their last minute."""
 
     loaded_s: float = 0.0
     current_A: float = NAN
     power_W: float = NAN
 
     def after(self, current_A: float, power_W: float, step_s: float) -> Means:
-        """With one more row."""
+        """The means with one more row."""
         if self is NO_LOAD:
             return Means(step_s, current_A, power_W)
         keep = math.exp(-step_s / MINUTE_S)
@@ -57,13 +57,13 @@ class Means(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """How long, and how far [V a cell], the voltage has given way beyond what the discharge explains."""
+    """The voltage has given way for so long, and so far [V a cell], beyond what the discharge explains."""
 
     lasting_s: float = 0.0
     mean_V: float = 0.0
 
     def after(self, strain_V: float, step_s: float) -> Strain:
-        """With one more row."""
+        """The strain with one more row."""
         keep = math.exp(-step_s / MINUTE_S) if self.lasting_s else 0.0
         return Strain(self.lasting_s + step_s, strain_V + (self.mean_V - strain_V) * keep)
 
@@ -72,7 +72,7 @@ NO_LOAD, NO_STRAIN = Means(), Strain()
 
 
 class Current(NamedTuple):
-    """What the current has shown so far, and the voltage under it."""
+    """The current has shown so much so far: charge, load, sign, and the strain of the voltage under it."""
 
     time_s: float = NAN
     current_A: float = NAN
@@ -89,7 +89,7 @@ class Current(NamedTuple):
         return self.load is not NO_LOAD
 
     def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: Resolved) -> Current:
-        """With one more row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
+        """The value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
         gap_s, rate, has_flown = time_s - self.time_s, current_A / pack.capacity_Ah, self.has_flown
         step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
         drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
@@ -112,7 +112,7 @@ class Current(NamedTuple):
 
 
 class Statements(NamedTuple):
-    """What the rows so far say about the statements; `after` takes in one more."""
+    """The rows so far, as far as they speak about the statements; `after` takes in one more."""
 
     seen: Seen = Seen()
     rows: int = 0
@@ -135,7 +135,7 @@ class Statements(NamedTuple):
         return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
 
     def doubts(self, pack: Resolved, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
-        """What speaks against the statements, the certain first; power_W: lowest and highest stated of this aircraft.
+        """The doubts about the statements, the certain first; power_W: lowest and highest stated of this aircraft.
 
         The words name no number that changes from row to row: each is said once.
         """
@@ -159,7 +159,7 @@ class Statements(NamedTuple):
         return doubt is not None and doubt.is_certain
 
     def shown(self, volts: float, is_idle: bool) -> Statements:
-        """With one more voltage [V] alone."""
+        """The value after a row of which only the voltage [V] counts."""
         return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
 
     def _kelvin_rows(self, temp_C: float) -> int:
