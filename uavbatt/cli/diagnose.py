@@ -22,6 +22,7 @@ from uavbatt.cli.options import (
     stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.limits import Seen
 from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
@@ -144,26 +145,33 @@ def _distinct(flights: list[Flight]) -> list[Flight]:
 
 def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
     """As `_size`; where nobody tells the cells, the fullest voltage at the start does."""
+    from uavbatt.resolved import resolve, resting
+    from uavbatt.statements import check_whole, first_seen
+
     typed = content.battery
     volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
     guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
-    return _size(flight.source, flight.facts_at(math.inf), guess, content, stated)
+    seen = first_seen(flight.samples)
+    said = flight.facts_at(math.inf)
+    size = _size(flight.source, said, guess, content, stated, seen)
+    check_whole(flight, resolve(content, stated, said, guess, seen=seen), resting(content))
+    return size
 
 
 def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
     """As `_size`: a data set tells of its pack what a vehicle tells of its."""
     said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
-    return _size(dataset.path, said, dataset.cells_series, content, stated)
+    return _size(dataset.path, said, dataset.cells_series, content, stated, Seen(dataset.first_V))
 
 
 def _size(
-    name: str, said: PackFacts, guess: int, content: BatteryFile, stated: PackOptions
+    name: str, said: PackFacts, guess: int, content: BatteryFile, stated: PackOptions, seen: Seen
 ) -> tuple[int, float, float]:
     """Cells, capacity [Ah], cut-off [V], rounded so that records of one pack agree."""
-    from uavbatt.resolved import resolve
+    from uavbatt.resolved import checked, resolve
 
     try:
-        found = resolve(content, stated, said, guess)
+        found = checked(content, resolve(content, stated, said, guess, seen=seen), seen)
     except UsageError as error:
         raise UsageError(f"{name}: {error}") from None
     return found.cells, round(found.capacity_Ah, 4), round(found.cutoff_V, 3)

@@ -43,6 +43,8 @@ def fit(
     from uavbatt import dataset
     from uavbatt.battery import file
     from uavbatt.fitting.battery import fit_battery, size_of
+    from uavbatt.limits import Resting
+    from uavbatt.statements import check, check_whole
 
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
@@ -55,9 +57,15 @@ def fit(
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = file.read(battery, allow_uncertified=allow_uncertified)
+        for flight in flights:
+            check(content, stated, flight)
     else:
         name = (output or vehicle or Path("fitted")).name.split(".")[0]
         size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
+        for flight in flights:
+            check_whole(flight, size.resolved, Resting())
+        for notice in size.notices:
+            print(f"warning: {notice}", file=sys.stderr)
         print(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...", file=sys.stderr)
         found = fit_battery(size, datasets, flights)
         content = found.file

@@ -43,14 +43,12 @@ def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
     """What the options state of the pack, for the estimator; UsageError when it cannot be."""
+    from uavbatt.limits import OPTIONS, check_stated
     from uavbatt.pipeline import PackOptions
 
-    return PackOptions(
-        cells=cells,
-        capacity_Ah=known(capacity_ah, "--capacity-ah"),
-        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
-        reserve_soc=reserve_soc,
-    )
+    capacity_Ah, cutoff_V = known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage")
+    check_stated(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc, names=OPTIONS)
+    return PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, reserve_soc=reserve_soc)
 
 
 def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), makes: Path | None = None) -> None:

@@ -141,6 +141,7 @@ def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
     from uavbatt.json_file import write_json
 
     pack = asdict(plan.resolved)
+    del pack["notices"], pack["refusal"]  # notices are among the warnings, and what is refused is no plan
     content = {
         "battery": pack.pop("battery"),
         "certificate_status": pack.pop("status"),

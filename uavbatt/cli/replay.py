@@ -97,10 +97,12 @@ def _one(
     from uavbatt.feed import sinks
     from uavbatt.pipeline import Estimator
     from uavbatt.replay import outcome, steps
+    from uavbatt.statements import check
     from uavbatt.telemetry.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
     flight = asked_flight(log, *chosen)
+    check(content, options, flight)
     period_s = forecast_period_s(log)
     if math.isfinite(period_s):
         options = changed(options, forecast_period_s=period_s)
