@@ -100,8 +100,8 @@ def resolve(
 def certificate_remark(battery: BatteryFile, pack: Resolved) -> str:
     """What the certificate does not cover of this pack; empty when it covers it."""
     typed = battery.battery
-    if battery.status != "certified":
-        return f"battery file is {battery.status}, not certified"
+    if battery.caveat:
+        return battery.caveat
     if (pack.cells, pack.capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
         return ""
     size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
