@@ -12,7 +12,7 @@ a battery that nobody has.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
@@ -111,6 +111,11 @@ class LiveReader:
         """What the vehicle has said so far of one battery."""
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
+
+    def resume(self, parameters: Mapping[str, float]) -> None:
+        """Parameters that an earlier process heard of this vehicle; what was heard since goes before."""
+        self.version += 1
+        self.parameters = {**parameters, **self.parameters}
 
     def _choose(self, header: framing.Header, message: Any) -> None:
         """Settle on the first autopilot: its heartbeat, or component 1 speaking of batteries or parameters."""
