@@ -28,7 +28,7 @@ def misread(file: str | Path, error: Exception, kind: str) -> BadInput:
     said = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
     what, _, key = said.partition(" - at `$.")
     if key and what.startswith("Expected "):
-        return BadInput(file, f"key {key.rstrip('`')}", what.removeprefix("Expected "))
+        return BadInput(file, f"key {key.rstrip('`')}", f"{what.removeprefix('Expected ')}, in {kind}")
     return BadInput(file, f"key {key.rstrip('`')}" if key else "", f"{kind}: {what}")
 
 

@@ -51,8 +51,8 @@ class TrackedBattery:
             return self.estimator.step(sample)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
             self.estimator = Estimator(self._battery, self._options)
-            is_said = isinstance(error, UavbattError)
-            return refused(sample, str(error) if is_said else f"{type(error).__name__} in uavbatt itself: {error}")
+            where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
+            return refused(sample, where + " ".join(str(error).split()))
 
     def saved(self, facts: PackFacts) -> SavedBattery | None:
         """What is worth saving; None before the first estimate."""

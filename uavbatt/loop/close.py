@@ -118,7 +118,7 @@ def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> Batter
     passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts)
     certificate = msgspec.structs.replace(
         new.certificate,
-        status="certified" if passed and found.verdict != "undeclared_effect" else new.certificate.status,
+        status="certified" if passed and found.verdict != "undeclared_effect" else _ungated(new),
         validated_ambient_C=sorted({v.ambient_C for v in verdicts if v.ambient_C is not None}) if passed else [],
         verdicts=verdicts,
     )
@@ -126,7 +126,7 @@ def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> Batter
 
 
 def _ungated(file: BatteryFile) -> Literal["fitted", "edited"]:
-    """The status of what grew out of a file without a gate: what rests on an edited one is no better than that."""
+    """The status of what no gate has passed: from data, but what rests on an edited file is no better than that."""
     return "edited" if file.status == "edited" else "fitted"
 
 
