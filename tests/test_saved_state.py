@@ -237,6 +237,7 @@ def test_another_aircraft_of_the_same_number_is_not_resumed(told: str, tmp_path:
     first = Bench(OPTIONS, state=section(path))
     first.send(heartbeat(True))
     first.send(serial(0xABC))
+    first.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0))
     first.play(flight()[:FLOWN])
     first.daemon.close()
     assert json.loads(path.read_text())["vehicle"]["hardware"] == "0000000000000abc"
@@ -251,6 +252,7 @@ def test_another_aircraft_of_the_same_number_is_not_resumed(told: str, tmp_path:
     bench.play(rows[4:20])
     assert "not resumed: saved state is of another aircraft" in notes(bench) and "resumed from" not in notes(bench)
     assert bench.daemon.board.reports[0].estimate.soc == pytest.approx(0.5, abs=0.05)
+    assert "BATT_CAPACITY" not in bench.daemon._reader.parameters
 
 
 def test_two_processes_on_one_file_do_not_resume_each_other(kept: tuple[str, float], tmp_path: Path) -> None:

@@ -166,6 +166,7 @@ class Daemon:
         self._hardware = fields.hardware(framing.payload(frame))
         if self._resumption.is_contradicted(self._vehicle):
             self._tracked.clear()
+            self._reader.resume({})
 
     def _record(self, frame: bytes, header: framing.Header, now_s: float) -> None:
         assert self._recorder is not None

@@ -16,7 +16,6 @@ import numpy as np
 from uavbatt.aside import written_aside
 from uavbatt.printable import printable
 
-
 _FOREIGN = re.compile("[\x7f-\U0010ffff]")  # of what JSON does not escape by itself
 
 

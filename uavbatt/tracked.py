@@ -41,16 +41,18 @@ class TrackedBattery:
 
     def step(self, sample: Sample, facts: PackFacts, gap_s: float = NAN) -> tuple[Estimate, Remaining]:
         """One row; `gap_s` is the age of the saved state at this row [s]."""
-        if self._saved is not None:
-            why_not = self._resume(self._saved, sample, gap_s)
+        was, self._saved = self._saved, None
+        if was is not None:
+            why_not = self._resume(was, sample, gap_s)
             self.resumed = f"not resumed: {why_not}" if why_not else f"resumed from a state {gap_s:.0f} s old"
-            self._saved = None
         self._last = sample
         try:
             self.estimator.update_facts(facts)
             return self.estimator.step(sample)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
             self.estimator = Estimator(self._battery, self._options)
+            if was is not None:
+                self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
             return refused(sample, where + " ".join(str(error).split()))
 
@@ -75,7 +77,7 @@ class TrackedBattery:
 
     def _resume(self, was: SavedBattery, sample: Sample, gap_s: float) -> str:
         """Start from the saved belief, or leave it alone; why, if so."""
-        if not 0.0 < gap_s + was.since_row_s <= self._max_age_s:
+        if not (gap_s > 0.0 and gap_s + was.since_row_s <= self._max_age_s):
             return f"the saved state is {gap_s + was.since_row_s:.0f} s old"
         try:
             if why_not := implausible(was):
