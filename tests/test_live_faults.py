@@ -198,40 +198,6 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
     assert now.forecaster.load.mean_W == pytest.approx(180.0, rel=0.2)
 
 
-def test_a_state_with_damage_inside_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    first = Bench(OPTIONS, state=StateSection(file=str(path)))
-    first.play(flight()[:120])
-    first.daemon.close()
-    whole = json.loads(path.read_text())
-    for key, bad in (
-        ("mean", [1.0]), ("mean", None), ("covariance", [[math.nan] * 8] * 8), ("past", {}),
-        ("resolved", {"cells": "4"}), ("since_row_s", "x"), ("past", [[1], 2]), ("ambient_C", "warm"),
-    ):  # fmt: skip
-        broken = json.loads(json.dumps(whole))
-        broken["batteries"]["0"][key] = bad
-        path.write_text(json.dumps(broken))
-        bench = Bench(OPTIONS, start_s=first.now_s + 1.0, state=StateSection(file=str(path)))
-        bench.play(flight()[121:127])
-        assert bench.daemon.board.reports[0].estimate.soc > 0.5, key
-
-
-def test_a_state_of_another_battery_file_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    first = Bench(OPTIONS, state=StateSection(file=str(path)))
-    first.play(flight()[:60])
-    first.daemon.close()
-    saved = json.loads(path.read_text())
-    path.write_text(json.dumps(saved | {"battery_sha256": "0" * 64}))
-    second = Bench(OPTIONS, start_s=first.now_s + 1.0, state=StateSection(file=str(path)))
-    second.daemon.turn()
-    assert second.daemon.board.notes == ("saved state is of another battery file",)
-    path.write_text(json.dumps(saved | {"boot_id": "another boot", "monotonic_s": 1e9}))
-    third = Bench(OPTIONS, start_s=first.now_s + 2.0, state=StateSection(file=str(path)))
-    third.daemon.turn()
-    assert third.daemon.board.notes == ("resumed from a state 2 s old",)  # by the wall clock
-
-
 def test_the_vehicle_that_is_named_is_the_one() -> None:
     """Two autopilots on one port: the first heard, or the one whose system is given."""
     for system, wanted_V in ((None, 16.0), (7, 15.0)):

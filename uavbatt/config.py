@@ -92,7 +92,7 @@ class StateSection(Section, frozen=True):
 
     file: str = ""
     period_s: Positive = 5.0
-    max_age_s: Positive = 600.0
+    max_age_s: Annotated[float, msgspec.Meta(gt=0, le=86_400)] = 600.0
 
 
 class Config(Section, frozen=True):

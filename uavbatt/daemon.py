@@ -10,14 +10,14 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 
 from __future__ import annotations
 
+import math
 import select
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from uavbatt.battery.file import BatteryFile
 from uavbatt.config import Config
@@ -32,6 +32,8 @@ from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.pipeline import PackOptions
 from uavbatt.records import PackFacts, Status
+from uavbatt.resumption import Resumption
+from uavbatt.saved import SavedBattery
 from uavbatt.sender import Sender, in_order
 from uavbatt.telemetry.live import LiveReader, Row, checksum
 from uavbatt.telemetry.recording import PERIOD_NAME
@@ -68,11 +70,12 @@ class Daemon:
         *,
         clock_s: Callable[[], float] = time.monotonic,
         wall_s: Callable[[], float] = time.time,
+        is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:
         self.config, self.board = config, Board()
         self._battery, self._options = battery, options
         self._link, self._stations = link, stations
-        self._clock_s, self._wall_s = clock_s, wall_s
+        self._clock_s, self._wall_s, self._is_clock_set = clock_s, wall_s, is_clock_set
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
         self._stamp_us = 0
@@ -86,7 +89,9 @@ class Daemon:
         self._recorder = Recorder(config.record) if config.record.folder else None
         self._sender = Sender(config, link, stations)
         self._status_s = self._state_s = self._watch_s = float("-inf")
-        self._saved, self._note = self._load_state()
+        self._hardware = ""  # serial number of the autopilot
+        self._resumption = self._load_state()
+        self._note_until_s = self._start_s + NOTE_S  # how it began is of interest at the beginning
         self._state_problem = ""
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
@@ -140,11 +145,28 @@ class Daemon:
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
         rows = self._reader.take(frame, header, self._stamp_us / 1e6)
+        if header.message_id == fields.AUTOPILOT_VERSION and header.component == self._reader.component:
+            self._know_hardware(frame, header)
         if self._recorder is not None and self._reader.belongs(header):
             self._record(frame, header, now_s)
         for row in rows:
             if self.config.pack.instance in (None, row.instance):
                 self._step(row, now_s)
+
+    @property
+    def _vehicle(self) -> state.Vehicle:
+        """The vehicle whose batteries are estimated, as far as it is known."""
+        system, component = self._reader.system or 0, self._reader.component or 0
+        return state.Vehicle(system=system, component=component, hardware=self._hardware)
+
+    def _know_hardware(self, frame: bytes, header: framing.Header) -> None:
+        """The autopilot tells its serial number; a state that was resumed for another is forgotten."""
+        if self._hardware or not self._reader.belongs(header):
+            return
+        self._hardware = fields.hardware(framing.payload(frame))
+        if self._resumption.is_contradicted(self._vehicle):
+            self._tracked.clear()
+            self._reader.resume({})
 
     def _record(self, frame: bytes, header: framing.Header, now_s: float) -> None:
         assert self._recorder is not None
@@ -169,11 +191,15 @@ class Daemon:
         if before is not None and before.age_s(now_s) > STALE_AFTER_S:
             self._sender.requests.begin_again()
         if instance not in self._tracked:
-            saved = self._saved.get("batteries", {}).get(str(instance))
+            parameters = self._resumption.meet(self._vehicle)
+            if parameters:
+                self._reader.resume(parameters)
+            saved = self._resumption.of(instance)
             limit_s = self.config.state.max_age_s
             self._tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
+            self._note_until_s = now_s + NOTE_S
         tracked = self._tracked[instance]
-        gap_s = now_s - self._start_s + self._saved.get("age_s", 0.0)
+        gap_s = now_s - self._start_s + self._resumption.age_s
         estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)
         resolved = tracked.estimator.resolved
         if resolved is not None and (before is None or before.cells != resolved.cells):
@@ -209,9 +235,11 @@ class Daemon:
 
     def _look_after(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
-        if now_s - self._start_s > NOTE_S:
-            self._note = ""  # how it began is of interest at the beginning
-        notes = [self._note, self._state_problem, self._recorder.problem if self._recorder is not None else ""]
+        notes = [self._state_problem]
+        if now_s <= self._note_until_s:
+            notes += [self._resumption.note]
+            notes += [f"battery {i}: {t.resumed}" for i, t in sorted(self._tracked.items()) if t.resumed]
+        notes += [self._recorder.problem] if self._recorder is not None else []
         reports, trend = tuple(in_order(self._reports)), self.board.trend
         trend.look(now_s, reports)
         self.board = Board(reports, tuple(n for n in notes if n), dict(self._counts), trend)
@@ -240,37 +268,40 @@ class Daemon:
         if not self.config.state.file:
             return
         batteries = {
-            str(i): {**saved, "since_row_s": saved["since_row_s"] + self._reports[i].age_s(now_s)}
+            str(i): replace(saved, since_row_s=saved.since_row_s + self._reports[i].age_s(now_s))
             for i, tracked in self._tracked.items()
             if (saved := tracked.saved(self._facts_of(i))) is not None
         }
         if not batteries:
             return
-        known = {n: v for n, v in self._reader.parameters.items() if n.startswith(("BAT", "FS_BATT"))}
-        content: dict[str, Any] = {
-            "battery_sha256": self._battery.certificate.content_sha256,
-            "parameters": known,
-            "batteries": batteries,
-        }
+        known = self._reader.parameters.items()
+        content = state.State(
+            battery_sha256=self._battery.certificate.content_sha256,
+            link=self.config.link.endpoint,
+            vehicle=self._vehicle,
+            parameters={n: v for n, v in known if n.startswith(("BAT", "FS_BATT")) and math.isfinite(v)},
+            batteries=batteries,
+        )
         try:
-            state.write(Path(self.config.state.file), content, now_s, self._wall_s())
+            state.write(Path(self.config.state.file), content, self._instant(now_s))
             self._state_problem = ""
         except (OSError, UavbattError) as error:
             self._state_problem = f"state not saved: {error}"
 
-    def _load_state(self) -> tuple[dict[str, Any], str]:
-        """The saved state, and a note of what came of it."""
+    def _load_state(self) -> Resumption:
+        """What an earlier process has left for this one."""
         if not self.config.state.file:
-            return {}, ""
-        saved, why_not = state.read(
+            return Resumption(state.Found(None, 0.0, ""))
+        found = state.read(
             Path(self.config.state.file),
-            self._clock_s(),
-            self._wall_s(),
-            self.config.state.max_age_s,
-            self._battery.certificate.content_sha256,
+            SavedBattery,
+            self._instant(self._clock_s()),
+            max_age_s=self.config.state.max_age_s,
+            battery_sha256=self._battery.certificate.content_sha256,
+            link=self.config.link.endpoint,
         )
-        if why_not:
-            return {}, "" if why_not == "no saved state" else why_not
-        if isinstance(saved.get("parameters"), dict):
-            self._reader.parameters.update(saved["parameters"])
-        return saved, f"resumed from a state {saved['age_s']:.0f} s old"
+        return Resumption(found)
+
+    def _instant(self, now_s: float) -> state.Clock:
+        wall_s = self._wall_s()
+        return state.clock(now_s, wall_s, self._is_clock_set(wall_s))

@@ -251,6 +251,6 @@ class Estimator:
         """More resistance than the packs of this type are spread by, and surely so."""
         assert self._filter is not None
         unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
-        if self._intake.guessed or self.battery.status == "generic":
+        if self._intake.guessed or not self.battery.is_measured:
             return False  # nothing is known to compare with
         return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd

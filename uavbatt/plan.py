@@ -94,7 +94,7 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     if like is not None:
         return _as_flown(battery, options, like)
     typed = battery.battery
-    if options.cells is None and battery.status == "generic":
+    if options.cells is None and not battery.is_measured:
         raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
     found = size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
     if found.refusal:

@@ -199,9 +199,9 @@ def _oddities(doubts: list[Doubt | None]) -> tuple[str, ...]:
 
 
 def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[str, ...]:
-    """A remark where a file from data of one pack is used for a very different one; certificates have their own."""
+    """A remark where a file from data of one pack is used for a very different one; other files have other remarks."""
     typed = battery.battery
-    if battery.status in ("certified", "generic"):
+    if battery.status != "fitted":
         return ()
     ratio = capacity_Ah / typed.capacity_Ah if typed.capacity_Ah else 1.0
     if cells == typed.cells_series and 1.0 / SCALED_FAR <= ratio <= SCALED_FAR:
@@ -213,8 +213,8 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
 def certificate_remark(battery: BatteryFile, pack: Resolved) -> str:
     """What the certificate does not cover of this pack; empty when it covers it."""
     typed = battery.battery
-    if battery.status != "certified":
-        return f"battery file is {battery.status}, not certified"
+    if battery.caveat:
+        return battery.caveat
     if (pack.cells, pack.capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
         return ""
     size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")

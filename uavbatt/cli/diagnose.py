@@ -18,11 +18,14 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_named,
     check_writable,
+    read_battery,
+    remark,
     say,
     stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.limits import Seen
+from uavbatt.printable import terminal_line
 from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
@@ -63,7 +66,7 @@ def diagnose(
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
         raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
-    content = file.read(battery, allow_uncertified=allow_uncertified)
+    content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = _distinct([read_log(p, instance) for p in sources if not p.is_dir()])
@@ -77,7 +80,7 @@ def diagnose(
     for line in _lines(found, closed):
         say(line, json_file, report)
     if json_file is not None:
-        write_json(json_file, _as_json(found, closed, path))
+        write_json(json_file, _as_json(found, closed, content.status, path))
     if report is not None:
         from uavbatt.loop.page import inputs
         from uavbatt.report import diagnosis as page
@@ -119,7 +122,7 @@ def _run(
         closed = close.judge(found, content, flights, options, tell)
     new = close.extended(content, found)
     if tests is not None:
-        print(f"gating with {gate} ...", file=sys.stderr)
+        remark(f"gating with {gate} ...")
         new = close.gated(new, found, verdicts(tests, new))
     return found, closed, new
 
@@ -185,7 +188,7 @@ class _Progress:
 
     def __call__(self, step: str) -> None:
         if sys.stderr.isatty():
-            print(f"\r\033[K{step} ...", end="", file=sys.stderr, flush=True)
+            print(f"\r\033[K{terminal_line(step)} ...", end="", file=sys.stderr, flush=True)
 
     def __exit__(self, *_: object) -> None:
         if sys.stderr.isatty():
@@ -222,7 +225,7 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if math.isfinite(value) else "unknown"
 
 
-def _as_json(found: Diagnosis, closed: Closed, path: str | None) -> dict[str, Any]:
+def _as_json(found: Diagnosis, closed: Closed, status: str, path: str | None) -> dict[str, Any]:
     """DESIGN's diagnosis output: NaN as null."""
     from dataclasses import asdict
 
@@ -234,5 +237,6 @@ def _as_json(found: Diagnosis, closed: Closed, path: str | None) -> dict[str, An
         "after": asdict(closed.after),
         "held_out": list(closed.held_out),
         "left": asdict(found.left),
+        "certificate_status": status,
         "battery_file": path,
     }

@@ -32,6 +32,7 @@ from uavbatt.feed.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import Splitter, header
 from uavbatt.mavlink.links import Pipe, open_link
+from uavbatt.printable import terminal_line
 
 HOLD_S = 0.020
 LOG_PERIOD_S = 10.0
@@ -231,7 +232,7 @@ def main() -> int:
     try:
         proxy = Proxy(Settings(**json.loads(sys.argv[1])))
     except (UavbattError, OSError) as error:
-        print(f"uavbatt proxy: {error}", file=sys.stderr)
+        print(terminal_line(f"uavbatt proxy: {error}"), file=sys.stderr)
         return 2
     while not (stopped or proxy.is_asked_to_quit):
         proxy.wait()

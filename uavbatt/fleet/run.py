@@ -34,11 +34,15 @@ _DASK = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """One log done: its row, how many are done by now (those of earlier runs included), and of how many."""
+    """One log done: its row, how many are done by now (those of earlier runs included), and of how many.
+
+    dropped: damaged rows of earlier runs that were taken out of the journal.
+    """
 
     row: Row | None
     done: int
     total: int
+    dropped: int = 0
 
 
 def check_extra() -> None:
@@ -85,7 +89,7 @@ def run(connection: AbstractContextManager[Any], logs: Sequence[LogFile], job: J
     job_key = journal.job_key(job)
     keys = [journal.key(log, job_key) for log in logs]
     with journal.Journal(folder, {key: number for number, key in enumerate(keys)}) as done:
-        yield Finished(None, len(done), len(logs))
+        yield Finished(None, len(done), len(logs), done.dropped)
         if len(done) < len(logs):
             to_do = [number for number in range(len(logs)) if number not in done]
             with connection as client:

@@ -70,6 +70,12 @@ def header(frame: bytes) -> Header:
     return Header(frame[5], frame[6], frame[7] | frame[8] << 8 | frame[9] << 16)
 
 
+def payload(frame: bytes) -> bytes:
+    """What a whole frame carries, as sent: trailing zeros may be trimmed."""
+    start = 6 if frame[0] == V1 else V2_HEADER
+    return frame[start : start + frame[1]]
+
+
 def _next_mark(data: bytes, position: int) -> int:
     """The next byte that could begin a frame; the end of the data if there is none."""
     found = [at for mark in (b"\xfe", b"\xfd") if (at := data.find(mark, position)) >= 0]

@@ -12,7 +12,7 @@ a battery that nobody has.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
@@ -64,7 +64,8 @@ class LiveReader:
         self._decode = decoder()
         self._log = LogBuilder()
         self.battery_ids: set[int] = set()
-        self.parameters: dict[str, float] = {}
+        self._said: dict[str, float] = {}  # parameters
+        self._earlier: Mapping[str, float] = {}  # the same, said to an earlier process
         self.version = 0  # of the parameters
         self.is_px4 = False
         self.rejected = 0
@@ -111,6 +112,16 @@ class LiveReader:
         """What the vehicle has said so far of one battery."""
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The vehicle's parameters, as far as they are known."""
+        return {**self._earlier, **self._said}
+
+    def resume(self, parameters: Mapping[str, float]) -> None:
+        """Parameters that an earlier process heard of this vehicle, instead of any resumed before."""
+        self.version += 1
+        self._earlier = parameters
 
     def _choose(self, header: framing.Header, message: Any) -> None:
         """Settle on the first autopilot: its heartbeat, or component 1 speaking of batteries or parameters."""
@@ -188,6 +199,6 @@ class LiveReader:
         return Row(battery.id, kept[-1])
 
     def _remember(self, name: str, value: float) -> None:
-        if name in self.parameters or len(self.parameters) < MOST_PARAMETERS:
+        if name in self._said or len(self._said) < MOST_PARAMETERS:
             self.version += 1
-            self.parameters[name] = value if value - value == 0.0 else float("nan")
+            self._said[name] = value if value - value == 0.0 else float("nan")

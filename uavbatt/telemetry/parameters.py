@@ -7,6 +7,7 @@ instance 0; un-numbered BAT_ names are leftovers once BATn_ exists, and are used
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 from uavbatt.records import NAN, PackFacts
@@ -80,7 +81,7 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
 
 
 def _has_bit(options: float) -> bool:
-    return options == options and bool(int(options) & _SAG_COMPENSATED_TELEMETRY)
+    return math.isfinite(options) and bool(int(options) & _SAG_COMPENSATED_TELEMETRY)
 
 
 def _px4_name(known: Mapping[str, float], instance: int, what: str) -> str:
