@@ -11,35 +11,32 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 from __future__ import annotations
 
 import select
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from uavbatt.battery.file import BatteryFile
-from uavbatt.config import Config
+from uavbatt.config import Config, signing_key
 from uavbatt.errors import UavbattError
 from uavbatt.feed import state
 from uavbatt.feed.notify import notify
 from uavbatt.feed.now import STALE_AFTER_S, Report, Trend
 from uavbatt.feed.proxy_client import ProxyClient
 from uavbatt.feed.recorder import Recorder
-from uavbatt.mavlink import fields, framing
+from uavbatt.listener import Frame, Listener, tell
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.pipeline import PackOptions
-from uavbatt.records import PackFacts, Status
+from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.sender import Sender, in_order
-from uavbatt.telemetry.live import LiveReader, Row, checksum
+from uavbatt.telemetry.live import Row
 from uavbatt.telemetry.recording import PERIOD_NAME
 from uavbatt.tracked import TrackedBattery
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
-MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
 NOTE_S = 60.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
@@ -53,6 +50,7 @@ class Board:
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
+    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
 
 
 class Daemon:
@@ -76,15 +74,16 @@ class Daemon:
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
         self._stamp_us = 0
-        self._reader = LiveReader(config.link.system, config.link.component)
-        self._is_good = checksum()
-        self._frames: dict[object, framing.Frames] = {}
+        key = signing_key(config.link.signing_key_file)
+        self._listener = Listener(config, key)
+        self._reader = self._listener.reader
         self._tracked: dict[int, TrackedBattery] = {}
-        self._facts: dict[int, tuple[int, PackFacts]] = {}
+        self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
         self._reports: dict[int, Report] = {}
-        self._counts = {"frames": 0, "bad_checksums": 0, "rows": 0, "refused": 0}
+        self._counts = {"rows": 0, "refused": 0}
+        self._changes = 0  # of the vehicle that is followed
         self._recorder = Recorder(config.record) if config.record.folder else None
-        self._sender = Sender(config, link, stations)
+        self._sender = Sender(config, link, stations, key)
         self._status_s = self._state_s = self._watch_s = float("-inf")
         self._saved, self._note = self._load_state()
         self._state_problem = ""
@@ -107,16 +106,8 @@ class Daemon:
         """Take in what has come, send what is due; how many pieces came."""
         now_s = self._clock_s()
         pieces = self._link.read(now_s)
-        for data, sender in pieces:
-            if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
-                self._frames.pop(next(iter(self._frames)))
-            frames = self._frames.setdefault(sender, framing.Frames())
-            for frame in frames.feed(data):
-                if not self._is_good(frame):
-                    frames.reject()
-                    self._counts["bad_checksums"] += 1
-                    continue
-                self._take(frame, now_s)
+        for frame in self._listener.frames(pieces):
+            self._take(frame, now_s)
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
         self._sender.send(now_s, in_order(self._reports), self._reader)
@@ -133,34 +124,39 @@ class Daemon:
         for link in (self._link, *self._stations):
             link.close()
 
-    def _take(self, frame: bytes, now_s: float) -> None:
-        """One whole frame with a good checksum."""
-        self._counts["frames"] += 1
-        header = framing.header(frame)
+    def _take(self, frame: Frame, now_s: float) -> None:
+        """One whole frame that counts."""
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
-        rows = self._reader.take(frame, header, self._stamp_us / 1e6)
-        if self._recorder is not None and self._reader.belongs(header):
-            self._record(frame, header, now_s)
+        rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
+        if self._reader.changes != self._changes:
+            self._begin_vehicle()
+        if not is_ours:
+            return
+        if self._recorder is not None:
+            self._record(frame, now_s)
         for row in rows:
             if self.config.pack.instance in (None, row.instance):
                 self._step(row, now_s)
 
-    def _record(self, frame: bytes, header: framing.Header, now_s: float) -> None:
+    def _begin_vehicle(self) -> None:
+        """Another vehicle is followed from now on: nothing that is known of the last one's batteries holds."""
+        self._changes = self._reader.changes
+        if self._tracked:
+            self._saved = {}  # it was the last one's
+            self.board.trend.forget()
+        self._tracked, self._facts, self._reports = {}, {}, {}
+        self._sender.begin_again()
+        if self._recorder is not None and self._reader.followed is not None:
+            self._recorder.begin_anew(self._reader.followed.words)
+
+    def _record(self, frame: Frame, now_s: float) -> None:
         assert self._recorder is not None
-        if header.component == self._reader.component:
-            if header.message_id == fields.HEARTBEAT:
-                self._recorder.remember(b"heartbeat", frame)
-            elif header.message_id == fields.PARAM_VALUE:
-                start = 10 if frame[0] == framing.V2 else 6
-                name = frame[start + 8 : start + 24].split(b"\0")[0]
-                if name.startswith((b"BAT", b"FS_BATT")):
-                    self._recorder.remember(name, frame)
         if not self._recorder.remembers(PERIOD_NAME.encode()):
-            own = Outgoing(header.system, self.config.link.own_component)
+            own = Outgoing(frame.header.system, self.config.link.own_component)
             period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
             self._recorder.remember(PERIOD_NAME.encode(), period)
-        self._recorder.frame(frame, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
+        self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
     def _step(self, row: Row, now_s: float) -> None:
         """One row through its estimator and to the proxy, which must have it before the next frame."""
@@ -175,10 +171,11 @@ class Daemon:
         tracked = self._tracked[instance]
         gap_s = now_s - self._start_s + self._saved.get("age_s", 0.0)
         estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)
+        if conflict := self._reader.conflict(instance):
+            estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
         resolved = tracked.estimator.resolved
         if resolved is not None and (before is None or before.cells != resolved.cells):
-            with suppress(OSError, ValueError):  # whoever read our words may be gone: that ends no flight
-                print(f"uavbatt: battery {instance}: {resolved.words}", file=sys.stderr, flush=True)
+            tell(f"battery {instance}: {resolved.words}")
         self._counts["rows"] += 1
         self._counts["refused"] += remaining.status is Status.REFUSED
         self._sender.requests.row()
@@ -201,7 +198,7 @@ class Daemon:
             self._recorder.step(instance, estimate, remaining, now_s)
 
     def _facts_of(self, instance: int) -> PackFacts:
-        version, facts = self._facts.get(instance, (-1, PackFacts()))
+        version, facts = self._facts.get(instance, ((-1, -1), PackFacts()))
         if version != self._reader.version:
             facts = self._reader.facts(instance)
             self._facts[instance] = (self._reader.version, facts)
@@ -212,9 +209,11 @@ class Daemon:
         if now_s - self._start_s > NOTE_S:
             self._note = ""  # how it began is of interest at the beginning
         notes = [self._note, self._state_problem, self._recorder.problem if self._recorder is not None else ""]
+        notes += self._listener.notes()
         reports, trend = tuple(in_order(self._reports)), self.board.trend
         trend.look(now_s, reports)
-        self.board = Board(reports, tuple(n for n in notes if n), dict(self._counts), trend)
+        counts = {**self._listener.counts, **self._counts}
+        self.board = Board(reports, tuple(n for n in notes if n), counts, trend, tuple(self._sender.said))
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:
@@ -272,5 +271,12 @@ class Daemon:
         if why_not:
             return {}, "" if why_not == "no saved state" else why_not
         if isinstance(saved.get("parameters"), dict):
-            self._reader.parameters.update(saved["parameters"])
+            self._reader.resume(saved["parameters"])
         return saved, f"resumed from a state {saved['age_s']:.0f} s old"
+
+
+def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:
+    """The same, with nothing to be shown for this reason."""
+    status = Status.REFUSED
+    return replace(estimate, status=status, reason=reason), replace(remaining, status=status, reason=reason)
+

@@ -65,6 +65,12 @@ class Frames:
         """Reception time of each frame [s]."""
         return stamps_us(self.data, self.start) / 1e6
 
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """The sender's running number of each frame, 0..255."""
+        is_v1 = self.payload - self.start == _HEAD_V1
+        return self.data[self.start + np.where(is_v1, _STAMP + 2, _STAMP + 4)].astype(np.int64)
+
     def payloads(self, width: int) -> Bytes:
         """Payloads, `width` bytes each: trimmed zeros put back, later extensions left out."""
         found = gathered(self.data, self.payload, width)
