@@ -67,16 +67,21 @@ class Listener:
         vehicle = self.reader.followed
         source = (vehicle.system, vehicle.component) if vehicle is not None else None
         found = self.reader.notes()
-        if self._verifier is not None:
-            found += self._verifier.notes(source)
         if self._has_proxy and source is not None and source == self._signing:
             found.append("the autopilot signs its frames: the proxy passes them as they are, without our time")
-        for note in found:
-            kind = "".join(c for c in note if not c.isdigit())  # a count that grows is no news
+        self._tell_once(found, found)
+        if self._verifier is not None:
+            judged = self._verifier.notes(source)
+            self._tell_once(judged, ("".join(c for c in note if not c.isdigit()) for note in judged))
+            found += judged
+        return found
+
+    def _tell_once(self, notes: Iterable[str], kinds: Iterable[str]) -> None:
+        """In the log each kind of note stands once: a count that grows is no news."""
+        for note, kind in zip(notes, kinds, strict=True):
             if kind not in self._told and len(self._told) < MOST_TOLD:
                 self._told.add(kind)
                 tell(note)
-        return found
 
 
 def tell(words: str) -> None:

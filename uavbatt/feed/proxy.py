@@ -142,6 +142,7 @@ class Proxy:
         self._splitters: dict[object, tuple[Splitter, float]] = {}
         self._log_s = float("-inf")
         self._from = ""  # whose telemetry the estimator was given last
+        self._first_stream: object = None
         self.is_asked_to_quit = False
 
     def wait(self) -> None:
@@ -205,7 +206,11 @@ class Proxy:
 
     def _to_estimator(self, data: bytes, sender: object) -> None:
         """Telemetry, and before it who sent it, if that was another than the last."""
-        place = f"{sender[0]}:{sender[1]}" if isinstance(sender, tuple) else str(id(sender)) if sender else ""
+        if isinstance(sender, tuple):
+            place = f"{sender[0]}:{sender[1]}"
+        else:  # streams have no name: the first is the rule
+            self._first_stream = self._first_stream or sender
+            place = "" if sender is self._first_stream else str(id(sender))
         if place != self._from:
             self._from = place
             self.control.write(FROM, place.encode())

@@ -19,7 +19,7 @@ from uavbatt.mavlink.fields import BatteryFields
 SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
 WORDLESS_S = 10.0  # without a word of batteries, while another has some
 WINDOW_S, FEWEST_ROWS = 10.0, 4
-HELD_S = 10.0  # a conflict that flickers is one
+HELD_S = 10.0  # after the last row of one that disagreed; a conflict that flickers is one
 MOST_SENDERS, MOST_BATTERIES, MOST_ROWS = 4, 8, 64
 # Two ways of one autopilot differ by what changes between their rows; ranges over seconds overlap.
 APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0, 0.02
@@ -70,7 +70,7 @@ class Senders:
         for other, rows in by_sender.items() if len(by_sender) > 1 else ():
             what = "" if other == sender else apart(_recent(own, time_s), _recent(rows, time_s))
             if what:
-                self._conflicts[battery.id] = (time_s, f"{what}{_places(other, sender)}")
+                self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")
 
     def conflict(self, battery_id: int, time_s: float) -> str:
         """What the senders of a battery disagree on, and who they are; empty while they agree."""
