@@ -121,8 +121,11 @@ class LiveReader:
         return self.changes, self.followed.parameters.version if self.followed is not None else 0
 
     def resume(self, parameters: Mapping[str, float]) -> None:
-        """Parameters of the vehicle that an earlier process followed."""
-        self._resumed = dict(parameters)
+        """Parameters that an earlier process heard of the vehicle it followed; what was heard since goes before."""
+        if self.followed is not None:
+            self.followed.parameters.resume(parameters)
+        else:
+            self._resumed = dict(parameters)
 
     def facts(self, instance: int) -> PackFacts:
         """What the vehicle has said so far of one battery."""

@@ -30,8 +30,8 @@ class HeardParameters:
     """Tells which statements of a vehicle about its parameters count, in the order in which they are heard.
 
     The first statement of a parameter counts at once, and on the ground every change. In the air one frame may be
-    forged or damaged: a change of a battery parameter counts when a second frame says the same (a frame that was only
-    doubled on its way has the same sequence number); a frame that repeats the old value takes the doubt away.
+    forged or damaged: a change of a battery parameter counts when a second frame says the same (one that was doubled on
+    its way has the first one's sequence number); a frame that repeats the old value takes the doubt away.
     """
 
     def __init__(self) -> None:
