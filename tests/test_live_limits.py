@@ -69,9 +69,7 @@ def test_a_landing_of_minutes_ends_a_recording(tmp_path: Path, is_heard: bool) -
 def test_a_crash_loop_pushes_out_one_flight_at_most(tmp_path: Path) -> None:
     flights = earlier_flights(tmp_path, 6)
     for k in range(12):
-        bench = Bench(
-            record=RecordSection(folder=str(tmp_path), max_files=6, min_free_MB=0.0), start_s=5.0 * k
-        )
+        bench = Bench(record=RecordSection(folder=str(tmp_path), max_files=6, min_free_MB=0.0), start_s=5.0 * k)
         bench.fly(1.0)
         bench.daemon.close()
         begun_s = bench.wall_offset_s + 5.0 * k

@@ -1,4 +1,4 @@
-"""Several autopilots on one port, several senders of one identity, signatures: who is followed, and who is believed."""
+"""Several autopilots on one port, several senders of one identity: who is followed, and who is believed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import GROUND_ROWS, flight, true_soc
 
 from uavbatt.battery import file
-from uavbatt.config import Config, FeedSection, LinkSection, RecordSection, StateSection
+from uavbatt.config import Config, LinkSection, RecordSection, StateSection
 from uavbatt.daemon import Daemon
 from uavbatt.feed import proxy
 from uavbatt.feed.proxy_client import ProxyClient
@@ -27,8 +27,6 @@ from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.pipeline import PackOptions
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
-
-KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
 
 
 def capacity(mAh: float) -> Any:
@@ -267,83 +265,6 @@ def test_a_sender_without_a_battery_does_not_shut_out_the_one_that_has_it() -> N
         bench.daemon.turn()
         bench.now_s += 0.5
     assert bench.daemon.board.counts["rows"] == 20
-
-
-def signed_by(bench: Bench, key: bytes | None) -> None:
-    bench._out.signing.secret_key, bench._out.signing.sign_outgoing = key, key is not None
-
-
-@pytest.fixture
-def keyed(tmp_path: Path) -> Bench:
-    path = tmp_path / "key"
-    path.write_text(KEY.hex() + "\n")
-    return Bench(link=LinkSection(endpoint="x", gcs=["y"], signing_key_file=str(path)))
-
-
-def test_a_forger_without_the_key_is_not_heard(keyed: Bench) -> None:
-    """Same system, component and address, unsigned, wrongly signed and recorded frames: the vehicle's number stands."""
-    signed_by(keyed, KEY)
-    fly(keyed, 10.0)
-    recorded = keyed.framed(row(16.4))
-    keyed.link.incoming.append((recorded, "fc"))
-    keyed.daemon.turn()
-    rows = keyed.daemon.board.counts["rows"]
-    for _ in range(10):
-        signed_by(keyed, None)
-        keyed.send(row(16.4))
-        signed_by(keyed, OTHER_KEY)
-        keyed.send(row(16.4))
-        keyed.link.incoming.append((recorded, "fc"))
-        signed_by(keyed, KEY)
-        fly(keyed, 0.2, volts=15.8)
-    assert keyed.daemon.board.counts["rows"] == rows + 10
-    assert keyed.daemon.board.counts["rejected_signatures"] == 30
-    assert set(keyed.daemon.board.notes) == {
-        "10 frames of system 1 with a wrong signature rejected",
-        "10 frames of system 1 without a signature rejected",
-        "10 frames of system 1 sent again or late rejected",
-    }
-
-
-def test_a_vehicle_that_does_not_sign_is_heard_and_that_is_said(keyed: Bench) -> None:
-    fly(keyed, 10.0)
-    assert keyed.daemon.board.reports[0].at(keyed.now_s).remaining_s > 0.0
-    assert keyed.daemon.board.notes == ("system 1 does not sign its frames: whoever is on the link can speak for it",)
-
-
-def test_a_wrong_key_is_said_and_not_silence_without_a_reason(keyed: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    signed_by(keyed, OTHER_KEY)
-    fly(keyed, 10.0)
-    now = content(keyed.daemon.board, keyed.now_s)
-    assert now["batteries"] == [] and "no frame fits the key: is link.signing_key_file the vehicle's?" in now["notes"]
-    assert capsys.readouterr().err.count("with a wrong signature rejected") == 1
-
-
-def test_a_stream_that_begins_more_than_a_minute_behind_is_late(keyed: Bench) -> None:
-    signed_by(keyed, KEY)
-    keyed._out.signing.timestamp = 10**12
-    fly(keyed, 2.0)
-    keyed._out.signing.link_id, keyed._out.signing.timestamp = 7, 10**12 - 61 * 100_000
-    rows = keyed.daemon.board.counts["rows"]
-    keyed.send(row(16.0))
-    keyed.daemon.turn()
-    assert keyed.daemon.board.counts["rows"] == rows
-    keyed._out.signing.timestamp = 10**12 - 50 * 100_000
-    keyed.send(row(16.0))
-    keyed.daemon.turn()
-    assert keyed.daemon.board.counts["rows"] == rows + 1
-
-
-def test_a_signed_stream_behind_the_proxy_feed_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    link = LinkSection(endpoint="x", gcs=["y"])
-    bench = Bench(link=link, feed=FeedSection(kinds=("proxy",)))
-    fly(bench, 2.0)
-    assert bench.daemon.board.notes == ()
-    signed_by(bench, KEY)
-    fly(bench, 4.0)
-    note = "the autopilot signs its frames: the proxy passes them as they are, without our time"
-    assert bench.daemon.board.notes == (note,)
-    assert capsys.readouterr().err.count(note) == 1
 
 
 def test_silence30h_pack_45(tmp_path: Path) -> None:

@@ -279,4 +279,3 @@ def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Est
     """The same, with nothing to be shown for this reason."""
     status = Status.REFUSED
     return replace(estimate, status=status, reason=reason), replace(remaining, status=status, reason=reason)
-

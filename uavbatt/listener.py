@@ -39,7 +39,7 @@ class Listener:
         self._verifier = Verifier(key) if key is not None else None
         self._frames: dict[object, framing.Frames] = {}
         self._has_proxy = "proxy" in config.feed.kinds
-        self._signing: tuple[int, int] | None = None  # whose battery messages are signed
+        self._signing: dict[tuple[int, int], bool] = {}  # whose battery messages are signed
         self._told: set[str] = set()
 
     def frames(self, pieces: Iterable[Chunk]) -> Iterator[Frame]:
@@ -58,8 +58,8 @@ class Listener:
                 if self._verifier is not None and not self._verifier.accepts(frame, header):
                     self.counts["rejected_signatures"] += 1
                     continue
-                if header.message_id == framing.BATTERY_STATUS and framing.is_signed(frame):
-                    self._signing = header.system, header.component
+                if header.message_id == framing.BATTERY_STATUS:
+                    self._signing[header.system, header.component] = framing.is_signed(frame)
                 yield Frame(frame, header, sender)
 
     def notes(self) -> list[str]:
@@ -67,7 +67,7 @@ class Listener:
         vehicle = self.reader.followed
         source = (vehicle.system, vehicle.component) if vehicle is not None else None
         found = self.reader.notes()
-        if self._has_proxy and source is not None and source == self._signing:
+        if self._has_proxy and source is not None and self._signing.get(source, False):
             found.append("the autopilot signs its frames: the proxy passes them as they are, without our time")
         self._tell_once(found, found)
         if self._verifier is not None:

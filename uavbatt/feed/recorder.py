@@ -165,6 +165,10 @@ class Recorder:
 
 def _is_short(path: Path) -> bool:
     """Whether a recording spans less than SHORT_S, from its first stamp to its last writing."""
-    with path.open("rb") as file:
-        head = file.read(8)
-    return len(head) < 8 or abs(path.stat().st_mtime - struct.unpack(">Q", head)[0] / 1e6) < SHORT_S
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+        last_s = path.stat().st_mtime
+    except OSError:
+        return False
+    return len(head) < 8 or abs(last_s - struct.unpack(">Q", head)[0] / 1e6) < SHORT_S
