@@ -169,7 +169,7 @@ class LiveReader:
             vehicle.senders.compare(sender, battery, stamp_s)
         if not vehicle.senders.admits(sender, stamp_s, battery is not None):
             return NOTHING
-        rows = vehicle.take(header.message_id, message, frame, time_s) if message is not None else []
+        rows = vehicle.take(header.message_id, message, battery, frame, time_s) if message is not None else []
         if battery is not None or self.followed is None:
             self._follow(vehicle, stamp_s)
         vehicle.heard_s = stamp_s

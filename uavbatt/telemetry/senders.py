@@ -67,7 +67,9 @@ class Senders:
                 return
         own = by_sender.setdefault(sender, deque(maxlen=MOST_ROWS))
         own.append(Said(time_s, battery.voltage_V, battery.current_A, battery.consumed_Ah))
-        for other, rows in by_sender.items() if len(by_sender) > 1 else ():
+        if len(by_sender) == 1:
+            return
+        for other, rows in by_sender.items():
             what = "" if other == sender else apart(_recent(own, time_s), _recent(rows, time_s))
             if what:
                 self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")

@@ -77,8 +77,10 @@ class Vehicle:
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.known.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
 
-    def take(self, message_id: int, message: Any, frame: bytes, time_s: float) -> list[Row]:
-        """Rows that a wanted message of the autopilot completes."""
+    def take(
+        self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
+    ) -> list[Row]:
+        """Rows that a wanted message of the autopilot completes; `battery` is what it says of one, if it does."""
         if message_id == fields.HEARTBEAT:
             self._log.armed = fields.is_armed(message)
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
@@ -87,10 +89,11 @@ class Vehicle:
         if message_id == fields.PARAM_VALUE:
             self._hear(message, frame)
             return []
+        assert battery is not None
         if message_id == fields.BATTERY_STATUS:
-            row = self._row(time_s, fields.battery_status(message))
+            row = self._row(time_s, battery)
             return [] if row is None else self._confirmed(row)
-        return self._fallback(message_id, message, time_s)
+        return self._fallback(message_id, battery, time_s)
 
     def _hear(self, message: Any, frame: bytes) -> None:
         name, value = fields.parameter(message, self.is_px4)
@@ -113,13 +116,13 @@ class Vehicle:
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
         return [first, row]
 
-    def _fallback(self, message_id: int, message: Any, time_s: float) -> list[Row]:
+    def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[Row]:
         """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
         if self.battery_ids if message_id == fields.SYS_STATUS else 1 in self.battery_ids:
             return []
         if self._first_s is None:
             self._first_s = time_s
-        row = self._row(time_s, battery_fields(message_id, message))
+        row = self._row(time_s, battery)
         if row is not None and len(self._held) < MOST_HELD:
             self._held.append(row)
         return self._released(time_s)
