@@ -231,6 +231,40 @@ def test_another_vehicle_is_not_resumed(kept: tuple[str, float], tmp_path: Path)
     assert "BATT_CAPACITY" not in bench.daemon._reader.parameters
 
 
+def test_a_state_waits_for_its_own_vehicle_when_another_comes_first(kept: tuple[str, float], tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(kept[0])
+    bench = restarted(path, kept[1])
+    for sample in flight(0.5)[:6]:
+        bench.send(heartbeat(False), system=7)
+        bench.send(battery_status(sample, 0), system=7)
+        bench.daemon.turn()
+        bench.now_s += 0.5
+    bench.now_s += 11.0  # system 7 is silent, and system 1 speaks of its battery
+    bench.play(flight()[FLOWN : FLOWN + 10])
+    assert bench.daemon.board.reports[0].system == 1
+    assert "battery 0: resumed from a state 1" in notes(bench)
+    assert bench.daemon._reader.parameters["BATT_CAPACITY"] == 5000.0
+
+
+def test_what_is_said_in_flight_counts_once_a_resumed_parameter_was_anothers(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    first = Bench(OPTIONS, state=section(path))
+    first.send(heartbeat(True))
+    first.send(serial(0xABC))
+    first.send(dialect.MAVLink_param_value_message(b"BATT_LOW_VOLT", 14.0, 9, 1, 0))
+    first.play(flight()[:FLOWN])
+    first.daemon.close()
+    bench = restarted(path, first.now_s)
+    bench.send(heartbeat(True))
+    bench.play(flight(0.5)[:4])
+    bench.send(dialect.MAVLink_param_value_message(b"BATT_LOW_VOLT", 13.6, 9, 1, 0))  # once: it waits
+    assert bench.daemon._reader.parameters["BATT_LOW_VOLT"] == 14.0
+    bench.send(serial(0xDEF))
+    bench.play(flight(0.5)[4:8])
+    assert bench.daemon._reader.parameters["BATT_LOW_VOLT"] == pytest.approx(13.6)
+
+
 @pytest.mark.parametrize("told", ["before the first row", "after it"])
 def test_another_aircraft_of_the_same_number_is_not_resumed(told: str, tmp_path: Path) -> None:
     path = tmp_path / "state.json"
@@ -303,7 +337,7 @@ def test_beliefs_of_a_flight_are_plausible_and_edited_ones_are_not() -> None:
     bench = Bench(OPTIONS)
     for sample in flight():
         bench.play([sample])
-        belief = bench.daemon._tracked[0].estimator.belief if bench.daemon._tracked else None
+        belief = bench.daemon.batteries.tracked[0].estimator.belief if bench.daemon.batteries.tracked else None
         if belief is not None:
             assert implausible_moments(belief.mean, belief.covariance) == ""
     assert belief is not None

@@ -10,40 +10,32 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 
 from __future__ import annotations
 
-import math
 import select
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
+from uavbatt.batteries import Batteries
 from uavbatt.battery.file import BatteryFile
-from uavbatt.config import Config
-from uavbatt.errors import UavbattError
+from uavbatt.config import Config, signing_key
 from uavbatt.feed import state
 from uavbatt.feed.notify import notify
 from uavbatt.feed.now import STALE_AFTER_S, Report, Trend
 from uavbatt.feed.proxy_client import ProxyClient
 from uavbatt.feed.recorder import Recorder
-from uavbatt.mavlink import fields, framing
+from uavbatt.listener import Frame, Listener
+from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.pipeline import PackOptions
-from uavbatt.records import PackFacts, Status
-from uavbatt.resumption import Resumption
-from uavbatt.saved import SavedBattery
+from uavbatt.records import Status
 from uavbatt.sender import Sender, in_order
-from uavbatt.telemetry.live import LiveReader, Row, checksum
+from uavbatt.telemetry.live import Row
 from uavbatt.telemetry.recording import PERIOD_NAME
-from uavbatt.tracked import TrackedBattery
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
-MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
-NOTE_S = 60.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
 
 
@@ -55,6 +47,7 @@ class Board:
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
+    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
 
 
 class Daemon:
@@ -73,26 +66,25 @@ class Daemon:
         is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:
         self.config, self.board = config, Board()
-        self._battery, self._options = battery, options
-        self._link, self._stations = link, stations
-        self._clock_s, self._wall_s, self._is_clock_set = clock_s, wall_s, is_clock_set
+        self._options, self._link, self._stations = options, link, stations
+        self._clock_s = clock_s
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
         self._stamp_us = 0
-        self._reader = LiveReader(config.link.system, config.link.component)
-        self._is_good = checksum()
-        self._frames: dict[object, framing.Frames] = {}
-        self._tracked: dict[int, TrackedBattery] = {}
-        self._facts: dict[int, tuple[int, PackFacts]] = {}
-        self._reports: dict[int, Report] = {}
-        self._counts = {"frames": 0, "bad_checksums": 0, "rows": 0, "refused": 0}
+        key = signing_key(config.link.signing_key_file)
+        self._listener = Listener(config, key)
+        self._reader = self._listener.reader
+
+        def clocks(now_s: float) -> state.Clock:
+            unix_s = wall_s()
+            return state.clock(now_s, unix_s, is_clock_set(unix_s))
+
+        self.batteries = Batteries(config, battery, options, self._reader, clocks, self._start_s)
+        self._counts = {"rows": 0, "refused": 0}
+        self._changes = 0  # of the vehicle that is followed
         self._recorder = Recorder(config.record) if config.record.folder else None
-        self._sender = Sender(config, link, stations)
+        self._sender = Sender(config, link, stations, key)
         self._status_s = self._state_s = self._watch_s = float("-inf")
-        self._hardware = ""  # serial number of the autopilot
-        self._resumption = self._load_state()
-        self._note_until_s = self._start_s + NOTE_S  # how it began is of interest at the beginning
-        self._state_problem = ""
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
         """Until told to stop; then what is held is written out."""
@@ -112,25 +104,17 @@ class Daemon:
         """Take in what has come, send what is due; how many pieces came."""
         now_s = self._clock_s()
         pieces = self._link.read(now_s)
-        for data, sender in pieces:
-            if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
-                self._frames.pop(next(iter(self._frames)))
-            frames = self._frames.setdefault(sender, framing.Frames())
-            for frame in frames.feed(data):
-                if not self._is_good(frame):
-                    frames.reject()
-                    self._counts["bad_checksums"] += 1
-                    continue
-                self._take(frame, now_s)
+        for frame in self._listener.frames(pieces):
+            self._take(frame, now_s)
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
-        self._sender.send(now_s, in_order(self._reports), self._reader)
+        self._sender.send(now_s, in_order(self.batteries.reports), self._reader)
         self._look_after(now_s)
         return len(pieces)
 
     def close(self) -> None:
         """Write out what is held, release everything."""
-        self._save(self._clock_s())
+        self.batteries.save(self._clock_s())
         if self._recorder is not None:
             self._recorder.close()
         if isinstance(self._link, ProxyClient):
@@ -138,116 +122,69 @@ class Daemon:
         for link in (self._link, *self._stations):
             link.close()
 
-    def _take(self, frame: bytes, now_s: float) -> None:
-        """One whole frame with a good checksum."""
-        self._counts["frames"] += 1
-        header = framing.header(frame)
+    def _take(self, frame: Frame, now_s: float) -> None:
+        """One whole frame that counts."""
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
-        rows = self._reader.take(frame, header, self._stamp_us / 1e6)
-        if header.message_id == fields.AUTOPILOT_VERSION and header.component == self._reader.component:
-            self._know_hardware(frame, header)
-        if self._recorder is not None and self._reader.belongs(header):
-            self._record(frame, header, now_s)
+        rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
+        if self._reader.changes != self._changes:
+            self._begin_vehicle()
+        if not is_ours:
+            return
+        if frame.header.message_id == fields.AUTOPILOT_VERSION:
+            self.batteries.look_at_vehicle()
+        if self._recorder is not None:
+            self._record(frame, now_s)
         for row in rows:
             if self.config.pack.instance in (None, row.instance):
                 self._step(row, now_s)
 
-    @property
-    def _vehicle(self) -> state.Vehicle:
-        """The vehicle whose batteries are estimated, as far as it is known."""
-        system, component = self._reader.system or 0, self._reader.component or 0
-        return state.Vehicle(system=system, component=component, hardware=self._hardware)
+    def _begin_vehicle(self) -> None:
+        """Another vehicle is followed from now on."""
+        self._changes = self._reader.changes
+        if self.batteries.reports:
+            self.board.trend.forget()
+        self.batteries.begin_vehicle()
+        self._sender.begin_again()
+        if self._recorder is not None and self._reader.followed is not None:
+            self._recorder.begin_anew(self._reader.followed.words)
 
-    def _know_hardware(self, frame: bytes, header: framing.Header) -> None:
-        """The autopilot tells its serial number; a state that was resumed for another is forgotten."""
-        if self._hardware or not self._reader.belongs(header):
-            return
-        self._hardware = fields.hardware(framing.payload(frame))
-        if self._resumption.is_contradicted(self._vehicle):
-            self._tracked.clear()
-            self._reader.resume({})
-
-    def _record(self, frame: bytes, header: framing.Header, now_s: float) -> None:
+    def _record(self, frame: Frame, now_s: float) -> None:
         assert self._recorder is not None
-        if header.component == self._reader.component:
-            if header.message_id == fields.HEARTBEAT:
-                self._recorder.remember(b"heartbeat", frame)
-            elif header.message_id == fields.PARAM_VALUE:
-                start = 10 if frame[0] == framing.V2 else 6
-                name = frame[start + 8 : start + 24].split(b"\0")[0]
-                if name.startswith((b"BAT", b"FS_BATT")):
-                    self._recorder.remember(name, frame)
         if not self._recorder.remembers(PERIOD_NAME.encode()):
-            own = Outgoing(header.system, self.config.link.own_component)
+            own = Outgoing(frame.header.system, self.config.link.own_component)
             period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
             self._recorder.remember(PERIOD_NAME.encode(), period)
-        self._recorder.frame(frame, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
+        self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
     def _step(self, row: Row, now_s: float) -> None:
         """One row through its estimator and to the proxy, which must have it before the next frame."""
-        instance = row.instance
-        before = self._reports.get(instance)
+        before = self.batteries.reports.get(row.instance)
         if before is not None and before.age_s(now_s) > STALE_AFTER_S:
             self._sender.requests.begin_again()
-        if instance not in self._tracked:
-            parameters = self._resumption.meet(self._vehicle)
-            if parameters:
-                self._reader.resume(parameters)
-            saved = self._resumption.of(instance)
-            limit_s = self.config.state.max_age_s
-            self._tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
-            self._note_until_s = now_s + NOTE_S
-        tracked = self._tracked[instance]
-        gap_s = now_s - self._start_s + self._resumption.age_s
-        estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)
-        resolved = tracked.estimator.resolved
-        if resolved is not None and (before is None or before.cells != resolved.cells):
-            with suppress(OSError, ValueError):  # whoever read our words may be gone: that ends no flight
-                print(f"uavbatt: battery {instance}: {resolved.words}", file=sys.stderr, flush=True)
+        report = self.batteries.step(row, now_s)
         self._counts["rows"] += 1
-        self._counts["refused"] += remaining.status is Status.REFUSED
+        self._counts["refused"] += report.remaining.status is Status.REFUSED
         self._sender.requests.row()
-        report = Report(
-            instance=instance,
-            system=self._reader.system or 0,
-            component=self._reader.component or 0,
-            estimate=estimate,
-            remaining=remaining,
-            received_s=now_s,
-            rows=before.rows + 1 if before is not None else 1,
-            cells=resolved.cells if resolved is not None else 0,
-            battery=self._battery.battery.name,
-            certificate=self._battery.status,
-        )
-        self._reports[instance] = report
         if isinstance(self._link, ProxyClient) and "proxy" in self.config.feed.kinds:
             self._link.estimate(report, now_s)
         if self._recorder is not None:
-            self._recorder.step(instance, estimate, remaining, now_s)
-
-    def _facts_of(self, instance: int) -> PackFacts:
-        version, facts = self._facts.get(instance, (-1, PackFacts()))
-        if version != self._reader.version:
-            facts = self._reader.facts(instance)
-            self._facts[instance] = (self._reader.version, facts)
-        return facts
+            self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
 
     def _look_after(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
-        notes = [self._state_problem]
-        if now_s <= self._note_until_s:
-            notes += [self._resumption.note]
-            notes += [f"battery {i}: {t.resumed}" for i, t in sorted(self._tracked.items()) if t.resumed]
-        notes += [self._recorder.problem] if self._recorder is not None else []
-        reports, trend = tuple(in_order(self._reports)), self.board.trend
+        notes = [*self.batteries.notes(now_s), *self._listener.notes()]
+        if self._recorder is not None and self._recorder.problem:
+            notes.append(self._recorder.problem)
+        reports, trend = tuple(in_order(self.batteries.reports)), self.board.trend
         trend.look(now_s, reports)
-        self.board = Board(reports, tuple(n for n in notes if n), dict(self._counts), trend)
+        counts = {**self._listener.counts, **self._counts}
+        self.board = Board(reports, tuple(notes), counts, trend, tuple(self._sender.said))
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:
             self._state_s = now_s + self.config.state.period_s
-            self._save(now_s)
+            self.batteries.save(now_s)
         if now_s >= self._watch_s:
             self._watch_s = now_s + 1.0
             notify("WATCHDOG=1")
@@ -257,51 +194,9 @@ class Daemon:
 
     def _words(self, now_s: float) -> str:
         """One line for `systemctl status`."""
-        if not self._reports:
+        if not self.batteries.reports:
             return "no battery telemetry yet"
-        shown = in_order(self._reports)[0].at(now_s)
+        shown = in_order(self.batteries.reports)[0].at(now_s)
         if shown.remaining_s == shown.remaining_s:
             return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
         return f"{shown.status}: {shown.reason}"
-
-    def _save(self, now_s: float) -> None:
-        if not self.config.state.file:
-            return
-        batteries = {
-            str(i): replace(saved, since_row_s=saved.since_row_s + self._reports[i].age_s(now_s))
-            for i, tracked in self._tracked.items()
-            if (saved := tracked.saved(self._facts_of(i))) is not None
-        }
-        if not batteries:
-            return
-        known = self._reader.parameters.items()
-        content = state.State(
-            battery_sha256=self._battery.certificate.content_sha256,
-            link=self.config.link.endpoint,
-            vehicle=self._vehicle,
-            parameters={n: v for n, v in known if n.startswith(("BAT", "FS_BATT")) and math.isfinite(v)},
-            batteries=batteries,
-        )
-        try:
-            state.write(Path(self.config.state.file), content, self._instant(now_s))
-            self._state_problem = ""
-        except (OSError, UavbattError) as error:
-            self._state_problem = f"state not saved: {error}"
-
-    def _load_state(self) -> Resumption:
-        """What an earlier process has left for this one."""
-        if not self.config.state.file:
-            return Resumption(state.Found(None, 0.0, ""))
-        found = state.read(
-            Path(self.config.state.file),
-            SavedBattery,
-            self._instant(self._clock_s()),
-            max_age_s=self.config.state.max_age_s,
-            battery_sha256=self._battery.certificate.content_sha256,
-            link=self.config.link.endpoint,
-        )
-        return Resumption(found)
-
-    def _instant(self, now_s: float) -> state.Clock:
-        wall_s = self._wall_s()
-        return state.clock(now_s, wall_s, self._is_clock_set(wall_s))

@@ -1,4 +1,4 @@
-"""The saved state from a start until its batteries have been heard: whose it is, and what became of it, in words."""
+"""The saved state after a start: whose it is, and what became of it, in words."""
 
 from __future__ import annotations
 
@@ -9,46 +9,46 @@ from uavbatt.saved import SavedBattery
 
 
 class Resumption:
-    """What an earlier process left; handed out to the vehicle that it was made for, and to no other."""
+    """Hands out what an earlier process left to the vehicle that it is of, and to no other; each battery once."""
 
     def __init__(self, found: Found[SavedBattery]) -> None:
         self.age_s = found.age_s  # when this process began
         self._state: State[SavedBattery] | None = found.state
+        self._left = dict(found.state.batteries) if found.state is not None else {}
+        self._why_not = found.why_not
         self._met: Vehicle | None = None
-        self._note = f"not resumed: {found.why_not}" if found.why_not else ""
 
     @property
     def note(self) -> str:
         """Where it stands; what becomes of each battery, its own estimator says."""
         if self._state is not None and self._met is None:
             return f"a state {self.age_s:.0f} s old waits for system {self._state.vehicle.system}"
-        return self._note
+        why_not = self._why_not or self._mismatch(self._met)
+        return f"not resumed: {why_not}" if why_not else ""
 
     def meet(self, vehicle: Vehicle) -> Mapping[str, float]:
-        """The vehicle has been heard; its saved parameters, the first time and if it is the one."""
-        if self._met is not None or self._state is None:
-            return {}
+        """A vehicle whose batteries are to be estimated: its saved parameters, if the state is of it."""
         self._met = vehicle
-        return {} if self._refused(vehicle) or self._state is None else self._state.parameters
+        return self._state.parameters if self._state is not None and not self._mismatch(vehicle) else {}
 
     def is_contradicted(self, vehicle: Vehicle) -> bool:
-        """True if what has been heard of the vehicle since shows that the state was another's: it counts no more."""
-        return self._met is not None and self._state is not None and self._refused(vehicle)
+        """True if what is known of the vehicle by now shows that what it was handed was another's."""
+        if self._state is None or self._met is None or self._mismatch(self._met):
+            return False
+        self._met = vehicle
+        return bool(self._mismatch(vehicle))
 
     def of(self, instance: int) -> SavedBattery | None:
-        """The saved battery; None where there is none, or it has been handed to nobody yet."""
-        if self._met is None or self._state is None:
-            return None
-        return self._state.batteries.get(str(instance))
+        """The saved battery of the vehicle that was met; None where there is none, or it was handed out before."""
+        return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
 
-    def _refused(self, vehicle: Vehicle) -> bool:
-        assert self._state is not None
+    def _mismatch(self, vehicle: Vehicle | None) -> str:
+        """Why the state is not of this vehicle, as far as that is known; empty if it is."""
+        if self._state is None or vehicle is None:
+            return ""
         was = self._state.vehicle
         if (was.system, was.component) != (vehicle.system, vehicle.component):
-            self._note = f"not resumed: saved state is of system {was.system}, heard is system {vehicle.system}"
-        elif was.hardware and vehicle.hardware and was.hardware != vehicle.hardware:
-            self._note = "not resumed: saved state is of another aircraft (serial number of the autopilot)"
-        else:
-            return False
-        self._state = None
-        return True
+            return f"saved state is of system {was.system}, heard is system {vehicle.system}"
+        if was.hardware and vehicle.hardware and was.hardware != vehicle.hardware:
+            return "saved state is of another aircraft (serial number of the autopilot)"
+        return ""

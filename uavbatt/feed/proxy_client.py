@@ -51,6 +51,7 @@ class ProxyClient:
         self._child: subprocess.Popen[bytes] | None = None
         self._hello_s = self._next_s = float("-inf")
         self._pause_s = SHORTEST_PAUSE_S
+        self._from = ""  # whose telemetry comes
         self.pid = 0
         self.rewritten = 0
 
@@ -78,7 +79,9 @@ class ProxyClient:
             else:
                 for kind, body in self._messages.feed(data):
                     if kind == proxy.TELEMETRY:
-                        found.append((body, None))
+                        found.append((body, self._from))
+                    elif kind == proxy.FROM:
+                        self._from = body.decode("ascii", "replace")
                     elif kind == proxy.STATS:
                         self._stats(body)
         return found

@@ -38,9 +38,8 @@ class BatteryFields:
     cell_voltages_V: tuple[float, ...] = ()
 
 
-def hardware(payload: bytes) -> str:
-    """Serial number of the flight controller from the payload of AUTOPILOT_VERSION; empty when it tells none."""
-    uid = int.from_bytes(payload[8:16].ljust(8, b"\0"), "little")
+def hardware(uid: int) -> str:
+    """Serial number of the flight controller from the `uid` of AUTOPILOT_VERSION; empty when it tells none."""
     return f"{uid:016x}" if uid else ""
 
 

@@ -70,12 +70,6 @@ def header(frame: bytes) -> Header:
     return Header(frame[5], frame[6], frame[7] | frame[8] << 8 | frame[9] << 16)
 
 
-def payload(frame: bytes) -> bytes:
-    """What a whole frame carries, as sent: trailing zeros may be trimmed."""
-    start = 6 if frame[0] == V1 else V2_HEADER
-    return frame[start : start + frame[1]]
-
-
 def _next_mark(data: bytes, position: int) -> int:
     """The next byte that could begin a frame; the end of the data if there is none."""
     found = [at for mark in (b"\xfe", b"\xfd") if (at := data.find(mark, position)) >= 0]
@@ -99,6 +93,16 @@ def pieces(data: bytes, start: int = 0) -> Iterator[tuple[int, int, bool]]:
         position = garbage_from = position + length
     if garbage_from < position:
         yield garbage_from, position, False
+
+
+def sequence(frame: bytes) -> int:
+    """The sender's running number of a whole frame, 0..255."""
+    return frame[2] if frame[0] == V1 else frame[4]
+
+
+def is_signed(frame: bytes) -> bool:
+    """Whether a whole frame carries a signature."""
+    return frame[0] == V2 and bool(frame[2] & SIGNED)
 
 
 class Battery(NamedTuple):

@@ -10,7 +10,9 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import threading
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
@@ -31,6 +33,13 @@ def open_link(text: str) -> Link:
     return TcpServer(at) if at.kind == "tcpin" else StreamLink(at)
 
 
+class Peer(NamedTuple):
+    """Who sent to a listening socket: how many datagrams, and when the last."""
+
+    datagrams: int
+    heard_s: float
+
+
 class UdpLink:
     """Datagrams. `udpin` learns its peers from what they send; `udpout` has one."""
 
@@ -39,7 +48,7 @@ class UdpLink:
     def __init__(self, at: Endpoint) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._peers: dict[tuple[str, int], float] = {}
+        self._peers: dict[tuple[str, int], Peer] = {}
         self._fixed = at.kind == "udpout"
         try:
             self._address = (socket.gethostbyname(at.host), at.port)
@@ -70,7 +79,8 @@ class UdpLink:
 
     def write(self, data: bytes, now_s: float) -> None:
         """One datagram to the peer, or to every peer heard lately."""
-        peers = [self._address] if self._fixed else [p for p, t in self._peers.items() if now_s - t < PEER_FORGOTTEN_S]
+        lately = [p for p, peer in self._peers.items() if now_s - peer.heard_s < PEER_FORGOTTEN_S]
+        peers = [self._address] if self._fixed else lately
         for peer in peers:
             try:
                 self._socket.sendto(data, peer)
@@ -83,8 +93,12 @@ class UdpLink:
 
     def _remember(self, sender: tuple[str, int], now_s: float) -> None:
         if sender not in self._peers and len(self._peers) >= MOST_PEERS:
-            del self._peers[min(self._peers, key=lambda p: self._peers[p])]
-        self._peers[sender] = now_s
+            forgotten = [p for p, peer in self._peers.items() if now_s - peer.heard_s >= PEER_FORGOTTEN_S]
+            # whoever sent least gives way: an autopilot that streams is not pushed out by many that send once
+            for gone in forgotten or [min(self._peers, key=lambda p: self._peers[p])]:
+                del self._peers[gone]
+        was = self._peers.get(sender)
+        self._peers[sender] = Peer(1 if was is None else was.datagrams + 1, now_s)
 
 
 class Pipe:
@@ -122,6 +136,43 @@ class Pipe:
             os.close(self.fd)
 
 
+class Resolver:
+    """Finds the address of a host without making anybody wait: a slow resolver is asked in a thread of its own."""
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self._thread: threading.Thread | None = None
+        self._found: str | OSError | None = None
+
+    def address(self) -> str | None:
+        """The address; None while it is looked for. Raises OSError when it was not found; the next call looks anew."""
+        if _is_address(self._host):
+            return self._host
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._look, name="resolver", daemon=True)
+            self._thread.start()
+        if self._thread.is_alive():
+            return None
+        self._thread, found = None, self._found
+        if isinstance(found, OSError):
+            raise found
+        return found
+
+    def _look(self) -> None:
+        try:
+            self._found = socket.gethostbyname(self._host)
+        except (OSError, UnicodeError) as error:  # a label of more than 63 characters is no host name
+            self._found = error if isinstance(error, OSError) else OSError(errno.EINVAL, str(error))
+
+
+def _is_address(host: str) -> bool:
+    try:
+        socket.inet_aton(host)
+    except OSError:
+        return False
+    return True
+
+
 class StreamLink:
     """A TCP client or a serial line that is opened again whenever it breaks."""
 
@@ -132,6 +183,7 @@ class StreamLink:
         self._pipe: Pipe | None = None
         self._connecting: socket.socket | None = None
         self._pause_s, self._next_s, self._deadline_s = SHORTEST_PAUSE_S, float("-inf"), 0.0
+        self._resolver, self._address = Resolver(at.host), ""
 
     def filenos(self) -> Iterator[int]:
         """The descriptor, when open."""
@@ -186,10 +238,14 @@ class StreamLink:
     def _connected(self, now_s: float) -> Pipe | None:
         """A connection that is being made counts as closed; OSError when it failed."""
         if self._connecting is None:
+            address = self._resolver.address()
+            if address is None:
+                return None
+            self._address = address
             self._connecting = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._connecting.setblocking(False)
             self._deadline_s = now_s + 5.0
-        code = self._connecting.connect_ex((self._at.host, self._at.port))
+        code = self._connecting.connect_ex((self._address, self._at.port))
         if code in (errno.EINPROGRESS, errno.EALREADY):
             if now_s > self._deadline_s:
                 raise OSError(errno.ETIMEDOUT, "no answer")
