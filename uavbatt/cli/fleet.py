@@ -58,7 +58,7 @@ def fleet(
     """
     from uavbatt.fleet.run import check_extra
 
-    check_extra()
+    check_extra(scheduler)
     from uavbatt.battery import file
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
@@ -70,9 +70,9 @@ def fleet(
     job = Job(file.read(battery, allow_uncertified=allow_uncertified), options, _pattern(aircraft))
     found = find(logs)
     flown = 0
-    connection = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+    crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
     with _progress() as show:
-        for finished in run.run(connection, found, job, output):
+        for finished in run.run(crew, found, job, output):
             flown += finished.row is not None
             show(finished)
     _tell(output, run.rows(output, found, job), job, flown, len(found))
