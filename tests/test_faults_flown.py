@@ -2,7 +2,8 @@
 
 The names are those of the scenarios that once ended without a word. Every one is held to the same: 45 s before the end
 of flight the ground station has been told that two minutes or less are left, or the number is not `ok` any more and a
-text has said so; and no lower end that is shown in the last two minutes is more than 25 s too long.
+text has said so; no lower end that is shown in the last two minutes is more than 25 s too long; and no number that is
+`ok` is without width.
 """
 
 from __future__ import annotations
@@ -197,6 +198,18 @@ def test_the_lower_end_is_not_too_long_in_the_last_two_minutes(name: str) -> Non
     assert shown or name not in SOUND
     late = [(row.remaining_lo_s - (end_s - row.time_s), end_s - row.time_s, row.status) for row in shown]
     assert max(late, default=(0.0,))[0] <= TOO_LONG_S, max(late)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_number_without_width_is_never_ok(name: str) -> None:
+    """Long before the end nobody knows it to the second: an alarm by such a number is a false one."""
+    flown, end_s = said(name)
+    sure = [
+        (row.time_s, row.remaining_s)
+        for row in flown.rows
+        if row.status == "ok" and row.time_s < end_s - 60.0 and row.remaining_hi_s - row.remaining_lo_s < 1.0
+    ]
+    assert not sure, sure[:3]
 
 
 def test_a_low_voltage_above_the_full_pack_is_said() -> None:
