@@ -10,7 +10,6 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 
 from __future__ import annotations
 
-import select
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ from uavbatt.listener import Frame, Listener
 from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.mavlink.pipe import wait
 from uavbatt.pipeline import PackOptions
 from uavbatt.records import Status
 from uavbatt.sender import Sender, in_order
@@ -91,11 +91,8 @@ class Daemon:
         notify("READY=1")
         while not is_stopped():
             descriptors = [fd for link in (self._link, *self._stations) for fd in link.filenos()]
-            try:
-                select.select(descriptors, [], [], LONGEST_WAIT_S)
-            except InterruptedError:
-                continue
-            if 0 < self.turn() < FLOOD:
+            wait(descriptors, LONGEST_WAIT_S)
+            if self.turn() < FLOOD:
                 time.sleep(REST_S)
         notify("STOPPING=1")
         self.close()

@@ -61,7 +61,7 @@ def fleet(
     """
     from uavbatt.fleet.run import check_extra
 
-    check_extra()
+    check_extra(scheduler)
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find
@@ -72,9 +72,9 @@ def fleet(
     job = Job(read_battery(battery, allow_uncertified), options, _pattern(aircraft))
     found = find(logs)
     flown = 0
-    connection = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+    crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
     with _progress() as show:
-        for finished in run.run(connection, found, job, output):
+        for finished in run.run(crew, found, job, output):
             flown += finished.row is not None
             if finished.dropped:
                 left_out = f"damaged rows left out: {finished.dropped}; their logs are flown again"

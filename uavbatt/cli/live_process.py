@@ -60,12 +60,12 @@ def _feeds(config: Config) -> str:
 def _links(config: Config) -> tuple[Link, Sequence[Link]]:
     """The way to the autopilot and to the ground stations; behind the proxy both are its business."""
     from uavbatt.mavlink.endpoint import parse
-    from uavbatt.mavlink.links import open_link
+    from uavbatt.mavlink.links import open_autopilot, open_link
 
     for text in (config.link.endpoint, *config.link.gcs):
         parse(text)
     if "proxy" not in config.feed.kinds:
-        return open_link(config.link.endpoint), [open_link(text) for text in config.link.gcs]
+        return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]
     from uavbatt.feed.proxy import Settings
     from uavbatt.feed.proxy_client import ProxyClient, control_path
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import signal
 import socket
 import struct
@@ -31,7 +30,8 @@ from uavbatt.errors import UavbattError
 from uavbatt.feed.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import Splitter, header
-from uavbatt.mavlink.links import Pipe, open_link
+from uavbatt.mavlink.links import open_autopilot, open_link
+from uavbatt.mavlink.pipe import Pipe, takes_bytes, wait
 from uavbatt.printable import terminal_line
 
 HOLD_S = 0.020
@@ -137,7 +137,7 @@ class Proxy:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.rewriter = Rewriter(settings.soc)
-        self.autopilot = open_link(settings.autopilot)
+        self.autopilot = open_autopilot(settings.autopilot)
         self.stations: list[Link] = [open_link(text) for text in settings.gcs]
         self.control = Control(settings.control)
         self._splitters: dict[object, tuple[Splitter, float]] = {}
@@ -150,7 +150,7 @@ class Proxy:
         """Sleep until a byte comes; at most 20 ms while a partial frame is held."""
         waiting = any(splitter.waiting for splitter, _ in self._splitters.values())
         ready = [fd for link in (self.autopilot, *self.stations) for fd in link.filenos()]
-        select.select([*ready, *self.control.filenos()], [], [], HOLD_S / 2 if waiting else 0.25)
+        wait([*ready, *self.control.filenos()], HOLD_S / 2 if waiting else 0.25)
 
     def turn(self, now_s: float) -> None:
         """Pass on what has come in."""
@@ -178,7 +178,7 @@ class Proxy:
         for (system, component, battery), (own_s, left_s) in told.items():
             place = f"system {system} component {component} battery {battery}"
             with suppress(OSError, ValueError):
-                if select.select([], [sys.stderr], [], 0.0)[1]:  # a full pipe is not waited for
+                if takes_bytes(sys.stderr.fileno()):  # a full pipe is not waited for
                     print(f"uavbatt proxy: {place}: its own {own_s} s replaced by {left_s} s", file=sys.stderr)
 
     def close(self) -> None:

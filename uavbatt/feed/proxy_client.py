@@ -20,7 +20,7 @@ from pathlib import Path
 from uavbatt.feed import proxy, rewriter
 from uavbatt.feed.now import Report
 from uavbatt.mavlink.endpoint import Chunk
-from uavbatt.mavlink.links import Pipe
+from uavbatt.mavlink.pipe import Pipe
 from uavbatt.records import Status
 
 HELLO_PERIOD_S = 1.0

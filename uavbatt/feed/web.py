@@ -176,6 +176,8 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
     app = application(settings, board, clock_s)
     try:
         import uvicorn
+
+        from uavbatt.feed.connections import MOST_WAITING, protocol
     except ImportError:
         raise MissingExtra("web", "--http") from None
     host, port = address(settings.listen)
@@ -183,7 +185,9 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
         listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
         raise UsageError(f"--http {settings.listen}: {error.strerror}") from None
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off", ws="none"))
+    limits: dict[str, Any] = {"http": protocol(), "backlog": MOST_WAITING}
+    quiet: dict[str, Any] = {"log_level": "warning", "access_log": False, "lifespan": "off", "ws": "none"}
+    server = uvicorn.Server(uvicorn.Config(app, **limits, **quiet))
     server.install_signal_handlers = lambda: None  # type: ignore[attr-defined,unused-ignore]
 
     def work() -> None:
