@@ -44,13 +44,16 @@ class FakeLink:
 class Bench:
     """A daemon, its links and its clocks."""
 
-    def __init__(self, options: PackOptions = OPTIONS, start_s: float = 1000.0, **sections: Any) -> None:
+    def __init__(
+        self, options: PackOptions = OPTIONS, start_s: float = 1000.0, *, is_clock_set: bool = True, **sections: Any
+    ) -> None:
         self.now_s, self.wall_offset_s = start_s, 1.7e9
         self.link, self.station = FakeLink(), FakeLink()
         sections.setdefault("link", LinkSection(endpoint="udpin:127.0.0.1:1", gcs=["udpout:127.0.0.1:2"]))
         self.daemon = Daemon(
             Config(**sections), file.read("lipo-generic"), options, self.link, [self.station],
             clock_s=lambda: self.now_s, wall_s=lambda: self.wall_offset_s + self.now_s,
+            is_clock_set=lambda wall_s: is_clock_set,
         )  # fmt: skip
         self._out: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
 

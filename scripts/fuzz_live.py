@@ -81,7 +81,7 @@ def main() -> int:
         if not is_sound(row.sample):
             slipped.append(row)
         step(row, at_s)
-        estimate = daemon._reports[row.instance].estimate
+        estimate = daemon.batteries.reports[row.instance].estimate
         if row.instance > 1 or not (estimate.voltage_V != estimate.voltage_V or is_sound(row.sample)):
             forged.append(estimate)
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,48 @@ class Vehicle(threading.Thread):
                     self.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5200.0, 9, 1, 0))
 
 
+class StreamVehicle(Vehicle):
+    """The same quad at a stream; `reopen` gives its end, again when it has broken off."""
+
+    def __init__(self, reopen: Callable[[], Any]) -> None:
+        super().__init__(0)
+        self._reopen, self.end = reopen, None
+
+    def write(self, data: bytes) -> None:
+        try:
+            self.end = self.end or self._reopen()
+            self.end.sendall(data)
+        except OSError:
+            self.end = None
+
+    def read(self) -> bytes:
+        try:
+            return self.end.recv(4096) if self.end is not None else b""
+        except OSError:
+            return b""
+
+
+def listening(port: int) -> Callable[[], socket.socket]:
+    server = socket.create_server(("127.0.0.1", port))
+    server.settimeout(5.0)
+
+    def accept() -> socket.socket:
+        made, _ = server.accept()
+        made.setblocking(False)
+        return made
+
+    return accept
+
+
+def connecting(port: int) -> Callable[[], socket.socket]:
+    def connect() -> socket.socket:
+        made = socket.create_connection(("127.0.0.1", port), 5.0)
+        made.setblocking(False)
+        return made
+
+    return connect
+
+
 class Station:
     """A ground station that listens on UDP."""
 
@@ -107,10 +149,10 @@ class Station:
 
 
 @contextmanager
-def running(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """`uavbatt live` with these arguments; ended with the block."""
+def running(*arguments: str, program: Sequence[str] = PROGRAM, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """`uavbatt live` (or another program) with these arguments; ended with the block."""
     env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **environment}
-    process = subprocess.Popen([*PROGRAM, *arguments], stderr=subprocess.PIPE, text=True, env=env)
+    process = subprocess.Popen([*program, *arguments], stderr=subprocess.PIPE, text=True, env=env)
     try:
         yield process
     finally:

@@ -149,8 +149,9 @@ def test_no_scheduler_no_logs_no_extra(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(UsageError, match="address that can be listed"):
         find(["nosuchprotocol://x/*.tlog"])
     monkeypatch.setitem(sys.modules, "distributed", None)
+    run.check_extra()
     with pytest.raises(MissingExtra, match=r"uavbatt\[fleet\]") as caught:
-        run.check_extra()
+        run.check_extra("tcp://somewhere:8786")
     assert caught.value.exit_code == 3
 
 

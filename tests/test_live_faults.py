@@ -155,10 +155,10 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
 def test_rows_that_are_always_slow_are_no_silence() -> None:
     bench = Bench(OPTIONS)
     bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(6)])
-    assert bench.daemon._tracked[0].estimator._swap.bounds is None
+    assert bench.daemon.batteries.tracked[0].estimator._swap.bounds is None
     bench.now_s += 100.0
     bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(3)])
-    assert bench.daemon._tracked[0].estimator._swap.bounds is not None
+    assert bench.daemon.batteries.tracked[0].estimator._swap.bounds is not None
 
 
 @pytest.mark.parametrize("jump_s", [-7200.0, 86_400.0])
@@ -181,7 +181,7 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
     state = StateSection(file=str(tmp_path / "state.json"))
     first = Bench(OPTIONS, state=state)
     first.play(flight()[:-80])
-    past = first.daemon._tracked[0].estimator.past
+    past = first.daemon.batteries.tracked[0].estimator.past
     second = Bench(OPTIONS, start_s=first.now_s + silent_s, state=state)
     later = flight()[len(flight()) - 80 + int(2 * silent_s) - 1 :]
     second.play(later[:2])
@@ -192,44 +192,10 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
     second.now_s += 0.5
     second.play(later[2:])
     agrees(second, undisturbed())
-    now = second.daemon._tracked[0].estimator.past
+    now = second.daemon.batteries.tracked[0].estimator.past
     assert past is not None and now is not None
     assert now.forecaster.flown_s == pytest.approx(180.0, abs=8.0)
     assert now.forecaster.load.mean_W == pytest.approx(180.0, rel=0.2)
-
-
-def test_a_state_with_damage_inside_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    first = Bench(OPTIONS, state=StateSection(file=str(path)))
-    first.play(flight()[:120])
-    first.daemon.close()
-    whole = json.loads(path.read_text())
-    for key, bad in (
-        ("mean", [1.0]), ("mean", None), ("covariance", [[math.nan] * 8] * 8), ("past", {}),
-        ("resolved", {"cells": "4"}), ("since_row_s", "x"), ("past", [[1], 2]), ("ambient_C", "warm"),
-    ):  # fmt: skip
-        broken = json.loads(json.dumps(whole))
-        broken["batteries"]["0"][key] = bad
-        path.write_text(json.dumps(broken))
-        bench = Bench(OPTIONS, start_s=first.now_s + 1.0, state=StateSection(file=str(path)))
-        bench.play(flight()[121:127])
-        assert bench.daemon.board.reports[0].estimate.soc > 0.5, key
-
-
-def test_a_state_of_another_battery_file_is_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    first = Bench(OPTIONS, state=StateSection(file=str(path)))
-    first.play(flight()[:60])
-    first.daemon.close()
-    saved = json.loads(path.read_text())
-    path.write_text(json.dumps(saved | {"battery_sha256": "0" * 64}))
-    second = Bench(OPTIONS, start_s=first.now_s + 1.0, state=StateSection(file=str(path)))
-    second.daemon.turn()
-    assert second.daemon.board.notes == ("saved state is of another battery file",)
-    path.write_text(json.dumps(saved | {"boot_id": "another boot", "monotonic_s": 1e9}))
-    third = Bench(OPTIONS, start_s=first.now_s + 2.0, state=StateSection(file=str(path)))
-    third.daemon.turn()
-    assert third.daemon.board.notes == ("resumed from a state 2 s old",)  # by the wall clock
 
 
 def test_the_vehicle_that_is_named_is_the_one() -> None:

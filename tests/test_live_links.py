@@ -12,12 +12,12 @@ import time
 import tty
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from daemon_bench import OPTIONS, Bench, FakeLink
-from live_rig import ROOT, Vehicle, free_port, until
+from live_rig import ROOT, StreamVehicle, Vehicle, connecting, free_port, listening, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import file
@@ -31,27 +31,6 @@ from uavbatt.pipeline import PackOptions
 from uavbatt.telemetry import read_log
 
 KEY = bytes(range(32))
-
-
-class StreamVehicle(Vehicle):
-    """The same quad at a stream; `reopen` gives its end, again when it has broken off."""
-
-    def __init__(self, reopen: Callable[[], Any]) -> None:
-        super().__init__(0)
-        self._reopen, self.end = reopen, None
-
-    def write(self, data: bytes) -> None:
-        try:
-            self.end = self.end or self._reopen()
-            self.end.sendall(data)
-        except OSError:
-            self.end = None
-
-    def read(self) -> bytes:
-        try:
-            return self.end.recv(4096) if self.end is not None else b""
-        except OSError:
-            return b""
 
 
 class CalledVehicle(Vehicle):
@@ -88,27 +67,6 @@ class Pty:
 
     def recv(self, size: int) -> bytes:
         return os.read(self.fd, size)
-
-
-def listening(port: int) -> Callable[[], socket.socket]:
-    server = socket.create_server(("127.0.0.1", port))
-    server.settimeout(5.0)
-
-    def accept() -> socket.socket:
-        made, _ = server.accept()
-        made.setblocking(False)
-        return made
-
-    return accept
-
-
-def connecting(port: int) -> Callable[[], socket.socket]:
-    def connect() -> socket.socket:
-        made = socket.create_connection(("127.0.0.1", port), 5.0)
-        made.setblocking(False)
-        return made
-
-    return connect
 
 
 def at(kind: str) -> tuple[str, StreamVehicle | Vehicle]:

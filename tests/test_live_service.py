@@ -136,6 +136,7 @@ def test_sigterm_writes_out_what_is_held_and_the_replay_gives_the_same_lines(veh
 def test_while_armed_records_from_arming_to_disarming(tmp_path: Path) -> None:
     bench = Bench(record=RecordSection(folder=str(tmp_path), when="while-armed", min_free_MB=0.0))
     for armed in (False, True, False, True, False):
+        bench.now_s += 130.0 if armed else 0.0  # between two flights
         for _ in range(20):
             bench.send(heartbeat(armed))
             bench.send(battery_status(Sample(0.0, 16.0, 12.0 if armed else 0.2, 25.0, 0.1), 0))

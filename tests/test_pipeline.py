@@ -147,23 +147,30 @@ SAID = PackFacts(cells_series=6, capacity_Ah=8.0, low_voltage_V=21.0, critical_v
 
 
 @pytest.mark.parametrize(
-    ("options", "facts", "expected"),
+    ("options", "facts", "volts", "expected"),
     [
         (
             PackOptions(cells=5, capacity_Ah=3.0, cutoff_V=15.0, low_V=16.0),
             SAID,
+            20.3,
             (5, "--cells", 3.0, "--capacity-ah", 15.0, "--cutoff-voltage", 16.0, "--low-voltage"),
         ),
-        (PackOptions(), SAID, (6, "vehicle", 8.0, "vehicle", 20.0, "vehicle", 21.0, "vehicle")),
+        (PackOptions(), SAID, 24.3, (6, "vehicle", 8.0, "vehicle", 20.0, "vehicle", 21.0, "vehicle")),
         (
             PackOptions(capacity_Ah=3.0),
             None,
+            16.2,
             (4, "first voltage", 3.0, "--capacity-ah", 13.2, "battery file", 14.0, "battery file"),
         ),
     ],
 )
-def test_caller_before_vehicle_before_file(options: PackOptions, facts: PackFacts | None, expected: tuple) -> None:  # type: ignore[type-arg]
-    found = resolved(options, facts)
+def test_caller_before_vehicle_before_file(
+    options: PackOptions,
+    facts: PackFacts | None,
+    volts: float,
+    expected: tuple,  # type: ignore[type-arg]
+) -> None:
+    found = resolved(options, facts, volts)
     names = ("cells", "cells_from", "capacity_Ah", "capacity_from", "cutoff_V", "cutoff_from", "low_V", "low_from")
     assert tuple(getattr(found, n) for n in names) == pytest.approx(expected)
 

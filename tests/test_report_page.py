@@ -11,8 +11,9 @@ import pytest
 
 from uavbatt.aside import written_aside
 from uavbatt.errors import BadInput
+from uavbatt.printable import printable
 from uavbatt.report import plot
-from uavbatt.report.page import badge, duration, element, number, page, paragraph, printable, table
+from uavbatt.report.page import badge, duration, element, number, page, paragraph, table
 
 HOSTILE = "<script>alert(1)</script>\"'&\x00\u202e\ud800.BIN"
 ACTIVE = {"script", "iframe", "object", "embed", "link", "base", "form", "img"}

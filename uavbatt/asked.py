@@ -6,15 +6,23 @@ all in turn; in flight one follows the other at once (`Estimator.step`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
 from uavbatt.prediction.endurance import EndTimes
 from uavbatt.prediction.forecaster import Forecaster
 from uavbatt.prediction.questions import Question
+from uavbatt.prediction.wall import bounded
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0
+CONTRADICTED_S = 120.0
+FALLS_FASTER = (
+    "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low"
+)
+AT_CUTOFF = "the pack is at its cut-off"
+NO_END = "no end in sight: the charge believed and the load do not fit"
 
 
 class Asked(NamedTuple):
@@ -25,6 +33,7 @@ class Asked(NamedTuple):
     forecaster: Forecaster | None
     refusal: str
     question: Question | None
+    wall_s: float = math.inf  # seconds until the measured voltage itself is at the cut-off
 
 
 def say(asked: Asked, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
@@ -33,11 +42,27 @@ def say(asked: Asked, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
     if asked.forecaster is None:
         return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, asked.refusal)
     answered = (asked.question, ends) if asked.question is not None and ends is not None else None
-    remaining = asked.forecaster.say(sample, estimate, asked.refusal, answered)
+    remaining = walled(asked.forecaster.say(sample, estimate, asked.refusal, answered), asked.wall_s)
+    if remaining.reason == FALLS_FASTER:
+        estimate = replace(estimate, warnings=(*estimate.warnings, FALLS_FASTER))
     if remaining.remaining_alarm_s <= ALARM_S:
         alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
         estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
     return estimate, remaining
+
+
+def walled(said: Remaining, wall_s: float) -> Remaining:
+    """What is said of the time left, held against the measured voltage; a number of no width is never `ok`."""
+    if not math.isfinite(said.remaining_s):
+        return said
+    now = bounded(said, wall_s)
+    if wall_s < min(said.remaining_lo_s, CONTRADICTED_S) and now.status is not Status.REFUSED:
+        now = replace(now, status=Status.CONVERGING, reason=FALLS_FASTER)
+    if now.remaining_hi_s > now.remaining_lo_s:
+        return now
+    if now.remaining_hi_s <= 0.0:
+        return replace(now, status=Status.CONVERGING, reason=AT_CUTOFF)
+    return Remaining(now.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, NO_END)
 
 
 def unknown(sample: Sample) -> Estimate:

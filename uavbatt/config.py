@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from uavbatt.errors import BadInput, UsageError
+from uavbatt.limits import AMBIENT_C, CAPACITY_AH, MOST_CELLS
 
 SYSTEM_FILE = Path("/etc/uavbatt/uavbatt.toml")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -47,11 +48,11 @@ class PackSection(Section, frozen=True):
 
     battery: str = "lipo-generic"
     instance: Byte | None = None
-    cells: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
-    capacity_Ah: Positive | None = None
+    cells: Annotated[int, msgspec.Meta(ge=1, le=MOST_CELLS)] | None = None
+    capacity_Ah: Annotated[float, msgspec.Meta(ge=CAPACITY_AH[0], le=CAPACITY_AH[1])] | None = None
     cutoff_voltage_V: Positive | None = None
     reserve_soc: Share = 0.0
-    ambient_C: Annotated[float, msgspec.Meta(ge=-60, le=80)] | None = None
+    ambient_C: Annotated[float, msgspec.Meta(ge=AMBIENT_C[0], le=AMBIENT_C[1])] | None = None
     vehicle: str = ""
     load: str = "learned"
     forecast_period_s: Annotated[float, msgspec.Meta(ge=0.1)] = 1.0
@@ -91,7 +92,7 @@ class StateSection(Section, frozen=True):
 
     file: str = ""
     period_s: Positive = 5.0
-    max_age_s: Positive = 600.0
+    max_age_s: Annotated[float, msgspec.Meta(gt=0, le=86_400)] = 600.0
 
 
 class Config(Section, frozen=True):

@@ -10,38 +10,32 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 
 from __future__ import annotations
 
-import select
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
+from uavbatt.batteries import Batteries
 from uavbatt.battery.file import BatteryFile
-from uavbatt.config import Config
-from uavbatt.errors import UavbattError
+from uavbatt.config import Config, signing_key
 from uavbatt.feed import state
 from uavbatt.feed.notify import notify
 from uavbatt.feed.now import STALE_AFTER_S, Report, Trend
 from uavbatt.feed.proxy_client import ProxyClient
 from uavbatt.feed.recorder import Recorder
-from uavbatt.mavlink import fields, framing
+from uavbatt.listener import Frame, Listener
+from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.mavlink.pipe import wait
 from uavbatt.pipeline import PackOptions
-from uavbatt.records import PackFacts, Status
+from uavbatt.records import Status
 from uavbatt.sender import Sender, in_order
-from uavbatt.telemetry.live import LiveReader, Row, checksum
+from uavbatt.telemetry.live import Row
 from uavbatt.telemetry.recording import PERIOD_NAME
-from uavbatt.tracked import TrackedBattery
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
-MOST_SENDERS = 32
 STATUS_PERIOD_S = 5.0
-NOTE_S = 60.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
 
 
@@ -53,6 +47,7 @@ class Board:
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
+    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
 
 
 class Daemon:
@@ -68,37 +63,36 @@ class Daemon:
         *,
         clock_s: Callable[[], float] = time.monotonic,
         wall_s: Callable[[], float] = time.time,
+        is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:
         self.config, self.board = config, Board()
-        self._battery, self._options = battery, options
-        self._link, self._stations = link, stations
-        self._clock_s, self._wall_s = clock_s, wall_s
+        self._options, self._link, self._stations = options, link, stations
+        self._clock_s = clock_s
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
         self._stamp_us = 0
-        self._reader = LiveReader(config.link.system, config.link.component)
-        self._is_good = checksum()
-        self._frames: dict[object, framing.Frames] = {}
-        self._tracked: dict[int, TrackedBattery] = {}
-        self._facts: dict[int, tuple[int, PackFacts]] = {}
-        self._reports: dict[int, Report] = {}
-        self._counts = {"frames": 0, "bad_checksums": 0, "rows": 0, "refused": 0}
+        key = signing_key(config.link.signing_key_file)
+        self._listener = Listener(config, key)
+        self._reader = self._listener.reader
+
+        def clocks(now_s: float) -> state.Clock:
+            unix_s = wall_s()
+            return state.clock(now_s, unix_s, is_clock_set(unix_s))
+
+        self.batteries = Batteries(config, battery, options, self._reader, clocks, self._start_s)
+        self._counts = {"rows": 0, "refused": 0}
+        self._changes = 0  # of the vehicle that is followed
         self._recorder = Recorder(config.record) if config.record.folder else None
-        self._sender = Sender(config, link, stations)
+        self._sender = Sender(config, link, stations, key)
         self._status_s = self._state_s = self._watch_s = float("-inf")
-        self._saved, self._note = self._load_state()
-        self._state_problem = ""
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
         """Until told to stop; then what is held is written out."""
         notify("READY=1")
         while not is_stopped():
             descriptors = [fd for link in (self._link, *self._stations) for fd in link.filenos()]
-            try:
-                select.select(descriptors, [], [], LONGEST_WAIT_S)
-            except InterruptedError:
-                continue
-            if 0 < self.turn() < FLOOD:
+            wait(descriptors, LONGEST_WAIT_S)
+            if self.turn() < FLOOD:
                 time.sleep(REST_S)
         notify("STOPPING=1")
         self.close()
@@ -107,25 +101,17 @@ class Daemon:
         """Take in what has come, send what is due; how many pieces came."""
         now_s = self._clock_s()
         pieces = self._link.read(now_s)
-        for data, sender in pieces:
-            if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
-                self._frames.pop(next(iter(self._frames)))
-            frames = self._frames.setdefault(sender, framing.Frames())
-            for frame in frames.feed(data):
-                if not self._is_good(frame):
-                    frames.reject()
-                    self._counts["bad_checksums"] += 1
-                    continue
-                self._take(frame, now_s)
+        for frame in self._listener.frames(pieces):
+            self._take(frame, now_s)
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
-        self._sender.send(now_s, in_order(self._reports), self._reader)
+        self._sender.send(now_s, in_order(self.batteries.reports), self._reader)
         self._look_after(now_s)
         return len(pieces)
 
     def close(self) -> None:
         """Write out what is held, release everything."""
-        self._save(self._clock_s())
+        self.batteries.save(self._clock_s())
         if self._recorder is not None:
             self._recorder.close()
         if isinstance(self._link, ProxyClient):
@@ -133,93 +119,69 @@ class Daemon:
         for link in (self._link, *self._stations):
             link.close()
 
-    def _take(self, frame: bytes, now_s: float) -> None:
-        """One whole frame with a good checksum."""
-        self._counts["frames"] += 1
-        header = framing.header(frame)
+    def _take(self, frame: Frame, now_s: float) -> None:
+        """One whole frame that counts."""
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
-        rows = self._reader.take(frame, header, self._stamp_us / 1e6)
-        if self._recorder is not None and self._reader.belongs(header):
-            self._record(frame, header, now_s)
+        rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
+        if self._reader.changes != self._changes:
+            self._begin_vehicle()
+        if not is_ours:
+            return
+        if frame.header.message_id == fields.AUTOPILOT_VERSION:
+            self.batteries.look_at_vehicle()
+        if self._recorder is not None:
+            self._record(frame, now_s)
         for row in rows:
             if self.config.pack.instance in (None, row.instance):
                 self._step(row, now_s)
 
-    def _record(self, frame: bytes, header: framing.Header, now_s: float) -> None:
+    def _begin_vehicle(self) -> None:
+        """Another vehicle is followed from now on."""
+        self._changes = self._reader.changes
+        if self.batteries.reports:
+            self.board.trend.forget()
+        self.batteries.begin_vehicle()
+        self._sender.begin_again()
+        if self._recorder is not None and self._reader.followed is not None:
+            self._recorder.begin_anew(self._reader.followed.words)
+
+    def _record(self, frame: Frame, now_s: float) -> None:
         assert self._recorder is not None
-        if header.component == self._reader.component:
-            if header.message_id == fields.HEARTBEAT:
-                self._recorder.remember(b"heartbeat", frame)
-            elif header.message_id == fields.PARAM_VALUE:
-                start = 10 if frame[0] == framing.V2 else 6
-                name = frame[start + 8 : start + 24].split(b"\0")[0]
-                if name.startswith((b"BAT", b"FS_BATT")):
-                    self._recorder.remember(name, frame)
         if not self._recorder.remembers(PERIOD_NAME.encode()):
-            own = Outgoing(header.system, self.config.link.own_component)
+            own = Outgoing(frame.header.system, self.config.link.own_component)
             period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
             self._recorder.remember(PERIOD_NAME.encode(), period)
-        self._recorder.frame(frame, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
+        self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
     def _step(self, row: Row, now_s: float) -> None:
         """One row through its estimator and to the proxy, which must have it before the next frame."""
-        instance = row.instance
-        before = self._reports.get(instance)
+        before = self.batteries.reports.get(row.instance)
         if before is not None and before.age_s(now_s) > STALE_AFTER_S:
             self._sender.requests.begin_again()
-        if instance not in self._tracked:
-            saved = self._saved.get("batteries", {}).get(str(instance))
-            limit_s = self.config.state.max_age_s
-            self._tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
-        tracked = self._tracked[instance]
-        gap_s = now_s - self._start_s + self._saved.get("age_s", 0.0)
-        estimate, remaining = tracked.step(row.sample, self._facts_of(instance), gap_s)
-        resolved = tracked.estimator.resolved
-        if resolved is not None and (before is None or before.cells != resolved.cells):
-            with suppress(OSError, ValueError):  # whoever read our words may be gone: that ends no flight
-                print(f"uavbatt: battery {instance}: {resolved.words}", file=sys.stderr, flush=True)
+        report = self.batteries.step(row, now_s)
         self._counts["rows"] += 1
-        self._counts["refused"] += remaining.status is Status.REFUSED
+        self._counts["refused"] += report.remaining.status is Status.REFUSED
         self._sender.requests.row()
-        report = Report(
-            instance=instance,
-            system=self._reader.system or 0,
-            component=self._reader.component or 0,
-            estimate=estimate,
-            remaining=remaining,
-            received_s=now_s,
-            rows=before.rows + 1 if before is not None else 1,
-            cells=resolved.cells if resolved is not None else 0,
-            battery=self._battery.battery.name,
-            certificate=self._battery.status,
-        )
-        self._reports[instance] = report
         if isinstance(self._link, ProxyClient) and "proxy" in self.config.feed.kinds:
             self._link.estimate(report, now_s)
         if self._recorder is not None:
-            self._recorder.step(instance, estimate, remaining, now_s)
-
-    def _facts_of(self, instance: int) -> PackFacts:
-        version, facts = self._facts.get(instance, (-1, PackFacts()))
-        if version != self._reader.version:
-            facts = self._reader.facts(instance)
-            self._facts[instance] = (self._reader.version, facts)
-        return facts
+            self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
 
     def _look_after(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
-        if now_s - self._start_s > NOTE_S:
-            self._note = ""  # how it began is of interest at the beginning
-        notes = [self._note, self._state_problem, self._recorder.problem if self._recorder is not None else ""]
-        reports, trend = tuple(in_order(self._reports)), self.board.trend
+        notes = [*self.batteries.notes(now_s), *self._listener.notes()]
+        if self._recorder is not None and self._recorder.problem:
+            notes.append(self._recorder.problem)
+        reports, trend = tuple(in_order(self.batteries.reports)), self.board.trend
         trend.look(now_s, reports)
-        self.board = Board(reports, tuple(n for n in notes if n), dict(self._counts), trend)
+        counts = {**self._listener.counts, **self._counts}
+        self.board = Board(reports, tuple(notes), counts, trend, tuple(self._sender.said))
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:
             self._state_s = now_s + self.config.state.period_s
-            self._save(now_s)
+            self.batteries.save(now_s)
         if now_s >= self._watch_s:
             self._watch_s = now_s + 1.0
             notify("WATCHDOG=1")
@@ -229,48 +191,9 @@ class Daemon:
 
     def _words(self, now_s: float) -> str:
         """One line for `systemctl status`."""
-        if not self._reports:
+        if not self.batteries.reports:
             return "no battery telemetry yet"
-        shown = in_order(self._reports)[0].at(now_s)
+        shown = in_order(self.batteries.reports)[0].at(now_s)
         if shown.remaining_s == shown.remaining_s:
             return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
         return f"{shown.status}: {shown.reason}"
-
-    def _save(self, now_s: float) -> None:
-        if not self.config.state.file:
-            return
-        batteries = {
-            str(i): {**saved, "since_row_s": saved["since_row_s"] + self._reports[i].age_s(now_s)}
-            for i, tracked in self._tracked.items()
-            if (saved := tracked.saved(self._facts_of(i))) is not None
-        }
-        if not batteries:
-            return
-        known = {n: v for n, v in self._reader.parameters.items() if n.startswith(("BAT", "FS_BATT"))}
-        content: dict[str, Any] = {
-            "battery_sha256": self._battery.certificate.content_sha256,
-            "parameters": known,
-            "batteries": batteries,
-        }
-        try:
-            state.write(Path(self.config.state.file), content, now_s, self._wall_s())
-            self._state_problem = ""
-        except (OSError, UavbattError) as error:
-            self._state_problem = f"state not saved: {error}"
-
-    def _load_state(self) -> tuple[dict[str, Any], str]:
-        """The saved state, and a note of what came of it."""
-        if not self.config.state.file:
-            return {}, ""
-        saved, why_not = state.read(
-            Path(self.config.state.file),
-            self._clock_s(),
-            self._wall_s(),
-            self.config.state.max_age_s,
-            self._battery.certificate.content_sha256,
-        )
-        if why_not:
-            return {}, "" if why_not == "no saved state" else why_not
-        if isinstance(saved.get("parameters"), dict):
-            self._reader.parameters.update(saved["parameters"])
-        return saved, f"resumed from a state {saved['age_s']:.0f} s old"

@@ -25,6 +25,7 @@ import numpy as np
 from uavbatt.discharge_csv import MIN_POINTS, Array, read_runs
 from uavbatt.discharge_csv import Run as Run
 from uavbatt.errors import BadInput
+from uavbatt.limits import CAPACITY_AH, capacity_doubt
 
 QUANTITIES = ("voltage_V", "surface_C", "current_A")
 _T = TypeVar("_T")
@@ -99,6 +100,11 @@ class DataSet:
         """Every ambient temperature of the set, ascending [°C]."""
         return tuple(sorted({r.ambient_C for r in self.runs}))
 
+    @property
+    def first_V(self) -> float:
+        """The highest voltage that a run begins with [V]; NaN without runs."""
+        return max((float(run.voltage_V[0]) for run in self.runs), default=float("nan"))
+
 
 @dataclass(frozen=True, slots=True)
 class Levels:
@@ -137,8 +143,9 @@ def load(path: str | Path | None = None) -> DataSet:
     if missing:
         raise BadInput(shown, "", f"a folder with battery.toml and discharge.csv; {missing} missing")
     battery = _decode(root / "battery.toml", f"{shown}/battery.toml", _Battery)
-    if battery.capacity_Ah is not None and battery.capacity_Ah > 500:
-        said = f"ampere-hours, found {battery.capacity_Ah:g} (mAh?)"
+    if battery.capacity_Ah is not None and capacity_doubt(battery.capacity_Ah) is not None:
+        slip = " (mAh?)" if battery.capacity_Ah > CAPACITY_AH[1] else ""
+        said = f"ampere-hours, found {battery.capacity_Ah:g}{slip}"
         raise BadInput(f"{shown}/battery.toml", "key capacity_Ah", said)
     shown_csv = f"{shown}/discharge.csv"
     runs = read_runs(_text(root / "discharge.csv", shown_csv), shown_csv, battery.cells_series)

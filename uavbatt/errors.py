@@ -23,6 +23,15 @@ class BadInput(UavbattError):
         super().__init__(f"{where}: expected {expected}")
 
 
+def misread(file: str | Path, error: Exception, kind: str) -> BadInput:
+    """The error for a file that msgspec could not decode as `kind`: the key that it names becomes the place."""
+    said = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
+    what, _, key = said.partition(" - at `$.")
+    if key and what.startswith("Expected "):
+        return BadInput(file, f"key {key.rstrip('`')}", f"{what.removeprefix('Expected ')}, in {kind}")
+    return BadInput(file, f"key {key.rstrip('`')}" if key else "", f"{kind}: {what}")
+
+
 class Uncertified(UavbattError):
     """A battery file whose hash is broken or whose verdict is `fail`."""
 

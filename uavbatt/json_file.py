@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ import msgspec
 import numpy as np
 
 from uavbatt.aside import written_aside
+from uavbatt.printable import printable
+
+_FOREIGN = re.compile("[\x7f-\U0010ffff]")  # of what JSON does not escape by itself
 
 
 def plain(value: Any) -> Any:
@@ -38,4 +42,9 @@ def plain(value: Any) -> Any:
 def write_json(path: Path, content: Any, indent: int = 2) -> None:
     """Write `content`, made `plain`, to `path`."""
     with written_aside(path, "w") as stream:
-        stream.write(json.dumps(plain(content), indent=indent, ensure_ascii=False) + "\n")
+        stream.write(_escaped(json.dumps(plain(content), indent=indent, ensure_ascii=False)) + "\n")
+
+
+def _escaped(text: str) -> str:
+    """JSON whose foreign texts reach neither a terminal as commands nor the encoder as halves of characters."""
+    return _FOREIGN.sub(lambda found: found[0] if printable(found[0]) == found[0] else json.dumps(found[0])[1:-1], text)

@@ -22,14 +22,18 @@ from uavbatt.battery.belief import Belief
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.service import capacities
+from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.recursion import Summary
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
+from uavbatt.limits import Doubt, Seen
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.questions import answer
-from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
-from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, certificate_remark, resolve
+from uavbatt.prediction.wall import Fall
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, certificate_remark, resolve, resting
+from uavbatt.statements import Statements, stated_power
 from uavbatt.swap import SwapWatch
 
 __all__ = ["Estimator", "PackOptions", "Past", "Resolved"]
@@ -65,6 +69,9 @@ class Estimator:
         power_W = self.options.load.power_W if isinstance(self.options.load, ConstantLoad) else NAN
         self._intake = Intake(stated_power_W=power_W)
         self._swap = SwapWatch()
+        self._statements, self._doubts = Statements(), tuple[Doubt, ...]()
+        self._resting, self._stated_W = resting(battery), stated_power(self.options.load)
+        self._monitor, self._fall, self._wall_at_s = Monitor(), Fall(), math.inf
         self._coming: deque[tuple[Intake, Sample]] = deque()
 
     @classmethod
@@ -97,7 +104,12 @@ class Estimator:
         self._facts = facts
         if self.resolved is None:
             return
-        now = resolve(self.battery, self.options, facts, self.resolved.cells)
+        self._resolve_again(self.resolved.cells)
+
+    def _resolve_again(self, guessed_cells: int) -> None:
+        """The pack's size by what is known now."""
+        assert self.resolved is not None
+        now = resolve(self.battery, self.options, self._facts, guessed_cells, seen=self._statements.seen)
         if (now.cells, now.capacity_Ah) != (self.resolved.cells, self.resolved.capacity_Ah):
             self._filter = self._forecaster = None
         self.resolved = now
@@ -139,15 +151,15 @@ class Estimator:
 
     def ask(self, sample: Sample) -> Asked:
         """One sample in; what there is to work out before more can be said. Depends on no answer: see `Forecaster`."""
-        was_guessed = self._intake.guessed
+        was_guessed, raw = self._intake.guessed, sample
         if self._coming:
             self._intake, sample = self._coming.popleft()
         else:
             self._intake, sample = self._intake.after(sample, self._assumed_W([sample]))
+        self._hold_against(raw, sample)
         if self._filter is None or self._forecaster is None or self._intake.guessed != was_guessed:
             if not math.isfinite(sample.voltage_V):
                 return Asked(sample, unknown(sample), None, "no voltage in this row", None)
-            self.resolved = self.resolved or self._resolved_by([sample])
             assert self.resolved is not None
             self._begin(self._pack(self.resolved), sample)
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
@@ -159,11 +171,39 @@ class Estimator:
             self._begin(self._pack(self.resolved), sample)
             estimate = self._filter.step(sample, self._warnings)
             belief = self._filter.belief
+            self._statements = Statements()
+        self._monitor = self._monitor.after(sample, estimate, belief, self._filter.pack)
+        estimate = self._monitor.judged(estimate)
+        if self._doubts and self._doubts[0].is_certain:
+            estimate = replace(estimate, status=Status.REFUSED, reason=self._doubts[0].words)
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
         if self._intake.guessed:  # nobody measured these
             estimate = replace(estimate, current_A=NAN, power_W=NAN)
         refusal, question = self._forecaster.ask(sample, estimate, belief)
-        return Asked(sample, estimate, self._forecaster, refusal, question)
+        return Asked(sample, estimate, self._forecaster, refusal, question, self._wall_s(sample))
+
+    def _wall_s(self, sample: Sample) -> float:
+        """How soon the measured voltage itself is at the cut-off [s]; infinite where it does not fall."""
+        assert self._forecaster is not None
+        self._fall = self._fall.after(sample.time_s, sample.voltage_V, sample.current_A)
+        if self._fall.is_due:
+            cells = float(self._forecaster.pack.installation.cells)
+            self._wall_at_s = sample.time_s + self._fall.time_left_s(cells, self._forecaster.cutoff_V)
+        return max(self._wall_at_s - sample.time_s, 0.0)
+
+    def _hold_against(self, raw: Sample, sample: Sample) -> None:
+        """What is stated of the pack, held against a row, as it came and as the filter has it; see `statements`."""
+        self.resolved = self.resolved or self._resolved_by([sample])
+        if self.resolved is None:
+            return
+        before, self._statements = self._statements, self._statements.after(raw, sample, self.resolved)
+        seen, cells = self._statements.seen, self.resolved.cells
+        if seen is not before.seen:
+            if self.resolved.cells_from != "--cells" and self._statements.denies(cells, self._resting):
+                self._resolve_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
+            elif math.isnan(before.seen.rested_V) and math.isfinite(seen.rested_V):
+                self._resolve_again(cells)  # a cut-off may lie above it
+        self._doubts = self._statements.doubts(self.resolved, self._resting, self._stated_W)
 
     def _begin(self, pack: Pack, first: Sample | None = None) -> None:
         """A new battery: nothing that was believed of the last one holds."""
@@ -174,6 +214,7 @@ class Estimator:
             pack, Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s)
         )
         self._swap = SwapWatch()
+        self._monitor, self._fall, self._wall_at_s = Monitor(), Fall(), math.inf
 
     def _assumed_W(self, coming: Sequence[Sample]) -> float:
         """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""
@@ -188,7 +229,7 @@ class Estimator:
         if not math.isfinite(first_V):
             return None
         guessed = cells_from_voltage(first_V, self.battery.battery.cells_series)
-        return resolve(self.battery, self.options, self._facts, guessed)
+        return resolve(self.battery, self.options, self._facts, guessed, seen=Seen(first_V))
 
     def _pack(self, resolved: Resolved) -> Pack:
         pack = pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
@@ -219,12 +260,13 @@ class Estimator:
             found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
         if self._is_worn(known):
             found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
-        return (*found, *self._intake.notices)
+        doubted = dict.fromkeys((*self.resolved.notices, *(doubt.words for doubt in self._doubts)))
+        return (*found, *doubted, *self._intake.notices)
 
     def _is_worn(self, known: Summary) -> bool:
         """More resistance than the packs of this type are spread by, and surely so."""
         assert self._filter is not None
         unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
-        if self._intake.guessed or self.battery.status == "generic":
+        if self._intake.guessed or not self.battery.is_measured:
             return False  # nothing is known to compare with
         return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd

@@ -19,19 +19,22 @@ from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.service import capacities
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariance
+from uavbatt.limits import rate_doubt
 from uavbatt.pipeline import Estimator, PackOptions, Resolved
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.learned import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
-from uavbatt.prediction.load import Load, Now, Scenarios, equal_levels
+from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
 from uavbatt.records import NAN, Flight, PackFacts
 from uavbatt.resolved import certificate_remark
 from uavbatt.resolved import resolve as size_of_pack
+from uavbatt.statements import check
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
 START_SOC_SD = 0.01  # a charger that says full, a rested voltage that was read
 AMBIENT_SD_K = 2.0
 LOWEST_POWER_W = 1.0
+NOMINAL_CELL_V = 3.7
 EMPTY_SOC = 1e-3  # below it nothing is left to draw, whatever a fitted voltage says beyond the end of its table
 VALID_WITHIN_K = 5.0
 SETTLED_S = 60.0
@@ -92,12 +95,16 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     if like is not None:
         return _as_flown(battery, options, like)
     typed = battery.battery
-    if options.cells is None and battery.status == "generic":
+    if options.cells is None and not battery.is_measured:
         raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
-    return size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
+    found = size_of_pack(battery, options, PackFacts(), typed.cells_series, "battery file")
+    if found.refusal:
+        raise UsageError(found.refusal)
+    return found
 
 
 def _as_flown(battery: BatteryFile, options: PackOptions, like: Flight) -> Resolved:
+    check(battery, options, like)
     estimator = Estimator(battery, options)
     estimator.update_facts(like.facts_at(math.inf))
     for sample in like.samples:
@@ -122,7 +129,14 @@ def made(
 
     curve, remark = at(CURVE_C), certificate_remark(battery, resolved)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
-    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, (remark,) if remark else ())
+    doubt = None
+    if isinstance(load[0], ConstantLoad):
+        at_rate = load[0].power_W / (NOMINAL_CELL_V * resolved.cells * resolved.capacity_Ah)
+        doubt = rate_doubt(f"{load[1]} on {resolved.cells}S {resolved.capacity_Ah:g} Ah is", at_rate)
+    if doubt is not None and doubt.is_certain:
+        raise UsageError(doubt.words)
+    warnings = (*filter(None, (remark, doubt.words if doubt is not None else "")), *resolved.notices)
+    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, warnings)
 
 
 def endurance(

@@ -1,7 +1,8 @@
 """What is asked of the autopilot, when the operator allows it (`--request`): a rate, and the battery's parameters.
 
 SET_MESSAGE_INTERVAL for BATTERY_STATUS while it comes slower than half the wanted rate, with growing pauses;
-PARAM_REQUEST_READ for what is not known yet, a few times each, and again after a gap (the pack may be another).
+PARAM_REQUEST_READ for what is not known yet, a few times each, and again after a gap (the pack may be another); at once
+for what is said to have changed in flight (see `HeardParameters`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from uavbatt.telemetry.parameters import ardupilot_prefix
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
 PARAMETER_PAUSE_S = 0.1
+AGAIN_PAUSE_S = 1.0
 MOST_ASKED = 4
 
 
@@ -35,6 +37,7 @@ class Requests:
         self._rate_Hz = rate_Hz
         self._pause_s, self._rate_next_s, self._name_next_s = FIRST_PAUSE_S, float("-inf"), float("-inf")
         self._asked: dict[str, int] = {}
+        self._again: dict[str, tuple[float, int, float]] = {}  # in doubt: the value, how often asked, when again [s]
         self._rows, self._rows_since_s = 0, 0.0
 
     def row(self) -> None:
@@ -45,6 +48,19 @@ class Requests:
         """After a gap everything may be different."""
         self._asked.clear()
         self._pause_s, self._rate_next_s = FIRST_PAUSE_S, float("-inf")
+
+    def again(self, now_s: float, component: int, doubted: Mapping[str, float], out: Outgoing) -> list[bytes]:
+        """Requests for parameters whose change in flight is in doubt: at once, then every second a few times."""
+        made = []
+        for name, value in doubted.items():
+            was, times, next_s = self._again.get(name, (value, 0, now_s))
+            if was != value:
+                times, next_s = 0, now_s
+            if times < MOST_ASKED and now_s >= next_s:
+                self._again[name] = (value, times + 1, now_s + AGAIN_PAUSE_S)
+                made.append(out.parameter_request(component, name))
+        self._again = {name: asked for name, asked in self._again.items() if name in doubted}
+        return made
 
     def frames(
         self, now_s: float, component: int, known: Mapping[str, float], names: Iterable[str], out: Outgoing

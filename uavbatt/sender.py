@@ -6,9 +6,11 @@ none of them without `--request`. Everything else goes to the ground-station end
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 
-from uavbatt.config import Config, signing_key
+from uavbatt.config import Config
+from uavbatt.feed.announced import Announcer
 from uavbatt.feed.battery_component import BatteryFeed
 from uavbatt.feed.named import NamedFeed
 from uavbatt.feed.now import Report
@@ -18,18 +20,23 @@ from uavbatt.mavlink.outgoing import BATTERY, Outgoing
 from uavbatt.requests import Requests, parameter_names
 from uavbatt.telemetry.live import LiveReader
 
+ANNOUNCE_PERIOD_S = 0.25
+MOST_SAID = 8
+
 
 class Sender:
     """Heartbeats, feeds and requests, each when it is due."""
 
-    def __init__(self, config: Config, link: Link, stations: Sequence[Link]) -> None:
+    def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
         self._config, self._link, self._stations = config, link, stations
-        self._named = NamedFeed(config.feed.named_rate_Hz, config.feed.alarms_s)
+        self._named = NamedFeed(config.feed.named_rate_Hz)
         self._component = BatteryFeed(config.feed.battery_rate_Hz)
         self.requests = Requests(config.link.request_rate_Hz)
-        self._key = signing_key(config.link.signing_key_file)
-        self._outs: dict[int, Outgoing] = {}
-        self._beat_s = float("-inf")
+        self._key = key
+        self._outs: dict[tuple[int, int], Outgoing] = {}
+        self._announcers: dict[int, Announcer] = {}
+        self._beat_s = self._look_s = float("-inf")
+        self.said: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (monotonic time [s], text), oldest first
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
         """All that is due at `now_s` on the monotonic clock [s]."""
@@ -45,17 +52,40 @@ class Sender:
             if asks or not isinstance(self._link, ProxyClient):
                 to_autopilot.append(own.heartbeat())
         if reader.is_found:
+            texts = self._announced(now_s, reports, reader.armed)
             if "named" in kinds:
                 to_gcs += self._named.frames(now_s, reports, own)
+                to_gcs += [own.text(*text) for text in texts]
             if "battery" in kinds:
                 to_gcs += self._component.frames(now_s, reports, reader.battery_ids, self._out(system, BATTERY))
             if asks:
                 names = parameter_names(reader.battery_ids, reader.is_px4)
-                to_autopilot += self.requests.frames(now_s, reader.component or 1, reader.parameters, names, own)
+                component = reader.component or 1
+                to_autopilot += self.requests.again(now_s, component, reader.doubted, own)
+                to_autopilot += self.requests.frames(now_s, component, reader.parameters, names, own)
         for frame in to_autopilot:
             self._link.write(frame, now_s)
         for frame in to_gcs:
             self._to_gcs(frame, now_s)
+
+    def begin_again(self) -> None:
+        """Another vehicle is followed: nothing that was asked or said of the last one holds."""
+        self._announcers.clear()
+        self.requests.begin_again()
+
+    def _announced(self, now_s: float, reports: Sequence[Report], is_armed: bool | None) -> list[tuple[int, str]]:
+        """What is to be said aloud now."""
+        if now_s < self._look_s:
+            return []
+        self._look_s = now_s + ANNOUNCE_PERIOD_S
+        made: list[tuple[int, str]] = []
+        for report in reports:
+            announcer = self._announcers.get(report.instance)
+            if announcer is None:
+                announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
+            made += announcer.texts(now_s, report, is_armed)
+        self.said.extend((now_s, text) for _, text in made)
+        return made
 
     def _to_gcs(self, frame: bytes, now_s: float) -> None:
         if isinstance(self._link, ProxyClient):
@@ -65,10 +95,9 @@ class Sender:
 
     def _out(self, system: int, component: int) -> Outgoing:
         """Our frames carry the vehicle's system; 1 until it is known."""
-        out = self._outs.get(component)
-        if out is None or out.system != system:
-            out = self._outs[component] = Outgoing(system, component, self._key)
-        return out
+        if (system, component) not in self._outs:
+            self._outs[system, component] = Outgoing(system, component, self._key)
+        return self._outs[system, component]
 
 
 def in_order(reports: Mapping[int, Report]) -> list[Report]:

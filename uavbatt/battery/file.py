@@ -3,6 +3,9 @@
 Sections: [battery], [parameters], [[effects]], [discrepancy], [corridor], [certificate]. The certificate's
 `content_sha256` is the hash of the canonical JSON of everything else but the date and the tool's version: an
 integrity check, so that no edit goes unnoticed. It is not a signature.
+
+A file whose content is not what was sealed, or whose gate said fail, is refused; let through all the same, its status
+is `edited` from here on, whatever it says of itself: every output names the status.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from datetime import date
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import tomli_w
@@ -23,109 +26,40 @@ import tomli_w
 from uavbatt import __version__
 from uavbatt.aside import written_aside
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.errors import BadInput, Uncertified
+from uavbatt.battery.sections import (
+    HIGHEST_CELL_V,
+    LOWEST_CELL_V,
+    Battery,
+    BatteryFile,
+    Certificate,
+    Corridor,
+    Discrepancy,
+    EffectEntry,
+    ParameterTable,
+    Verdict,
+)
+from uavbatt.errors import BadInput, Uncertified, misread
+
+__all__ = [
+    "Battery",
+    "BatteryFile",
+    "Certificate",
+    "Corridor",
+    "Discrepancy",
+    "EffectEntry",
+    "ParameterTable",
+    "Verdict",
+    "content_hash",
+    "packaged",
+    "read",
+    "sealed",
+    "write",
+]
 
 SUFFIX = ".battery.toml"
-
-
-class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file: immutable, every key known."""
-
-
-class Battery(Record, frozen=True):
-    """[battery]: one type of pack."""
-
-    name: str
-    chemistry: str
-    cells_series: int
-    cutoff_V: float
-    capacity_Ah: float | None = None
-    low_V: float | None = None
-    source: str = ""
-    remarks: list[str] = []
-
-
-class ParameterTable(Record, frozen=True):
-    """[parameters]: the base model OCV + R0 per cell, and how far packs of the type scatter around it."""
-
-    ocv_soc: list[float]
-    ocv_V: list[float]
-    resistance_soc: list[float]
-    resistance_ohmAh: list[float]
-    resistance_scale_sd: float
-    capacity_scale_sd: float
-    c_rate: float | None = None
-    c_rate_sd: float | None = None
-    standard_error: dict[str, float] = {}
-
-
-class EffectEntry(Record, frozen=True):
-    """[[effects]]: an effect that is on, with its parameters and their standard errors."""
-
-    name: str
-    parameters: dict[str, float]
-    standard_error: dict[str, float] = {}
-
-
-class Discrepancy(Record, frozen=True):
-    """[discrepancy]: what the model leaves on effect-free data, per pack of `cells_series` cells."""
-
-    voltage_bias_V: float
-    voltage_rmse_V: float
-    voltage_autocorrelation_s: float
-    temperature_rmse_K: float
-    held_out: bool
-    source: str = ""
-
-
-class Corridor(Record, frozen=True):
-    """[corridor]: mean of repeated tests and its dispersion limit at one ambient temperature."""
-
-    ambient_C: float
-    time_s: list[float]
-    mean_V: list[float]
-    limit_V: list[float]
-    runs: int
-    occasions: int
-
-
-class Verdict(Record, frozen=True):
-    """One claim of the certificate."""
-
-    claim: str
-    verdict: Literal["pass", "fail", "not enough data"]
-    ambient_C: float | None = None
-    statistics: dict[str, float] = {}
-    reason: str = ""
-
-
-class Certificate(Record, frozen=True):
-    """[certificate]: who says so, on which data."""
-
-    status: Literal["certified", "fitted", "generic"]
-    validated_ambient_C: list[float] = []
-    verdicts: list[Verdict] = []
-    statistics: dict[str, float] = {}
-    data_sha256: str = ""
-    content_sha256: str = ""
-    date: str = ""
-    tool_version: str = ""
-
-
-class BatteryFile(Record, frozen=True):
-    """The whole file."""
-
-    battery: Battery
-    parameters: ParameterTable
-    effects: list[EffectEntry]
-    discrepancy: Discrepancy
-    certificate: Certificate
-    corridor: Corridor | None = None
-
-    @property
-    def status(self) -> str:
-        """`certified`, `fitted` or `generic`."""
-        return self.certificate.status
+MOST_BYTES = 5_000_000
+EMPTY_KNOT, FULL_KNOT = 0.2, 0.8  # beyond its outer knots the open-circuit voltage goes on straight
+STEEPEST_V = 300.0  # volts per unit of charge: an emptied cell falls by 10 to 100
 
 
 def content_hash(file: BatteryFile) -> str:
@@ -157,28 +91,42 @@ def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> Batter
     """Read a packaged battery by name (`lpab-3s`) or a file by path.
 
     Raises BadInput when it is missing or malformed, Uncertified when its hash does not match its content or a
-    verdict is `fail` (both let through by `allow_uncertified`).
+    verdict is `fail`; `allow_uncertified` lets it through, and its status is `edited` then.
     """
     text, origin = _text(str(name_or_path))
     try:
         file = msgspec.toml.decode(text, type=BatteryFile)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInput(origin, _one_line(error), "a battery file (see README, `battery file`)") from None
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        raise misread(origin, error, "a battery file (see README, `battery file`)") from None
     _check_values(file, origin)
-    if allow_uncertified:
-        return file
+    problem = _why_uncertified(file)
+    if problem and not allow_uncertified:
+        raise Uncertified(f"{origin}: {problem}; --allow-uncertified reads it all the same")
+    return _let_through(file) if problem else file
+
+
+def _why_uncertified(file: BatteryFile) -> str:
+    """What keeps the certificate from being believed; empty when it may be."""
     if file.certificate.content_sha256 != content_hash(file):
-        raise Uncertified(
-            f"{origin}: certificate.content_sha256: expected the hash of the file's content, so the file was edited "
-            "after it was written; --allow-uncertified reads it all the same"
+        return (
+            "certificate.content_sha256: expected the hash of the file's content, so the file was edited after it was "
+            "written"
         )
     for verdict in file.certificate.verdicts:
         if verdict.verdict == "fail":
-            raise Uncertified(
-                f"{origin}: certificate verdict `{verdict.claim}`: expected pass, it is fail; "
-                "--allow-uncertified reads it all the same"
-            )
-    return file
+            return f"certificate verdict `{verdict.claim}`: expected pass, it is fail"
+    return "certificate.status: expected certified, fitted or generic, it is edited" if file.status == "edited" else ""
+
+
+def _let_through(file: BatteryFile) -> BatteryFile:
+    """The file marked as what it is; claims that were made for another content are gone, those that failed stay."""
+    actual = content_hash(file)
+    if file.certificate.content_sha256 != actual:
+        made = msgspec.structs.replace(file.certificate, verdicts=[], statistics={}, validated_ambient_C=[])
+    else:
+        made = file.certificate
+    edited = msgspec.structs.replace(made, status="edited", content_sha256=actual)
+    return msgspec.structs.replace(file, certificate=edited)
 
 
 def packaged() -> list[str]:
@@ -198,34 +146,53 @@ def _text(name_or_path: str) -> tuple[bytes, str]:
         raise BadInput(path, "", "a battery file that exists")
     if path.is_dir():
         raise BadInput(path, "", "a battery file, not a directory")
-    return path.read_bytes(), str(path)
+    with path.open("rb") as file:
+        text = file.read(MOST_BYTES + 1)
+    if len(text) > MOST_BYTES:
+        raise BadInput(path, "", f"a battery file of at most {MOST_BYTES // 1_000_000} MB")
+    return text, str(path)
 
 
 def _check_values(file: BatteryFile, origin: str) -> None:
+    """What types and ranges of the keys cannot say: finite throughout, ascending, of one length, fitting each other."""
+    for place, number in _numbers(msgspec.to_builtins(file)):
+        if not math.isfinite(number):
+            raise BadInput(origin, place, f"a finite number, got {number}")
     table = file.parameters
     for axis, values in (("ocv_soc", "ocv_V"), ("resistance_soc", "resistance_ohmAh")):
         soc, column = getattr(table, axis), getattr(table, values)
-        if len(soc) != len(column) or len(soc) < 2 or sorted(set(soc)) != soc:
+        if len(soc) != len(column) or any(b <= a for a, b in pairwise(soc)):
             raise BadInput(origin, f"parameters.{axis}", f"ascending knots, as many as in {values}")
-    for place, numbers in _numbers(msgspec.to_builtins(file)):
-        if not math.isfinite(numbers):
-            raise BadInput(origin, place, f"a finite number, got {numbers}")
+    if table.ocv_soc[0] > EMPTY_KNOT or table.ocv_soc[-1] < FULL_KNOT:
+        raise BadInput(origin, "parameters.ocv_soc", f"knots from {EMPTY_KNOT} or below to {FULL_KNOT} or above")
     if any(b <= a for a, b in pairwise(table.ocv_V)):
         raise BadInput(origin, "parameters.ocv_V", "a voltage that rises with the charge")
-    if min(table.resistance_ohmAh) <= 0.0:
-        raise BadInput(origin, "parameters.resistance_ohmAh", "positive resistances")
-    if file.battery.cells_series < 1 or file.battery.cutoff_V <= 0.0:
-        raise BadInput(origin, "battery", "at least one cell and a positive cutoff_V")
+    knots = zip(pairwise(table.ocv_soc), pairwise(table.ocv_V), strict=True)
+    if any((d - c) > STEEPEST_V * (b - a) for (a, b), (c, d) in knots):
+        said = f"no step steeper than {STEEPEST_V:g} V per unit of charge"
+        raise BadInput(origin, "parameters.ocv_V", said)
+    for name in ("cutoff_V", "low_V"):
+        volts = getattr(file.battery, name)
+        if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
+            limits = f"{LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V for each of {file.battery.cells_series} cells"
+            raise BadInput(origin, f"battery.{name}", f"{limits}, got {volts:g} V for the pack")
+    corridor = file.corridor
+    if corridor is not None and not len(corridor.time_s) == len(corridor.mean_V) == len(corridor.limit_V):
+        raise BadInput(origin, "corridor", "time_s, mean_V and limit_V of one length")
     for entry in file.effects:
-        known = EFFECTS.get(entry.name)
-        if known is None:
-            raise BadInput(origin, f"effects: {entry.name}", f"one of {', '.join(EFFECTS)}")
-        bounds = {q.name: (q.low, q.high) for q in known.quantities}
-        for name, value in entry.parameters.items():
-            if name not in bounds:
-                raise BadInput(origin, f"effects: {entry.name}.{name}", f"one of {', '.join(bounds)}")
-            if not bounds[name][0] <= value <= bounds[name][1]:
-                raise BadInput(origin, f"effects: {entry.name}.{name}", f"a value in {bounds[name]}, got {value}")
+        _check_effect(entry, origin)
+
+
+def _check_effect(entry: EffectEntry, origin: str) -> None:
+    known = EFFECTS.get(entry.name)
+    if known is None:
+        raise BadInput(origin, f"effects: {entry.name}", f"one of {', '.join(EFFECTS)}")
+    bounds = {q.name: (q.low, q.high) for q in known.quantities}
+    for name, value in entry.parameters.items():
+        if name not in bounds:
+            raise BadInput(origin, f"effects: {entry.name}.{name}", f"one of {', '.join(bounds)}")
+        if not bounds[name][0] <= value <= bounds[name][1]:
+            raise BadInput(origin, f"effects: {entry.name}.{name}", f"a value in {bounds[name]}, got {value}")
 
 
 def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
@@ -238,10 +205,6 @@ def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
             yield from _numbers(inner, place)
     elif isinstance(value, float):
         yield place, value
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _without_none(value: Any) -> Any:

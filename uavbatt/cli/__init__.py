@@ -14,17 +14,19 @@ def main() -> None:
     gc.set_threshold(50_000)  # rows are values without circles: looking for some took a seventh of a replay
     from uavbatt.cli.app import app
     from uavbatt.errors import UavbattError
+    from uavbatt.printable import terminal_line
 
     try:
         app()
     except UavbattError as error:
-        print(f"uavbatt: {error}", file=sys.stderr)
+        print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)
     except BrokenPipeError:  # `uavbatt ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:  # a disk that is full, a file that nobody may read
-        print(f"uavbatt: {error.filename or 'input or output'}: {error.strerror or error}", file=sys.stderr)
+        what = f"uavbatt: {error.filename or 'input or output'}: {error.strerror or error}"
+        print(terminal_line(what), file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         print("uavbatt: interrupted", file=sys.stderr)

@@ -18,10 +18,14 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_named,
     check_writable,
+    read_battery,
+    remark,
     say,
     stated_pack,
 )
 from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.limits import Seen
+from uavbatt.printable import terminal_line
 from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
@@ -62,7 +66,7 @@ def diagnose(
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
         raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
-    content = file.read(battery, allow_uncertified=allow_uncertified)
+    content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = _distinct([read_log(p, instance) for p in sources if not p.is_dir()])
@@ -76,7 +80,7 @@ def diagnose(
     for line in _lines(found, closed):
         say(line, json_file, report)
     if json_file is not None:
-        write_json(json_file, _as_json(found, closed, path))
+        write_json(json_file, _as_json(found, closed, content.status, path))
     if report is not None:
         from uavbatt.loop.page import inputs
         from uavbatt.report import diagnosis as page
@@ -118,7 +122,7 @@ def _run(
         closed = close.judge(found, content, flights, options, tell)
     new = close.extended(content, found)
     if tests is not None:
-        print(f"gating with {gate} ...", file=sys.stderr)
+        remark(f"gating with {gate} ...")
         new = close.gated(new, found, verdicts(tests, new))
     return found, closed, new
 
@@ -144,26 +148,33 @@ def _distinct(flights: list[Flight]) -> list[Flight]:
 
 def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
     """As `_size`; where nobody tells the cells, the fullest voltage at the start does."""
+    from uavbatt.resolved import resolve, resting
+    from uavbatt.statements import check_whole, first_seen
+
     typed = content.battery
     volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
     guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
-    return _size(flight.source, flight.facts_at(math.inf), guess, content, stated)
+    seen = first_seen(flight.samples)
+    said = flight.facts_at(math.inf)
+    size = _size(flight.source, said, guess, content, stated, seen)
+    check_whole(flight, resolve(content, stated, said, guess, seen=seen), resting(content))
+    return size
 
 
 def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
     """As `_size`: a data set tells of its pack what a vehicle tells of its."""
     said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
-    return _size(dataset.path, said, dataset.cells_series, content, stated)
+    return _size(dataset.path, said, dataset.cells_series, content, stated, Seen(dataset.first_V))
 
 
 def _size(
-    name: str, said: PackFacts, guess: int, content: BatteryFile, stated: PackOptions
+    name: str, said: PackFacts, guess: int, content: BatteryFile, stated: PackOptions, seen: Seen
 ) -> tuple[int, float, float]:
     """Cells, capacity [Ah], cut-off [V], rounded so that records of one pack agree."""
-    from uavbatt.resolved import resolve
+    from uavbatt.resolved import checked, resolve
 
     try:
-        found = resolve(content, stated, said, guess)
+        found = checked(content, resolve(content, stated, said, guess, seen=seen), seen)
     except UsageError as error:
         raise UsageError(f"{name}: {error}") from None
     return found.cells, round(found.capacity_Ah, 4), round(found.cutoff_V, 3)
@@ -177,7 +188,7 @@ class _Progress:
 
     def __call__(self, step: str) -> None:
         if sys.stderr.isatty():
-            print(f"\r\033[K{step} ...", end="", file=sys.stderr, flush=True)
+            print(f"\r\033[K{terminal_line(step)} ...", end="", file=sys.stderr, flush=True)
 
     def __exit__(self, *_: object) -> None:
         if sys.stderr.isatty():
@@ -214,7 +225,7 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if math.isfinite(value) else "unknown"
 
 
-def _as_json(found: Diagnosis, closed: Closed, path: str | None) -> dict[str, Any]:
+def _as_json(found: Diagnosis, closed: Closed, status: str, path: str | None) -> dict[str, Any]:
     """DESIGN's diagnosis output: NaN as null."""
     from dataclasses import asdict
 
@@ -226,5 +237,6 @@ def _as_json(found: Diagnosis, closed: Closed, path: str | None) -> dict[str, An
         "after": asdict(closed.after),
         "held_out": list(closed.held_out),
         "left": asdict(found.left),
+        "certificate_status": status,
         "battery_file": path,
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +16,9 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_named,
     check_writable,
+    read_battery,
+    remark,
+    say,
     stated_pack,
 )
 from uavbatt.errors import UsageError
@@ -43,6 +45,8 @@ def fit(
     from uavbatt import dataset
     from uavbatt.battery import file
     from uavbatt.fitting.battery import fit_battery, size_of
+    from uavbatt.limits import Resting
+    from uavbatt.statements import check, check_whole
 
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
@@ -54,21 +58,27 @@ def fit(
     flights = [asked_flight(path, instance, join) for path in sources if not path.is_dir()]
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
-        content = file.read(battery, allow_uncertified=allow_uncertified)
+        content = read_battery(battery, allow_uncertified)
+        for flight in flights:
+            check(content, stated, flight)
     else:
         name = (output or vehicle or Path("fitted")).name.split(".")[0]
         size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
-        print(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...", file=sys.stderr)
+        for flight in flights:
+            check_whole(flight, size.resolved, Resting())
+        for notice in size.notices:
+            remark(f"warning: {notice}")
+        remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
         found = fit_battery(size, datasets, flights)
         content = found.file
         for line in found.known:
-            typer.echo(f"  {line}")
+            say(f"  {line}")
         for line in found.unknown:
-            typer.echo(f"not told: {line}")
+            say(f"not told: {line}")
     if output is not None:
-        typer.echo(f"{file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
+        say(f"{file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None:
-        typer.echo(_vehicle(vehicle, content, flights, stated))
+        say(_vehicle(vehicle, content, flights, stated))
 
 
 def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> str:

@@ -20,6 +20,9 @@ from uavbatt.cli.options import (
     CutoffOption,
     ReserveOption,
     UncertifiedOption,
+    read_battery,
+    remark,
+    say,
     stated_pack,
 )
 from uavbatt.errors import UavbattError, UsageError
@@ -58,22 +61,24 @@ def fleet(
     """
     from uavbatt.fleet.run import check_extra
 
-    check_extra()
-    from uavbatt.battery import file
+    check_extra(scheduler)
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
-    from uavbatt.fleet.logs import find
+    from uavbatt.fleet.logs import JOURNAL, find
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    job = Job(file.read(battery, allow_uncertified=allow_uncertified), options, _pattern(aircraft))
+    job = Job(read_battery(battery, allow_uncertified), options, _pattern(aircraft))
     found = find(logs)
     flown = 0
-    connection = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+    crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
     with _progress() as show:
-        for finished in run.run(connection, found, job, output):
+        for finished in run.run(crew, found, job, output):
             flown += finished.row is not None
+            if finished.dropped:
+                left_out = f"damaged rows left out: {finished.dropped}; their logs are flown again"
+                remark(f"uavbatt: {output / JOURNAL}: {left_out}")
             show(finished)
     _tell(output, run.rows(output, found, job), job, flown, len(found))
 
@@ -91,10 +96,10 @@ def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) ->
     with written_aside(folder / PAGE) as file:
         file.write(fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
-    typer.echo(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
+    say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
-        typer.echo(f"  {count:5d}  {reason}")
-    typer.echo(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
+        say(f"  {count:5d}  {reason}")
+    say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
         raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
 

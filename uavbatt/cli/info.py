@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from uavbatt.cli.logs import InstanceOption
+from uavbatt.cli.options import say
 
 
 def info(
@@ -19,4 +20,4 @@ def info(
     from uavbatt.telemetry.info import describe, lines
 
     for line in lines(describe(read_log(log, instance))):
-        typer.echo(line)
+        say(line)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from uavbatt.cli.live_process import CONFIG_VARIABLE
-from uavbatt.cli.options import BATTERY, RESERVE, UNCERTIFIED, CapacityOption, CellsOption, CutoffOption, known
+from uavbatt.cli.options import BATTERY, RESERVE, UNCERTIFIED, CapacityOption, CellsOption, CutoffOption, stated_pack
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,8 +54,7 @@ def live(
         "record": {"folder": record},
         "state": {"file": state},
     }
-    known(capacity_ah, "--capacity-ah")
-    known(cutoff_voltage, "--cutoff-voltage")
+    stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc or 0.0)
     for kind in feed or []:
         if kind not in ("proxy", "battery", "named"):
             raise UsageError(f"--feed {kind}: expected proxy, battery or named")

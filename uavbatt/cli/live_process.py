@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavbatt.errors import UavbattError, UsageError
+from uavbatt.printable import terminal_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +33,8 @@ def run(config: Config) -> None:
     from uavbatt.daemon import Daemon
 
     content = file.read(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
+    if content.status == "edited":
+        print(terminal_line(f"uavbatt: {config.pack.battery}: {content.caveat}"), file=sys.stderr, flush=True)
     options = pack_options(config.pack)
     link, stations = _links(config)
     stopped: list[int] = []
@@ -42,7 +45,8 @@ def run(config: Config) -> None:
         from uavbatt.feed.web import serve
 
         serve(config.http, lambda: daemon.board, time.monotonic)
-    print(f"uavbatt: listening on {config.link.endpoint}; {_feeds(config)}", file=sys.stderr, flush=True)
+    said = f"uavbatt: listening on {config.link.endpoint}; {_feeds(config)}"
+    print(terminal_line(said), file=sys.stderr, flush=True)
     daemon.run(lambda: bool(stopped))
 
 
@@ -56,12 +60,12 @@ def _feeds(config: Config) -> str:
 def _links(config: Config) -> tuple[Link, Sequence[Link]]:
     """The way to the autopilot and to the ground stations; behind the proxy both are its business."""
     from uavbatt.mavlink.endpoint import parse
-    from uavbatt.mavlink.links import open_link
+    from uavbatt.mavlink.links import open_autopilot, open_link
 
     for text in (config.link.endpoint, *config.link.gcs):
         parse(text)
     if "proxy" not in config.feed.kinds:
-        return open_link(config.link.endpoint), [open_link(text) for text in config.link.gcs]
+        return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]
     from uavbatt.feed.proxy import Settings
     from uavbatt.feed.proxy_client import ProxyClient, control_path
 
@@ -101,7 +105,7 @@ def main() -> int:
     try:
         run(msgspec.json.decode(os.environ.pop(CONFIG_VARIABLE, "{}"), type=Config))
     except UavbattError as error:
-        print(f"uavbatt: {error}", file=sys.stderr)
+        print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         return error.exit_code
     return 0
 

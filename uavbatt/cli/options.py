@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavbatt.errors import UsageError
+from uavbatt.printable import terminal_line
 from uavbatt.records import NAN
 
 if TYPE_CHECKING:
+    from uavbatt.battery.file import BatteryFile
     from uavbatt.pipeline import PackOptions
 
 BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
@@ -43,14 +46,12 @@ def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
     """What the options state of the pack, for the estimator; UsageError when it cannot be."""
+    from uavbatt.limits import OPTIONS, check_stated
     from uavbatt.pipeline import PackOptions
 
-    return PackOptions(
-        cells=cells,
-        capacity_Ah=known(capacity_ah, "--capacity-ah"),
-        cutoff_V=known(cutoff_voltage, "--cutoff-voltage"),
-        reserve_soc=reserve_soc,
-    )
+    capacity_Ah, cutoff_V = known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage")
+    check_stated(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc, names=OPTIONS)
+    return PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, reserve_soc=reserve_soc)
 
 
 def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), makes: Path | None = None) -> None:
@@ -97,4 +98,19 @@ def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) ->
 
 def say(line: str, *outputs: Path | None) -> None:
     """A line for a person: on stdout, but on stderr when an output goes there, which is nothing but data then."""
-    typer.echo(line, err=STANDARD_OUTPUT in outputs)
+    typer.echo(terminal_line(line), err=STANDARD_OUTPUT in outputs)
+
+
+def remark(line: str) -> None:
+    """A line beside the result, on stderr."""
+    print(terminal_line(line), file=sys.stderr)
+
+
+def read_battery(name: str, allow_uncertified: bool) -> BatteryFile:
+    """The battery file that the options name; one that was let through is told, whatever else the command prints."""
+    from uavbatt.battery import file
+
+    content = file.read(name, allow_uncertified=allow_uncertified)
+    if content.status == "edited":
+        remark(f"uavbatt: {name}: {content.caveat}")
+    return content

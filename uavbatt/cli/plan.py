@@ -21,6 +21,7 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_writable,
     known,
+    read_battery,
     say,
     stated_pack,
 )
@@ -56,13 +57,12 @@ def plan(
 ) -> None:
     """Endurance before take-off, with its interval, and a table over ambient temperature."""
     from uavbatt import plan as planning
-    from uavbatt.battery import file
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
         raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
     check_writable(report, summary, reads=(like, vehicle))
-    content = file.read(battery, allow_uncertified=allow_uncertified)
+    content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = planning.resolve(content, options, flight)
@@ -141,6 +141,7 @@ def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
     from uavbatt.json_file import write_json
 
     pack = asdict(plan.resolved)
+    del pack["notices"], pack["refusal"]  # notices are among the warnings, and what is refused is no plan
     content = {
         "battery": pack.pop("battery"),
         "certificate_status": pack.pop("status"),

@@ -23,10 +23,12 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_apart,
     check_writable,
+    read_battery,
     say,
     stated_pack,
 )
 from uavbatt.errors import UsageError
+from uavbatt.printable import terminal_line
 
 if TYPE_CHECKING:
     from uavbatt.battery.file import BatteryFile
@@ -57,7 +59,6 @@ def replay(
 
     With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list.
     """
-    from uavbatt.battery import file
     from uavbatt.battery import vehicle as vehicle_file
 
     several = len(logs) > 1
@@ -70,7 +71,7 @@ def replay(
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
     check_writable(*outputs, reads=[*logs, vehicle])
-    content = file.read(battery, allow_uncertified=allow_uncertified)
+    content = read_battery(battery, allow_uncertified)
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results = []
@@ -97,10 +98,12 @@ def _one(
     from uavbatt.feed import sinks
     from uavbatt.pipeline import Estimator
     from uavbatt.replay import outcome, steps
+    from uavbatt.statements import check
     from uavbatt.telemetry.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
     flight = asked_flight(log, *chosen)
+    check(content, options, flight)
     period_s = forecast_period_s(log)
     if math.isfinite(period_s):
         options = changed(options, forecast_period_s=period_s)
@@ -133,15 +136,15 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     from rich.console import Console
     from rich.progress import track
 
-    return track(rows, total=total, description=name, console=Console(stderr=True), transient=True)
+    return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
 def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) -> list[str]:
     """The summary for a person."""
-    status = {"certified": "certified", "fitted": "fitted, not certified", "generic": "generic, not certified"}
+    status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
         f"{flight.source}: {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
-        f"  battery    {resolved.battery} ({status[resolved.status]}); {resolved.words}",
+        f"  battery    {resolved.battery} ({status}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, state of charge {_number(found.end_soc, '.3f')} "
         f"± {_number(found.end_soc_sd, '.3f')}; refused in the air {_number(found.refused_in_air, '.1%')}, "
         f"mean NIS {_number(found.mean_nis, '.2f')}",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +17,8 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     check_writable,
     known,
+    read_battery,
+    remark,
 )
 from uavbatt.errors import UsageError
 
@@ -39,22 +40,23 @@ def simulate(
     allow_uncertified: UncertifiedOption = False,
 ) -> None:
     """Simulate a flight of a battery file's own model until the pack is empty, and write it as a log."""
-    from uavbatt.battery import file
     from uavbatt.battery.build import pack_of
+    from uavbatt.limits import OPTIONS, check_stated
     from uavbatt.simulate import Mission, fly, with_effects, write
 
     check_writable(output)
-    content = file.read(battery, allow_uncertified=allow_uncertified)
+    content = read_battery(battery, allow_uncertified)
     series = cells or content.battery.cells_series
     share = series / content.battery.cells_series
-    given_V = known(cutoff_voltage, "--cutoff-voltage")
+    given_V, given_Ah = known(cutoff_voltage, "--cutoff-voltage"), known(capacity_ah, "--capacity-ah")
+    check_stated(series, given_Ah, given_V, names=OPTIONS)
     cutoff_V = given_V if given_V == given_V else content.battery.cutoff_V * share
     low_V = (content.battery.low_V or float("nan")) * share
-    pack = pack_of(content, series, known(capacity_ah, "--capacity-ah"), cutoff_V, low_V)
+    pack = pack_of(content, series, given_Ah, cutoff_V, low_V)
     pack = with_effects(pack, dict(_effect(text) for text in effect or []))
     samples = fly(pack, Mission(power_w, ambient_c, start_soc, rate_hz, seed))
     write(output, samples, pack)
-    print(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s", file=sys.stderr)
+    remark(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s")
 
 
 def _effect(text: str) -> tuple[str, float]:

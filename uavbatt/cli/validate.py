@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.options import check_writable, say
+from uavbatt.cli.options import check_writable, remark, say
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def validate(
     from uavbatt.validation.gate import Limits
     from uavbatt.validation.validate import validate as judge
 
-    print(f"fitting {tests.name}, one occasion left out at a time ...", file=sys.stderr)
+    remark(f"fitting {tests.name}, one occasion left out at a time ...")
     result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s))
     printed = _printed(tests)
     for line in _lines(result):
@@ -74,7 +73,7 @@ def validate(
         written = file.write(result.battery, ship / f"{result.battery.battery.name}{file.SUFFIX}")
         say(f"shipped: {written}", report, json_file)
     elif ship is not None:
-        print("nothing shipped: the verdict is not pass", file=sys.stderr)
+        remark("nothing shipped: the verdict is not pass")
     raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
 
 

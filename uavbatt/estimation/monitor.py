@@ -8,6 +8,7 @@ its words; `doubts` open the status, `refusal` withdraws the number, `remarks` o
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from uavbatt.estimation.sensors import (
     Load,
     Readings,
 )
-from uavbatt.records import Estimate, Sample
+from uavbatt.records import Estimate, Sample, Status
 
 FAR_SDS = 3.0
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
@@ -65,6 +66,7 @@ class Monitor(NamedTuple):
     readings: Readings = Readings()
     load: Load = Load()
     innovations: Innovations = Innovations()
+    is_far_off: bool = False
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -89,10 +91,24 @@ class Monitor(NamedTuple):
             refusals.append(DEAD_CURRENT)
         if innovations.is_unfitting(time_s):
             doubts.append(UNFITTING)
-        if is_far_off(belief, pack):
+        far = is_far_off(belief, pack) if math.isfinite(estimate.nis) else self.is_far_off  # once a block is enough
+        if far:
             doubts.append(FAR_OFF)
         remarks = (SMALL,) if is_small(estimate) else ()
-        return Monitor(readings, load, innovations, tuple(doubts), remarks, refusals[0] if refusals else "")
+        return Monitor(readings, load, innovations, far, tuple(doubts), remarks, refusals[0] if refusals else "")
+
+    def judged(self, estimate: Estimate) -> Estimate:
+        """The estimate with what the monitor has against it: refused, or converging, and the words."""
+        if not (self.refusal or self.doubts or self.remarks):
+            return estimate
+        status, reason = estimate.status, estimate.reason
+        if self.refusal and status is not Status.REFUSED:
+            status, reason = Status.REFUSED, self.refusal
+        elif self.doubts and status is Status.OK:
+            status, reason = Status.CONVERGING, self.doubts[0]
+        refusals = (self.refusal,) if self.refusal and self.refusal not in self.doubts else ()
+        warnings = (*estimate.warnings, *refusals, *self.doubts, *self.remarks)
+        return replace(estimate, status=status, reason=reason, warnings=warnings)
 
 
 def is_far_off(belief: Belief, pack: Pack) -> bool:

@@ -133,8 +133,8 @@ def scaled_resistance(pack: Pack, mean: Array) -> Number:
 def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: float, tau_s: float) -> Number:
     """An overpotential whose ratio is known to a share is wrong by that share of itself: it errs as it moves.
 
-    While it stands still so does its error, which is the discrepancy's then. What is believed of it counts as far as the
-    load explains it: else it would grow by its own doubt, and swallow the knee of an emptying pack.
+    While it stands still so does its error, which is the discrepancy's then. What is believed of it counts as far as
+    the load explains it: else it would grow by its own doubt, and swallow the knee of an emptying pack.
     """
     now_V = np.minimum(np.abs(overpotential_V), settled_V)
     moved_V = np.abs(settled_V - now_V) * -np.expm1(-dt_s / tau_s)

@@ -1,4 +1,4 @@
-"""Sensors that lie in silence: a reading that does not move while it must, a current that vanishes from under a load."""
+"""Sensors that lie in silence: a reading that does not move while it must, a current that vanishes under a load."""
 
 from __future__ import annotations
 

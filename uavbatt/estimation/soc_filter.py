@@ -285,9 +285,9 @@ class SocFilter:
         if self._at is None or not math.isfinite(shown.soc):
             status, reason = Status.REFUSED, _why_nothing(sample)
         elif known.soc_sd > REFUSED_SOC_SD:
-            status, reason = Status.REFUSED, f"state of charge known only to ±{known.soc_sd:.0%}"
+            status, reason = Status.REFUSED, known_only_to(known.soc_sd)
         elif known.soc_sd > CONVERGED_SOC_SD:
-            status, reason = Status.CONVERGING, f"state of charge known only to ±{known.soc_sd:.0%}"
+            status, reason = Status.CONVERGING, known_only_to(known.soc_sd)
         return Estimate(
             time_s=sample.time_s,
             soc=min(max(shown.soc if math.isfinite(shown.soc) else known.soc, 0.0), 1.0),
@@ -310,6 +310,11 @@ class SocFilter:
             wear=known.wear,
             wear_sd=known.wear_sd,
         )
+
+
+def known_only_to(soc_sd: float) -> str:
+    """How little is known of the charge; beyond any charge that there is, the number would say nothing."""
+    return f"state of charge known only to ±{soc_sd:.0%}" if soc_sd < 1.0 else "state of charge not known at all"
 
 
 def _why_nothing(sample: Sample) -> str:

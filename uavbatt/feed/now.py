@@ -104,6 +104,10 @@ class Trend:
         self._points: dict[int, tuple[tuple[float, Shown], ...]] = {}
         self._next_s = -math.inf
 
+    def forget(self) -> None:
+        """Another vehicle: its past is not the last one's."""
+        self._points = {}
+
     def look(self, now_s: float, reports: Sequence[Report]) -> None:
         """Take a point when one is due."""
         if now_s < self._next_s:

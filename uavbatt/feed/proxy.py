@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import signal
 import socket
 import struct
@@ -31,12 +30,14 @@ from uavbatt.errors import UavbattError
 from uavbatt.feed.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import Splitter, header
-from uavbatt.mavlink.links import Pipe, open_link
+from uavbatt.mavlink.links import open_autopilot, open_link
+from uavbatt.mavlink.pipe import Pipe, takes_bytes, wait
+from uavbatt.printable import terminal_line
 
 HOLD_S = 0.020
 LOG_PERIOD_S = 10.0
 HELLO, ESTIMATE, TO_GCS, TO_AUTOPILOT, QUIT = b"H", b"E", b"G", b"A", b"Q"
-TELEMETRY, STATS = b"T", b"P"
+TELEMETRY, STATS, FROM = b"T", b"P", b"F"
 ORIGINATED = frozenset((0, 20, 76))  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
 LONGEST_BODY = 60_000
 
@@ -136,18 +137,20 @@ class Proxy:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self.rewriter = Rewriter(settings.soc)
-        self.autopilot = open_link(settings.autopilot)
+        self.autopilot = open_autopilot(settings.autopilot)
         self.stations: list[Link] = [open_link(text) for text in settings.gcs]
         self.control = Control(settings.control)
         self._splitters: dict[object, tuple[Splitter, float]] = {}
         self._log_s = float("-inf")
+        self._from = ""  # whose telemetry the estimator was given last
+        self._first_stream: object = None
         self.is_asked_to_quit = False
 
     def wait(self) -> None:
         """Sleep until a byte comes; at most 20 ms while a partial frame is held."""
         waiting = any(splitter.waiting for splitter, _ in self._splitters.values())
         ready = [fd for link in (self.autopilot, *self.stations) for fd in link.filenos()]
-        select.select([*ready, *self.control.filenos()], [], [], HOLD_S / 2 if waiting else 0.25)
+        wait([*ready, *self.control.filenos()], HOLD_S / 2 if waiting else 0.25)
 
     def turn(self, now_s: float) -> None:
         """Pass on what has come in."""
@@ -161,10 +164,10 @@ class Proxy:
                 self._stream(data, sender, now_s)
             else:
                 self._to_stations(self.rewriter.datagram(data, now_s), now_s)
-                self.control.write(TELEMETRY, data)
-        for splitter, since_s in self._splitters.values():
+                self._to_estimator(data, sender)
+        for sender, (splitter, since_s) in self._splitters.items():
             if splitter.waiting and now_s - since_s >= HOLD_S:
-                self._pass(splitter.flush(), now_s)
+                self._pass(splitter.flush(), sender, now_s)
         if self.rewriter.replaced and now_s >= self._log_s:
             self._log_s = now_s + LOG_PERIOD_S
             self._log_replaced()
@@ -175,7 +178,7 @@ class Proxy:
         for (system, component, battery), (own_s, left_s) in told.items():
             place = f"system {system} component {component} battery {battery}"
             with suppress(OSError, ValueError):
-                if select.select([], [sys.stderr], [], 0.0)[1]:  # a full pipe is not waited for
+                if takes_bytes(sys.stderr.fileno()):  # a full pipe is not waited for
                     print(f"uavbatt proxy: {place}: its own {own_s} s replaced by {left_s} s", file=sys.stderr)
 
     def close(self) -> None:
@@ -194,12 +197,24 @@ class Proxy:
         for piece, whole in made:
             if whole:
                 self._to_stations(self.rewriter.frame(piece, now_s), now_s)
-                self.control.write(TELEMETRY, piece)
+                self._to_estimator(piece, sender)
             else:
-                self._pass(piece, now_s)
+                self._pass(piece, sender, now_s)
 
-    def _pass(self, data: bytes, now_s: float) -> None:
+    def _pass(self, data: bytes, sender: object, now_s: float) -> None:
         self._to_stations(data, now_s)
+        self._to_estimator(data, sender)
+
+    def _to_estimator(self, data: bytes, sender: object) -> None:
+        """Telemetry, and before it who sent it, if that was another than the last."""
+        if isinstance(sender, tuple):
+            place = f"{sender[0]}:{sender[1]}"
+        else:  # streams have no name: the first is the rule
+            self._first_stream = self._first_stream or sender
+            place = "" if sender is self._first_stream else str(id(sender))
+        if place != self._from:
+            self._from = place
+            self.control.write(FROM, place.encode())
         self.control.write(TELEMETRY, data)
 
     def _to_stations(self, data: bytes, now_s: float) -> None:
@@ -214,6 +229,7 @@ class Proxy:
         elif kind == TO_AUTOPILOT and self._settings.request and header(body).message_id in ORIGINATED:
             self.autopilot.write(body, now_s)
         elif kind == HELLO:
+            self._from = ""  # it may be another estimator
             stats = {"settings": self._settings._asdict(), "pid": os.getpid(), "rewritten": self.rewriter.rewritten}
             self.control.write(STATS, json.dumps(stats).encode())
         elif kind == QUIT:
@@ -231,7 +247,7 @@ def main() -> int:
     try:
         proxy = Proxy(Settings(**json.loads(sys.argv[1])))
     except (UavbattError, OSError) as error:
-        print(f"uavbatt proxy: {error}", file=sys.stderr)
+        print(terminal_line(f"uavbatt proxy: {error}"), file=sys.stderr)
         return 2
     while not (stopped or proxy.is_asked_to_quit):
         proxy.wait()

@@ -20,7 +20,7 @@ from pathlib import Path
 from uavbatt.feed import proxy, rewriter
 from uavbatt.feed.now import Report
 from uavbatt.mavlink.endpoint import Chunk
-from uavbatt.mavlink.links import Pipe
+from uavbatt.mavlink.pipe import Pipe
 from uavbatt.records import Status
 
 HELLO_PERIOD_S = 1.0
@@ -51,6 +51,7 @@ class ProxyClient:
         self._child: subprocess.Popen[bytes] | None = None
         self._hello_s = self._next_s = float("-inf")
         self._pause_s = SHORTEST_PAUSE_S
+        self._from = ""  # whose telemetry comes
         self.pid = 0
         self.rewritten = 0
 
@@ -78,7 +79,9 @@ class ProxyClient:
             else:
                 for kind, body in self._messages.feed(data):
                     if kind == proxy.TELEMETRY:
-                        found.append((body, None))
+                        found.append((body, self._from))
+                    elif kind == proxy.FROM:
+                        self._from = body.decode("ascii", "replace")
                     elif kind == proxy.STATS:
                         self._stats(body)
         return found

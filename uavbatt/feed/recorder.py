@@ -2,8 +2,10 @@
 
 tlog: `time (u64, big endian, microseconds since 1970) | frame`. A recording begins with the vehicle's battery
 parameters and its heartbeat as they are known, so that it can be replayed on its own; times of the JSON lines count
-from its first frame. A new one begins when a file has grown to its limit and, for `while-armed`, at every arming. The
-oldest go when there are more than `max_files`. A full disk stops the recording, never the process: it is tried again.
+from its first frame. A new one begins when a file has grown to its limit and, for `while-armed`, at an arming; armed
+again within RESUMED_WITHIN_S, the last one goes on. When there are more than `max_files` the oldest go, those of less
+than SHORT_S before all others: neither an armed bit that flaps nor a process that is started again and again pushes
+flights out. A full disk stops the recording, never the process: it is tried again.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import os
 import struct
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, TextIO
@@ -23,6 +26,8 @@ from uavbatt.records import Estimate, Remaining
 RETRY_S = 30.0
 LOOK_S = 5.0
 FLUSH_S = 1.0
+RESUMED_WITHIN_S = 120.0
+SHORT_S = 60.0
 MB = 1_000_000
 
 
@@ -35,25 +40,34 @@ class Recorder:
         self._raw: BinaryIO | None = None
         self._lines: dict[int, TextIO] = {}
         self._name, self._start_s = "", 0.0
-        self._wanted = True
+        self._paused_s: float | None = None  # disarmed since
         self._prelude: dict[bytes, bytes] = {}
+        self.words: Mapping[bytes, bytes] = {}  # the vehicle's own frames that a recording begins with
         self._next_s = self._look_s = self._flush_s = float("-inf")
         self.problem = ""
 
     def remember(self, key: bytes, frame: bytes) -> None:
-        """Keep a frame that every new recording shall begin with; the last one of a key stays."""
+        """Keep a frame of ours that every new recording shall begin with; the last one of a key stays."""
         self._prelude[key] = frame
 
     def remembers(self, key: bytes) -> bool:
         """Whether a frame of this key is kept."""
         return key in self._prelude
 
+    def begin_anew(self, words: Mapping[bytes, bytes]) -> None:
+        """Another vehicle: a recording holds one, and begins with its words."""
+        self.close()
+        self._prelude, self.words = {}, words
+
     def frame(self, frame: bytes, stamp_us: int, time_s: float, now_s: float, armed: bool | None) -> None:
         """Record one frame. stamp_us since 1970; time_s on the reader's clock; now_s monotonic [s]."""
+        if self._paused_s is not None and now_s - self._paused_s > RESUMED_WITHIN_S:
+            self.close()
         if self._settings.when == "while-armed" and not armed:
-            if self._raw is not None:
-                self.close()
+            if self._raw is not None and self._paused_s is None:
+                self._paused_s = now_s
             return
+        self._paused_s = None
         try:
             if self._raw is None and not self._begun(stamp_us, time_s, now_s):
                 return
@@ -66,7 +80,7 @@ class Recorder:
 
     def step(self, instance: int, estimate: Estimate, remaining: Remaining, now_s: float) -> None:
         """Record what was made of a row."""
-        if self._raw is None:
+        if self._raw is None or self._paused_s is not None:
             return
         try:
             if instance not in self._lines:
@@ -95,7 +109,7 @@ class Recorder:
                 file.close()
             except OSError as error:
                 self.problem = f"recording lost its end: {error.strerror}"
-        self._raw, self._lines = None, {}
+        self._raw, self._lines, self._paused_s = None, {}, None
 
     def _files(self) -> list[BinaryIO | TextIO]:
         return [*([self._raw] if self._raw is not None else []), *self._lines.values()]
@@ -111,7 +125,7 @@ class Recorder:
         self._raw = (self._folder / f"{self._name}.tlog").open("wb")
         self._start_s, self.problem = time_s, ""
         self._look_s = now_s + LOOK_S
-        for kept in self._prelude.values():
+        for kept in (*self._prelude.values(), *self.words.values()):
             self._raw.write(struct.pack(">Q", stamp_us) + kept)
         self._remove_oldest()
         return True
@@ -136,7 +150,8 @@ class Recorder:
 
     def _remove_oldest(self) -> None:
         there = sorted(self._folder.glob("uavbatt-*.tlog"), key=lambda p: (p.stat().st_mtime_ns, p.name))
-        for old in there[: max(len(there) - self._settings.max_files, 0)]:
+        others = sorted((p for p in there if p.stem != self._name), key=lambda p: not _is_short(p))
+        for old in others[: max(len(there) - self._settings.max_files, 0)]:
             for part in [old, *self._folder.glob(f"{old.stem}.battery*.jsonl")]:
                 part.unlink(missing_ok=True)
 
@@ -146,3 +161,14 @@ class Recorder:
             print(f"uavbatt: recording stopped: {why}; tried again every {RETRY_S:.0f} s", file=sys.stderr)
         self.problem = f"not recording: {why}"
         self._next_s = now_s + RETRY_S
+
+
+def _is_short(path: Path) -> bool:
+    """Whether a recording spans less than SHORT_S, from its first stamp to its last writing."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+        last_s = path.stat().st_mtime
+    except OSError:
+        return False
+    return len(head) < 8 or abs(last_s - struct.unpack(">Q", head)[0] / 1e6) < SHORT_S

@@ -26,6 +26,7 @@ from uavbatt.feed.now import STALE_AFTER_S, Report, Trend
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
+SAID_S = 120.0  # what was said aloud stands on the page as long
 PAGE = Path(__file__).with_name("page.html")
 
 
@@ -39,6 +40,10 @@ class BoardLike(Protocol):
     @property
     def notes(self) -> Sequence[str]:
         """What the operator should know."""
+
+    @property
+    def said(self) -> Sequence[tuple[float, str]]:
+        """What was said aloud: (monotonic time [s], text), oldest first."""
 
     @property
     def counts(self) -> Any:
@@ -62,6 +67,7 @@ def content(board: BoardLike, now_s: float) -> dict[str, Any]:
         "reason": first["reason"] if first else "no battery telemetry yet",
         "batteries": batteries,
         "notes": list(board.notes),
+        "said": [{"age_s": round(now_s - at, 1), "text": text} for at, text in board.said if now_s - at <= SAID_S],
         "counts": dict(board.counts),
         "version": __version__,
     }
@@ -170,6 +176,8 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
     app = application(settings, board, clock_s)
     try:
         import uvicorn
+
+        from uavbatt.feed.connections import MOST_WAITING, protocol
     except ImportError:
         raise MissingExtra("web", "--http") from None
     host, port = address(settings.listen)
@@ -177,7 +185,9 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
         listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
         raise UsageError(f"--http {settings.listen}: {error.strerror}") from None
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off", ws="none"))
+    limits: dict[str, Any] = {"http": protocol(), "backlog": MOST_WAITING}
+    quiet: dict[str, Any] = {"log_level": "warning", "access_log": False, "lifespan": "off", "ws": "none"}
+    server = uvicorn.Server(uvicorn.Config(app, **limits, **quiet))
     server.install_signal_handlers = lambda: None  # type: ignore[attr-defined,unused-ignore]
 
     def work() -> None:

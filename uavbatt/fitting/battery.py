@@ -13,7 +13,10 @@ from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, solve
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import Fit
+from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
 from uavbatt.records import Flight
+from uavbatt.resolved import Resolved, believed
+from uavbatt.statements import first_seen
 
 # Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
@@ -29,6 +32,14 @@ class Size:
     cells: int
     capacity_Ah: float
     cutoff_V: float
+    notices: tuple[str, ...] = ()  # what the vehicles say and was not believed, or is odd
+
+    @property
+    def resolved(self) -> Resolved:
+        """The same as any estimate is made for."""
+        by = "fit"
+        sized = (self.cells, by, self.capacity_Ah, by, self.cutoff_V, by)
+        return Resolved(self.name, "fitted", *sized, float("nan"), by)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +79,7 @@ def fit_battery(
             source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
             remarks=list(_unknown(found, stack, bool(bench))),
         ),
-        parameters=assemble.parameter_table(
-            found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd
-        ),
+        parameters=assemble.parameter_table(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
         discrepancy=left,
         certificate=Certificate(status="fitted", data_sha256=datasets[0].sha256 if len(datasets) == 1 else ""),
@@ -81,18 +90,46 @@ def fit_battery(
 def size_of(
     name: str, datasets: list[DataSet], flights: list[Flight], cells: int | None, capacity_Ah: float, cutoff_V: float
 ) -> Size:
-    """The pack's size from the options, else the data sets, else the vehicles; UsageError when nobody says."""
-    facts = [f.facts_at(np.inf) for f in flights]
-    known_cells = [d.cells_series for d in datasets] + [f.cells_series for f in facts if f.cells_series]
+    """The pack's size from the options, else the data sets, else the vehicles; UsageError when nobody says.
+
+    What the voltages deny is refused of the caller and left out of a vehicle (`limits`).
+    """
+    known_cells = [d.cells_series for d in datasets] + [n for f in flights if (n := _flown_cells(f)) is not None]
     series = cells or next(iter(known_cells), None)
     if series is None:
         raise UsageError("cells: neither a data set nor a vehicle states them: give --cells")
+    _check_caller(series if cells else None, cutoff_V, series, datasets, flights)
+    found = [believed(f.facts_at(np.inf), series) for f in flights]
+    facts, notices = [said for said, _ in found], dict.fromkeys(n for _, words in found for n in words)
     stated = [d.capacity_Ah for d in datasets if d.capacity_Ah] + [f.capacity_Ah for f in facts]
     capacity = _first([capacity_Ah, *stated])
     if not np.isfinite(capacity):
         raise UsageError("capacity: neither a data set nor a vehicle states it: give --capacity-ah")
     cutoff = _first([cutoff_V, *[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets], 3.3 * series])
-    return Size(name, int(series), float(capacity), float(cutoff))
+    return Size(name, int(series), float(capacity), float(cutoff), tuple(notices))
+
+
+def _flown_cells(flight: Flight) -> int | None:
+    """The count of cells that a vehicle states, if its first voltages do not deny it."""
+    cells = flight.facts_at(np.inf).cells_series
+    doubt = cells_doubt(cells, first_seen(flight.samples), Resting()) if cells else None
+    return None if doubt is not None and doubt.is_certain else cells
+
+
+def _check_caller(
+    cells: int | None, cutoff_V: float, series: int, datasets: list[DataSet], flights: list[Flight]
+) -> None:
+    """UsageError when the caller's cells do not fit the first voltages of a record, or his cut-off no cell."""
+    doubt = ending_doubt("--cutoff-voltage ", cutoff_V, series)
+    if doubt is not None and doubt.is_certain:
+        raise UsageError(doubt.words)
+    if cells is None:
+        return
+    firsts = [(str(d.path), Seen(d.first_V)) for d in datasets]
+    for source, seen in firsts + [(f.source, first_seen(f.samples)) for f in flights]:
+        doubt = cells_doubt(cells, seen, Resting())
+        if doubt is not None and doubt.is_certain:
+            raise UsageError(f"{source}: --cells: {doubt.words}")
 
 
 def _first(values: list[float]) -> float:
@@ -135,5 +172,3 @@ def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
     if not stack.rested.any():
         lines.append("no record starts at rest: the open-circuit voltage near full is the prior's")
     return tuple(lines)
-
-

@@ -5,7 +5,8 @@
     fly.py        one log -> one row; whatever is wrong with the log becomes the row's reason
     journal.py    rows on disk as they come, so that a stopped run goes on where it was
     tables.py     the journal -> Parquet and CSV, piece by piece
-    run.py        the workers (Dask), a bounded number of logs under way
+    processes.py  the workers on this machine; cluster.py those of a Dask cluster
+    run.py        the run over them, a bounded number of logs under way
 
 Needs the extra `fleet`; nothing of it is imported before a run begins.
 """

@@ -16,7 +16,7 @@ from uavbatt import fast
 from uavbatt.battery.file import BatteryFile
 from uavbatt.errors import UavbattError
 from uavbatt.fleet.logs import LogFile, Unreadable
-from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, Row
+from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
 from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.records import NAN, Flight
 from uavbatt.replay import Outcome, Step, outcome, steps
@@ -157,8 +157,9 @@ def _reasons(row: Row, doubts: tuple[str, ...]) -> list[str]:
         found.append(f"{row.refused_share:.0%} of the forecasts in the air refused")
     if row.mean_nis > HIGH_NIS:
         found.append(f"the battery file explains it badly (mean NIS {row.mean_nis:.1f})")
-    # a generic file is no measure: its packs differ by more than that when new
-    if row.certificate != "generic" and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
+    # a generic or edited file is no measure: packs differ by more than that when new
+    is_measured = row.certificate not in ("generic", "edited")
+    if is_measured and row.resistance_scale - 2.0 * row.resistance_scale_sd > RESISTANCE_GROWN:
         found.append(f"resistance {row.resistance_scale:.2f} times the battery file's")
     if row.error_120_s > OPTIMISTIC_S and row.inside_120 is False:
         found.append(f"two minutes before the end the forecast was {row.error_120_s:.0f} s too long")
@@ -179,4 +180,4 @@ def _aircraft(log: LogFile, job: Job, system: int | None) -> str:
 def _utc(start_s: float) -> str:
     if not math.isfinite(start_s):
         return ""
-    return datetime.fromtimestamp(round(start_s), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return datetime.fromtimestamp(round(start_s), UTC).strftime(START_FORMAT)

@@ -1,7 +1,8 @@
 """Rows on disk as they come: one JSON line a flight, so that a stopped run goes on where it was.
 
 A row counts for a later run only under the same key: path, size and time of change of the log, content of the battery
-file, pack options and version of uavbatt. Rows under other keys stay in the file until it is tidied.
+file, pack options and version of uavbatt. Rows under other keys stay in the file until it is tidied. A damaged row is
+taken out of the file at once, and its log flown again.
 """
 
 from __future__ import annotations
@@ -40,12 +41,14 @@ class Journal:
         self.path = folder / JOURNAL
         self._keys = keys
         self._places: dict[int, int] = {}
+        self.dropped = 0  # damaged rows
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("a+b")
         except OSError as error:
             raise BadInput(folder, "", f"a folder that can be written: {error.strerror}") from None
-        self._index()
+        if not self._index():
+            self._heal()
 
     def __enter__(self) -> Journal:
         return self
@@ -62,7 +65,7 @@ class Journal:
     def add(self, number: int, key: str, row: Row) -> None:
         """Keep the row of log `number`; it is on disk when this returns."""
         self._places[number] = self._file.seek(0, os.SEEK_END)
-        line = json.dumps({"key": key, **row.plain()}, ensure_ascii=False, allow_nan=False)
+        line = json.dumps({"key": key, **row.plain()}, allow_nan=False)  # ASCII: a file name may be no text at all
         self._file.write(line.encode() + b"\n")
         self._file.flush()
 
@@ -72,18 +75,47 @@ class Journal:
             self._file.seek(self._places[number])
             yield row_of(json.loads(self._file.readline()))
 
-    def _index(self) -> None:
-        """Find the rows that count; a last line that was cut short by a crash is cut away."""
+    def _index(self) -> bool:
+        """Find the rows that count; True if none is damaged. A last line that a crash cut short is cut away."""
         self._file.seek(0)
-        place, end = 0, 0
+        place, end, is_sound = 0, 0, True
         for line in self._file:
-            said = _parsed(line)
-            number = self._keys.get(str(said.get("key")))
-            if number is not None and said.get("status") != LOST:
+            number = self._number(line)
+            if number is not None and number >= 0:
                 self._places[number] = place
             place += len(line)
-            end = place if line.endswith(b"\n") else end
+            if line.endswith(b"\n"):
+                end, is_sound = place, is_sound and number is not None
         self._file.truncate(end)
+        self._places = {number: at for number, at in self._places.items() if at < end}
+        return is_sound
+
+    def _number(self, line: bytes) -> int | None:
+        """The log of this run that a line is the row of, -1 for a row that does not count, None for no row at all."""
+        said = _parsed(line)
+        if not isinstance(said.get("key"), str):
+            return None
+        number = self._keys.get(said["key"])
+        if number is None:
+            return -1  # of another run, which may be of another version: not ours to judge
+        try:
+            return number if row_of(said).status != LOST else -1
+        except ValueError:
+            return None
+
+    def _heal(self) -> None:
+        """Write the file anew without its damaged rows."""
+        self._file.seek(0)
+        with written_aside(self.path, "wb") as healed:
+            for line in self._file:
+                if self._number(line) is None:
+                    self.dropped += 1
+                else:
+                    healed.write(line)
+        self._file.close()
+        self._file = self.path.open("a+b")
+        self._places = {}
+        self._index()
 
     def tidy(self) -> None:
         """Leave only this run's rows in the file, when more of it is old than is in use."""
@@ -99,7 +131,7 @@ class Journal:
 def _parsed(line: bytes) -> dict[str, Any]:
     try:
         said = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return said if isinstance(said, dict) else {}
 

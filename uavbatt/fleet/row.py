@@ -7,13 +7,19 @@ where the log shows the end; positive is optimistic.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from datetime import datetime
 from typing import Any
+
+import msgspec
 
 from uavbatt.records import NAN
 
 OK, BAD = "ok", "bad"
 LOST = "lost"  # bytes not to be had, or a worker that died: not the log's own fault, tried again by the next run
+START_FORMAT = "%Y-%m-%dT%H:%M:%SZ"
+LARGEST_INT = 2**63 - 1
 CHECKPOINTS = ("half", "360", "240", "120", "60")
 
 
@@ -75,14 +81,24 @@ class Row:
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(self).items()}
 
 
-def row_of(plain: dict[str, Any]) -> Row:
-    """The row of a dictionary that `Row.plain` made; keys that this version does not know are left out."""
-    known = {f.name: f for f in fields(Row)}
-    values = {name: value for name, value in plain.items() if name in known}
-    for name, value in values.items():
-        if value is None and known[name].type == "float":
-            values[name] = NAN
-    return Row(**values)
+def row_of(plain: Mapping[str, Any]) -> Row:
+    """The row of a dictionary that `Row.plain` made; keys that this version does not know are left out.
+
+    Raises ValueError when it is no row: a name is missing, a value is of another type or fits no table.
+    """
+    values = {name: NAN if plain[name] is None and kind == "float" else plain[name] for name, kind in COLUMNS
+              if name in plain}  # fmt: skip
+    try:
+        row = msgspec.convert(values, Row)
+    except msgspec.ValidationError as error:
+        raise ValueError(str(error)) from None
+    if row.status not in (OK, BAD, LOST):
+        raise ValueError(f"status `{row.status}`")
+    if row.start_utc:
+        datetime.strptime(row.start_utc, START_FORMAT)
+    if any(isinstance(value, int) and abs(value) > LARGEST_INT for value in values.values()):
+        raise ValueError("a whole number beyond 64 bits")
+    return row
 
 
 COLUMNS: tuple[tuple[str, str], ...] = tuple((f.name, str(f.type)) for f in fields(Row))

@@ -1,4 +1,8 @@
-"""Rows -> Parquet and CSV, a thousand at a time: the tables may be bigger than the memory."""
+"""Rows -> Parquet and CSV, a thousand at a time: the tables may be bigger than the memory.
+
+A spreadsheet runs what begins with `=`, `+`, `-` or `@`: names of folders and what a log says of its hardware are text
+of strangers, and stand in the CSV behind an apostrophe then, which a spreadsheet takes for "this is text".
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,8 @@ from uavbatt.fleet.row import COLUMNS, Row
 PARQUET, CSV = "flights.parquet", TABLE
 _BATCH = 1000
 _TIME = "start_utc"
+_TEXTS = tuple(name for name, kind in COLUMNS if kind == "str" and name != _TIME)
+_RUN = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def write(folder: Path, rows: Iterable[Row]) -> None:
@@ -31,11 +37,21 @@ def write(folder: Path, rows: Iterable[Row]) -> None:
             stack.enter_context(csv.CSVWriter(files[1], schema)),
         ]
         for batch in _batches(rows):
-            columns = {name: [line[name] for line in batch] for name, _ in COLUMNS}
+            columns = {name: [_encodable(line[name]) for line in batch] for name, _ in COLUMNS}
             columns[_TIME] = [datetime.fromisoformat(text) if text else None for text in columns[_TIME]]
-            table = pyarrow.Table.from_pydict(columns, schema=schema)
-            for writer in writers:
-                writer.write_table(table)
+            writers[0].write_table(pyarrow.Table.from_pydict(columns, schema=schema))
+            harmless = columns | {name: [_harmless(text) for text in columns[name]] for name in _TEXTS}
+            writers[1].write_table(pyarrow.Table.from_pydict(harmless, schema=schema))
+
+
+def _encodable(value: Any) -> Any:
+    """Text without the halves of characters that stand for the bytes of a file name that is no text."""
+    return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
+
+
+def _harmless(text: str) -> str:
+    """A cell that no spreadsheet runs."""
+    return f"'{text}" if text.startswith(_RUN) else text
 
 
 def _schema(pyarrow: Any) -> Any:

@@ -92,7 +92,7 @@ def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
     table = file.parameters
     capacity_sd = CAPACITY_SHARE * table.capacity_scale_sd
     resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
-    if file.status != "generic" and table.c_rate is None:
+    if file.is_measured and table.c_rate is None:
         capacity_sd, resistance_sd = min(capacity_sd, CAPACITY_SD), min(resistance_sd, RESISTANCE_SD)
     return (
         _nuisance("fade", capacity_sd),

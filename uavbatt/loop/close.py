@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -108,7 +109,7 @@ def extended(file: BatteryFile, found: Diagnosis) -> BatteryFile:
         new,
         battery=msgspec.structs.replace(file.battery, remarks=remarks),
         discrepancy=left,
-        certificate=Certificate(status="fitted", data_sha256=file.certificate.data_sha256),
+        certificate=Certificate(status=_ungated(file), data_sha256=file.certificate.data_sha256),
     )
 
 
@@ -117,11 +118,16 @@ def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> Batter
     passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts)
     certificate = msgspec.structs.replace(
         new.certificate,
-        status="certified" if passed and found.verdict != "undeclared_effect" else "fitted",
+        status="certified" if passed and found.verdict != "undeclared_effect" else _ungated(new),
         validated_ambient_C=sorted({v.ambient_C for v in verdicts if v.ambient_C is not None}) if passed else [],
         verdicts=verdicts,
     )
     return msgspec.structs.replace(new, certificate=certificate)
+
+
+def _ungated(file: BatteryFile) -> Literal["fitted", "edited"]:
+    """The status of what no gate has passed: from data, but what rests on an edited file is no better than that."""
+    return "edited" if file.status == "edited" else "fitted"
 
 
 def _known(value: float) -> float:

@@ -34,6 +34,8 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
     notes: tuple[str, ...] = ()
     if not found.problem.evidence.has_temperature:
         notes += ("No temperature was measured: effects that show in it only are not among the candidates.",)
+    if old.status == "edited":
+        notes += (f"The {old.caveat}.",)
     return DiagnosisPage(
         battery=old.battery.name,
         verdict=found.verdict,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 HEARTBEAT, SYS_STATUS, PARAM_VALUE, BATTERY_STATUS, BATTERY2 = 0, 1, 22, 147, 181
+AUTOPILOT_VERSION = 148
 
 AUTOPILOT_PX4 = 12
 _AUTOPILOT_INVALID = 8
@@ -35,6 +36,11 @@ class BatteryFields:
     consumed_Ah: float = math.nan
     reported_soc: float = math.nan
     cell_voltages_V: tuple[float, ...] = ()
+
+
+def hardware(uid: int) -> str:
+    """Serial number of the flight controller from the `uid` of AUTOPILOT_VERSION; empty when it tells none."""
+    return f"{uid:016x}" if uid else ""
 
 
 def pack_voltage_V(voltages_mV: Sequence[int], ext_mV: Sequence[int] = ()) -> tuple[float, tuple[float, ...]]:

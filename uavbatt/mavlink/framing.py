@@ -95,6 +95,16 @@ def pieces(data: bytes, start: int = 0) -> Iterator[tuple[int, int, bool]]:
         yield garbage_from, position, False
 
 
+def sequence(frame: bytes) -> int:
+    """The sender's running number of a whole frame, 0..255."""
+    return frame[2] if frame[0] == V1 else frame[4]
+
+
+def is_signed(frame: bytes) -> bool:
+    """Whether a whole frame carries a signature."""
+    return frame[0] == V2 and bool(frame[2] & SIGNED)
+
+
 class Battery(NamedTuple):
     """What a rewriter must know of a BATTERY_STATUS."""
 

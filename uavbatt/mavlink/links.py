@@ -1,34 +1,53 @@
 """Endpoints (`endpoint.parse`) as raw sockets and serial lines. No dependencies but the standard library.
 
 A link never blocks and never raises for a peer that is not there: what cannot be opened or has broken off is tried
-again with a growing pause (0.5 s to 10 s). A client of a stream that does not take its bytes is dropped.
+again with a growing pause (0.5 s to 10 s).
 Bytes only: what they mean is `framing`'s matter.
 """
 
 from __future__ import annotations
 
 import errno
+import math
 import os
 import socket
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
+from uavbatt.mavlink.pipe import LARGEST_READ, Pipe
+from uavbatt.mavlink.resolver import Resolver
+from uavbatt.mavlink.tcp_server import TcpServer
 
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 PEER_FORGOTTEN_S = 60.0
+SILENT_AUTOPILOT_S = 60.0
 MOST_PEERS = 32
-LARGEST_READ = 65_536
-MOST_PENDING = 131_072  # bytes that a slow stream may lag behind before it is dropped
 READS_A_TURN = 64
 
 
-def open_link(text: str) -> Link:
-    """The link of an endpoint string. Raises UsageError for a bad string or a local address that is taken."""
+def open_link(text: str, silent_after_s: float = math.inf) -> Link:
+    """The link of an endpoint string. Raises UsageError for a bad string or a local address that is taken.
+
+    silent_after_s: a client of `tcpin` that has not spoken by then is dropped; a ground station may only listen.
+    """
     at = parse(text)
     if at.kind in ("udpin", "udpout"):
         return UdpLink(at)
-    return TcpServer(at) if at.kind == "tcpin" else StreamLink(at)
+    return TcpServer(at, silent_after_s) if at.kind == "tcpin" else StreamLink(at)
+
+
+def open_autopilot(text: str) -> Link:
+    """The link on which an autopilot is expected: who connects there speaks."""
+    return open_link(text, SILENT_AUTOPILOT_S)
+
+
+class Peer(NamedTuple):
+    """Who sent to a listening socket: how many datagrams, and when the last."""
+
+    datagrams: int
+    heard_s: float
 
 
 class UdpLink:
@@ -39,7 +58,7 @@ class UdpLink:
     def __init__(self, at: Endpoint) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._peers: dict[tuple[str, int], float] = {}
+        self._peers: dict[tuple[str, int], Peer] = {}
         self._fixed = at.kind == "udpout"
         try:
             self._address = (socket.gethostbyname(at.host), at.port)
@@ -70,7 +89,8 @@ class UdpLink:
 
     def write(self, data: bytes, now_s: float) -> None:
         """One datagram to the peer, or to every peer heard lately."""
-        peers = [self._address] if self._fixed else [p for p, t in self._peers.items() if now_s - t < PEER_FORGOTTEN_S]
+        lately = [p for p, peer in self._peers.items() if now_s - peer.heard_s < PEER_FORGOTTEN_S]
+        peers = [self._address] if self._fixed else lately
         for peer in peers:
             try:
                 self._socket.sendto(data, peer)
@@ -83,43 +103,12 @@ class UdpLink:
 
     def _remember(self, sender: tuple[str, int], now_s: float) -> None:
         if sender not in self._peers and len(self._peers) >= MOST_PEERS:
-            del self._peers[min(self._peers, key=lambda p: self._peers[p])]
-        self._peers[sender] = now_s
-
-
-class Pipe:
-    """One open stream: a descriptor with the bytes it has not taken yet."""
-
-    def __init__(self, fd: int, owner: socket.socket | None = None) -> None:
-        self.fd, self._owner, self._pending = fd, owner, b""
-
-    def read(self) -> bytes | None:
-        """What has come in; empty when nothing; None when the other side is gone."""
-        try:
-            return os.read(self.fd, LARGEST_READ) or None
-        except BlockingIOError:
-            return b""
-        except OSError:
-            return None
-
-    def write(self, data: bytes) -> bool:
-        """Send, keep what does not fit; False when the other side is gone or too slow."""
-        self._pending += data
-        try:
-            while self._pending:
-                self._pending = self._pending[os.write(self.fd, self._pending) :]
-        except BlockingIOError:
-            return len(self._pending) <= MOST_PENDING
-        except OSError:
-            return False
-        return True
-
-    def close(self) -> None:
-        """Release the descriptor."""
-        if self._owner is not None:
-            self._owner.close()
-        else:
-            os.close(self.fd)
+            forgotten = [p for p, peer in self._peers.items() if now_s - peer.heard_s >= PEER_FORGOTTEN_S]
+            # whoever sent least gives way: an autopilot that streams is not pushed out by many that send once
+            for gone in forgotten or [min(self._peers, key=lambda p: self._peers[p])]:
+                del self._peers[gone]
+        was = self._peers.get(sender)
+        self._peers[sender] = Peer(1 if was is None else was.datagrams + 1, now_s)
 
 
 class StreamLink:
@@ -132,6 +121,7 @@ class StreamLink:
         self._pipe: Pipe | None = None
         self._connecting: socket.socket | None = None
         self._pause_s, self._next_s, self._deadline_s = SHORTEST_PAUSE_S, float("-inf"), 0.0
+        self._resolver, self._address = Resolver(at.host), ""
 
     def filenos(self) -> Iterator[int]:
         """The descriptor, when open."""
@@ -186,10 +176,14 @@ class StreamLink:
     def _connected(self, now_s: float) -> Pipe | None:
         """A connection that is being made counts as closed; OSError when it failed."""
         if self._connecting is None:
+            address = self._resolver.address()
+            if address is None:
+                return None
+            self._address = address
             self._connecting = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._connecting.setblocking(False)
             self._deadline_s = now_s + 5.0
-        code = self._connecting.connect_ex((self._at.host, self._at.port))
+        code = self._connecting.connect_ex((self._address, self._at.port))
         if code in (errno.EINPROGRESS, errno.EALREADY):
             if now_s > self._deadline_s:
                 raise OSError(errno.ETIMEDOUT, "no answer")
@@ -199,64 +193,6 @@ class StreamLink:
         made, self._connecting = self._connecting, None
         made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return Pipe(made.fileno(), made)
-
-
-class TcpServer:
-    """Accepts clients; each gets everything, and one that is slow is dropped."""
-
-    is_stream = True
-
-    def __init__(self, at: Endpoint) -> None:
-        self._clients: list[Pipe] = []
-        try:
-            self._socket = socket.create_server((at.host, at.port))
-        except OSError as error:
-            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
-        self._socket.setblocking(False)
-
-    def filenos(self) -> Iterator[int]:
-        """The listening socket and the clients."""
-        yield self._socket.fileno()
-        yield from (client.fd for client in self._clients)
-
-    def read(self, now_s: float) -> list[Chunk]:
-        """What the clients sent; takes in new ones, forgets those that left."""
-        self._accept()
-        found: list[Chunk] = []
-        for client in list(self._clients):
-            data = client.read()
-            if data:
-                found.append((data, client))
-            elif data is None or not client.write(b""):
-                self._drop(client)
-        return found
-
-    def write(self, data: bytes, now_s: float) -> None:
-        """Send to every client, the one that has just come as well."""
-        self._accept()
-        for client in list(self._clients):
-            if not client.write(data):
-                self._drop(client)
-
-    def close(self) -> None:
-        """Release all sockets."""
-        for client in list(self._clients):
-            self._drop(client)
-        self._socket.close()
-
-    def _accept(self) -> None:
-        while len(self._clients) < MOST_PEERS:
-            try:
-                made, _ = self._socket.accept()
-            except OSError:
-                return
-            made.setblocking(False)
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._clients.append(Pipe(made.fileno(), made))
-
-    def _drop(self, client: Pipe) -> None:
-        client.close()
-        self._clients.remove(client)
 
 
 def _serial(at: Endpoint) -> int:

@@ -209,10 +209,15 @@ class Forecaster:
         keep = math.exp(-age_s / STEADY_TAU_S)
         return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
 
+    @property
+    def cutoff_V(self) -> float:
+        """The pack's voltage at which its weakest cell is at the cut-off [V]."""
+        return float(self.pack.cutoff_V + self.pack.installation.cells * self.cell_spread_V)
+
     def _weakest(self) -> Pack:
         """The pack with its limits where the weakest cell meets them."""
         raised_V = self.pack.installation.cells * self.cell_spread_V
-        return self.pack._replace(cutoff_V=self.pack.cutoff_V + raised_V, low_V=self.pack.low_V + raised_V)
+        return self.pack._replace(cutoff_V=self.cutoff_V, low_V=self.pack.low_V + raised_V)
 
     def _now(self, belief: Belief, time_s: float) -> Now:
         since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0

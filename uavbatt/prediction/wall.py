@@ -3,8 +3,8 @@
     V = a + b t + c t² - r I        least squares over the last WINDOW_S, t = 0 now, c <= 0 <= r
     h + b t + c t² = 0              h: what is left above the cut-off under the window's mean current
 
-Whatever is believed of the charge, a pack whose voltage falls towards its cut-off is there when it is there. On packs of
-many makes the time is right to a factor of two in the last 45 s, and too long before: so it bounds what is said and
+Whatever is believed of the charge, a pack whose voltage falls towards its cut-off is there when it is there. On packs
+of many makes the time is right to a factor of two in the last 45 s, and too long before: so it bounds what is said and
 never lengthens it. Rows slower than every three seconds show no such fall.
 """
 
@@ -20,6 +20,7 @@ from uavbatt.records import NAN, Remaining
 
 WINDOW_S, BIN_S = 40.0, 1.0
 FEWEST_BINS, LEAST_SPAN_S = 12, 28.0
+JUDGED_BINS = 5
 WITHIN_REACH_V = 0.45  # a cell farther above its cut-off is on its plateau
 SIGHT_S = 150.0  # beyond this a fall says little
 # The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
@@ -30,6 +31,11 @@ class Fall(NamedTuple):
     """Means over BIN_S of the last WINDOW_S: rows (time [s], voltage [V], current [A], count), the open one last."""
 
     bins: tuple[tuple[float, float, float, int], ...] = ()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the last row has begun a new bin: once a second is often enough to look."""
+        return bool(self.bins) and self.bins[-1][3] == 1
 
     def after(self, time_s: float, voltage_V: float, current_A: float) -> Fall:
         """The window with one more row; a row before the last one leaves it as it is."""
@@ -47,11 +53,14 @@ class Fall(NamedTuple):
 
     def time_left_s(self, cells: float, cutoff_V: float) -> float:
         """Seconds until the pack's voltage is at `cutoff_V`; infinite where no fall tells."""
+        judged = self.bins[-JUDGED_BINS:]
+        if not judged or judged[-1][1] - cutoff_V > WITHIN_REACH_V * cells:
+            return math.inf
+        if len(judged) == JUDGED_BINS and sum(row[1] for row in judged) < JUDGED_BINS * cutoff_V:
+            return 0.0  # over, by the rule that ends a flight
         if len(self.bins) < FEWEST_BINS or self.bins[-1][0] - self.bins[0][0] < LEAST_SPAN_S:
             return math.inf
         time_s, volts, amps, _ = np.array(self.bins).T
-        if float(np.mean(volts[-3:])) - cutoff_V > WITHIN_REACH_V * cells:
-            return math.inf
         level_V, slope, bend = _fitted(time_s - time_s[-1], volts, amps - float(np.mean(amps)))
         left_s = _crossing_s(level_V - cutoff_V, slope, min(bend, 0.0))
         return left_s if left_s <= SIGHT_S else math.inf

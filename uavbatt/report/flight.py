@@ -33,6 +33,7 @@ STATUS_WORDS = {
     "certified": "Certified: the model of this battery passed the gate on repeated tests of its own type.",
     "fitted": "Fitted: the model comes from data of this battery but has not passed the gate; its intervals are wider.",
     "generic": "Generic: a prior for batteries of this kind, not measured on this one; its intervals are wide.",
+    "edited": "Edited: not what was sealed, or failed at its gate; let through by the caller, nobody vouches for it.",
 }
 MOST_WARNINGS = 20
 SHOWN_AS = {
@@ -173,7 +174,8 @@ def _battery(resolved: ResolvedLike, battery: BatteryFile) -> list[Html]:
         claims = table(("claim", "ambient", "verdict", "why"), body, text_columns=(0, 1, 2, 3))
         parts.append(claims if len(body) <= 8 else details(f"{len(body)} claims of the certificate", claims))
     else:
-        parts.append(paragraph("The certificate makes no claim: nothing of this battery was put to a gate."))
+        why = "what it claimed was of other content" if resolved.status == "edited" else "nothing was put to a gate"
+        parts.append(paragraph(f"The certificate makes no claim: {why}."))
     remarks = bullets(battery.battery.remarks)
     return [*parts, remarks]
 

@@ -104,7 +104,7 @@ class ResolvedLike(Protocol):
 
     @property
     def status(self) -> str:
-        """`certified`, `fitted` or `generic`."""
+        """`certified`, `fitted`, `generic` or `edited`."""
 
     @property
     def cells(self) -> int:

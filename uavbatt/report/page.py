@@ -7,18 +7,19 @@ markup. The page's own security policy forbids scripts and anything fetched, as 
 from __future__ import annotations
 
 import math
-import unicodedata
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
 from typing import Literal
+
+from uavbatt.printable import printable
 
 UNKNOWN = "not known"
 DASH = "–"
 Mood = Literal["good", "bad", "unsure", "plain"]
 MOODS: dict[str, Mood] = {
     "pass": "good", "fail": "bad", "not enough data": "unsure",
-    "certified": "good", "fitted": "unsure", "generic": "unsure",
+    "certified": "good", "fitted": "unsure", "generic": "unsure", "edited": "bad",
     "serious": "bad", "warning": "unsure", "note": "plain",
     "ok": "good", "straggler": "unsure", "outlier": "bad",
 }  # fmt: skip
@@ -30,11 +31,6 @@ class Html(str):
     """Text that is markup already and goes into the page as it is."""
 
     __slots__ = ()
-
-
-def printable(text: str) -> str:
-    """`text` without what would break a page: control, surrogate and direction-changing characters become U+FFFD."""
-    return "".join("\ufffd" if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c for c in text)
 
 
 def safe(value: str) -> Html:

@@ -14,7 +14,8 @@ from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from uavbatt.report.page import Html, printable
+from uavbatt.printable import printable
+from uavbatt.report.page import Html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,8 @@ A reader pushes what it decodes, in log order; nothing here looks ahead, so that
 instant gives the same rows up to it.
 
 Time: seconds from the first timed record. A clock that falls back by 1 s or more is a reboot (or a
-ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is the same.
+ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is the same; a clock that
+is monotonic does not leap, so that live, and in a recording of live, a silence of days is one (`longest_step_s`).
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ class LogBuilder:
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
     now_s: float = 0.0
+    longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock
     _raw_s: float = NAN
     _offset_s: float = NAN
 
@@ -56,7 +58,7 @@ class LogBuilder:
             self._raw_s, self._offset_s = raw_s, -raw_s
             return 0.0
         step_s = raw_s - self._raw_s
-        if step_s <= -REBOOT_STEP_S or step_s > LEAP_S:
+        if step_s <= -REBOOT_STEP_S or step_s > self.longest_step_s:
             what = "reboot" if step_s < 0 else "clock leap"
             self.notes.append(f"{what} at {self.now_s:.1f} s: time goes on after a gap of 1 s")
             self._offset_s = self.now_s + SEGMENT_GAP_S - raw_s

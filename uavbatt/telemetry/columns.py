@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.builder import LEAP_S, MAX_CURRENT_A, MAX_VOLTAGE_V, REBOOT_STEP_S, LogBuilder
+from uavbatt.telemetry.builder import MAX_CURRENT_A, MAX_VOLTAGE_V, REBOOT_STEP_S, LogBuilder
 
 Column = NDArray[np.float64]
 Order = NDArray[np.int64]
@@ -84,7 +84,7 @@ def times_s(log: LogBuilder, raw_s: Column) -> Column:
     first_s = log.time_s(float(raw_s[0]))
     highest_s = np.maximum.accumulate(raw_s)
     step_s = raw_s[1:] - highest_s[:-1]
-    if not (np.all(np.isfinite(raw_s)) and np.all((step_s > -REBOOT_STEP_S) & (step_s <= LEAP_S))):
+    if not (np.all(np.isfinite(raw_s)) and np.all((step_s > -REBOOT_STEP_S) & (step_s <= log.longest_step_s))):
         # a reboot, a leap, an unknown time: rare enough to go row by row
         return np.array([first_s, *(log.time_s(t) for t in raw_s[1:].tolist())])
     offset_s = log.offset_s

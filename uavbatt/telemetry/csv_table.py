@@ -13,14 +13,18 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from statistics import median
 
 from uavbatt.errors import BadInput
+from uavbatt.limits import LONGEST_ROW_S
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import MAX_VOLTAGE_V, LogBuilder
 
 REQUIRED = ("time_s", "voltage_V")
 OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc", "armed")
 _MISSPELT_RATIO = 0.6
+_SEVERAL_STEPS = 5
 _ARMED = {"1": True, "true": True, "0": False, "false": False, "": None, "nan": None}
 
 
@@ -46,7 +50,15 @@ def read(source: str, data: bytes) -> LogBuilder:
         start_s = before_s if start_s is None else start_s
         log.now_s = before_s - start_s  # a table states its time: no jump in it is taken for a reboot
         log.add(0, replace(sample, time_s=log.now_s))
+    _check_unit_of_time(source, log.rows.get(0, []))
     return log
+
+
+def _check_unit_of_time(source: str, rows: Sequence[Sample]) -> None:
+    """Rows that come minutes apart throughout are no telemetry: their time is in milliseconds."""
+    steps_s = [b.time_s - a.time_s for a, b in pairwise(rows)]
+    if len(steps_s) >= _SEVERAL_STEPS and median(steps_s) >= LONGEST_ROW_S:
+        raise BadInput(source, "column time_s", f"seconds, found rows {median(steps_s):g} apart (milliseconds?)")
 
 
 def _cells(line: str) -> list[str]:

@@ -34,6 +34,7 @@ _CELL = re.compile(r"V\d+$")
 _TICKS_PER_S = {"TimeUS": 1e6, "TimeMS": 1e3}
 _EV_ARMED, _EV_DISARMED = 10, 11
 _SAME_INSTANT_S = 1e-3
+LAST_INSTANCE, NO_INSTANCE = 255, -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +107,11 @@ def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log
     batteries = [t for t in timed if _BATTERY.match(t.table.layout.name)]
     if not batteries:
         return
-    order, time_s, instance, voltage_V, current_A, temp_C, consumed_Ah, reported_soc = _merged(
-        [(b.table.order, b.time_s, _instance(b.table), *_said(b.table)) for b in batteries]
-    )
+    merged = _merged([(b.table.order, b.time_s, _instance(b.table), *_said(b.table)) for b in batteries])
+    is_known = merged[2] != NO_INSTANCE
+    if not is_known.all():
+        log.counts["rows of an impossible battery instance dropped"] += int(np.count_nonzero(~is_known))
+    order, time_s, instance, voltage_V, current_A, temp_C, consumed_Ah, reported_soc = (c[is_known] for c in merged)
     instance = instance.astype(np.int64)
     blind = _without_current(order, instance, parameters)
     rows = Rows(
@@ -202,10 +205,16 @@ def _without_current(order: Order, instance: Order, parameters: Sequence[_Timed]
 
 
 def _instance(table: Table) -> Order:
-    """Battery instances: the records' own field, else the number in their name (BAT2 is instance 1)."""
+    """Battery instances: the records' own field, else the number in their name (BAT2 is instance 1).
+
+    A field that a damaged definition made another type says what no instance is: NO_INSTANCE.
+    """
     for label in ("Instance", "Inst"):
         if label in table.numbers:
-            return np.nan_to_num(table.column(label)).astype(np.int64)
+            said = table.column(label)
+            with np.errstate(invalid="ignore"):
+                is_possible = (said >= 0) & (said <= LAST_INSTANCE) & (said == np.trunc(said))
+            return np.where(is_possible, said, NO_INSTANCE).astype(np.int64)
     number = table.layout.name[3:]
     return np.full(len(table.order), max(int(number) - 1, 0) if number.isdigit() else 0, np.int64)
 

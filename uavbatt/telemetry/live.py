@@ -1,40 +1,40 @@
-"""Live frames -> rows of every battery of one vehicle, by the same rules and functions as a tlog is read.
+"""Live frames -> rows of every battery of the vehicle that is followed.
 
-    frame (any system) -> checksum -> the chosen vehicle's? -> HEARTBEAT: armed, PX4 or not
-                                                               PARAM_VALUE: PackFacts of each battery
-                                                               BATTERY_STATUS / SYS_STATUS / BATTERY2: a Sample
+    frame (any system) -> whose? -> does its sender count? -> `Vehicle`: rows, parameters, the armed bit
 
-The vehicle is the first autopilot heard, unless system and component are given. SYS_STATUS speaks for battery 0
-(BATTERY2 for 1) only where no BATTERY_STATUS does: such rows are held for FALLBACK_AFTER_S and then released.
-The first row of a battery waits for its second: one damaged frame of 65 536 has a good checksum, and shall not make
-a battery that nobody has.
+Followed is the first autopilot that speaks of a battery twice; before any does, the first that is heard, so that it can
+be asked. Who is followed keeps its place until it has been silent for SILENT_S while another speaks of batteries. With
+system or component given only such vehicles count. Each autopilot is read for itself, so that nothing of one (its
+parameters, rows that wait) ever mixes with another's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
-from uavbatt.records import PackFacts, Sample
-from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.parameters import facts_timeline
+from uavbatt.records import PackFacts
 from uavbatt.telemetry.tlog_frames import decoder
+from uavbatt.telemetry.vehicle import BATTERY_IDS, Row, Vehicle, battery_fields
 
-FALLBACK_AFTER_S = 5.0
-CONFIRMED_WITHIN_S = 60.0
-MOST_HELD = 500
-MOST_PARAMETERS = 1000
-BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
-WANTED = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE))
+__all__ = ["LiveReader", "Row", "Taken", "checksum"]
+
+SILENT_S = 10.0
+MOST_VEHICLES = 16
+WANTED = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
 AUTOPILOT_COMPONENT = 1
 
 
-class Row(NamedTuple):
-    """One telemetry row of one battery."""
+class Taken(NamedTuple):
+    """What came of a frame: the rows that it completes, and whether it is the followed vehicle's (to be recorded)."""
 
-    instance: int
-    sample: Sample
+    rows: list[Row]
+    is_ours: bool
+
+
+NOTHING = Taken([], False)
 
 
 def checksum() -> Callable[[bytes], bool]:
@@ -56,138 +56,173 @@ def checksum() -> Callable[[bytes], bool]:
 
 
 class LiveReader:
-    """Frames of one vehicle in order of reception; holds what a row needs from earlier frames."""
+    """Frames in order of reception; follows one vehicle, and says whom it heard."""
 
     def __init__(self, system: int | None = None, component: int | None = None) -> None:
-        self.system, self.component = system, component
         self._asked = (system, component)
         self._decode = decoder()
-        self._log = LogBuilder()
-        self.battery_ids: set[int] = set()
-        self.parameters: dict[str, float] = {}
-        self.version = 0  # of the parameters
-        self.is_px4 = False
+        self._vehicles: dict[tuple[int, int], Vehicle] = {}
+        self._heard: dict[int, None] = {}  # systems of autopilots, in order
+        self._resumed: Mapping[str, float] = {}
+        self.followed: Vehicle | None = None
+        self.changes = 0  # grows when another vehicle is followed
         self.rejected = 0
-        self._held: list[Row] = []
-        self._unconfirmed: dict[int, Row] = {}
-        self._first_s: float | None = None
+        self._now_s = -math.inf
+
+    @property
+    def system(self) -> int | None:
+        """System of the followed vehicle; before there is one, what was asked for."""
+        return self.followed.system if self.followed is not None else self._asked[0]
+
+    @property
+    def component(self) -> int | None:
+        """Component of the followed autopilot."""
+        return self.followed.component if self.followed is not None else self._asked[1]
+
+    @property
+    def is_found(self) -> bool:
+        """Whether there is a vehicle."""
+        return self.followed is not None
 
     @property
     def now_s(self) -> float:
         """Time of the vehicle's last frame, from its first [s]."""
-        return self._log.now_s
+        return self.followed.now_s if self.followed is not None else 0.0
 
     @property
     def armed(self) -> bool | None:
-        """The armed bit of the last heartbeat; None before it."""
-        return self._log.armed
+        """The armed bit of the vehicle's last heartbeat; None before it."""
+        return self.followed.armed if self.followed is not None else None
 
     @property
-    def is_found(self) -> bool:
-        """Whether the vehicle is known."""
-        return self.system is not None and self.component is not None
+    def is_px4(self) -> bool:
+        """Whether the followed autopilot is PX4."""
+        return self.followed is not None and self.followed.is_px4
 
-    def belongs(self, header: framing.Header) -> bool:
-        """Whether a frame is of the chosen vehicle's system."""
-        return self.system is not None and header.system == self.system
+    @property
+    def battery_ids(self) -> set[int]:
+        """Batteries of which BATTERY_STATUS speaks."""
+        return self.followed.battery_ids if self.followed is not None else set()
 
-    def take(self, frame: bytes, header: framing.Header, stamp_s: float) -> list[Row]:
-        """Rows that this frame completes. `stamp_s` [s]: time of reception, never falling."""
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The vehicle's parameters that count."""
+        return self.followed.parameters.known if self.followed is not None else self._resumed
+
+    @property
+    def doubted(self) -> Mapping[str, float]:
+        """Parameters that are said to have changed in flight, and do not count yet."""
+        found = self.followed.parameters.doubted if self.followed is not None else {}
+        return {name: doubt.value for name, doubt in found.items()}
+
+    @property
+    def hardware(self) -> str:
+        """Serial number of the followed autopilot; empty until it has told it."""
+        return self.followed.hardware if self.followed is not None else ""
+
+    @property
+    def version(self) -> tuple[int, int]:
+        """Differs whenever parameters do."""
+        return self.changes, self.followed.parameters.version if self.followed is not None else 0
+
+    def resume(self, parameters: Mapping[str, float]) -> None:
+        """Parameters that an earlier process heard of this vehicle, instead of any resumed before.
+
+        Before a vehicle is followed they wait for it. What the vehicle itself says goes before.
+        """
+        if self.followed is not None:
+            self.followed.parameters.resume(parameters)
+        else:
+            self._resumed = dict(parameters)
+
+    def facts(self, instance: int) -> PackFacts:
+        """What the vehicle has said so far of one battery."""
+        return self.followed.facts(instance) if self.followed is not None else PackFacts()
+
+    def conflict(self, instance: int) -> str:
+        """What the senders of a battery disagree on; empty while they agree."""
+        return self.followed.senders.conflict(instance, self._now_s) if self.followed is not None else ""
+
+    def notes(self) -> list[str]:
+        """What the operator should know of who is heard and who is believed."""
+        found, vehicle = [], self.followed
+        if len(self._heard) > 1 or (self._heard and vehicle is None):
+            whom = f"following {vehicle.system}" if vehicle is not None else f"waiting for {self._wanted}"
+            found.append(f"heard system{'s' * (len(self._heard) > 1)} {', '.join(map(str, self._heard))}; {whom}")
+        if vehicle is None:
+            return found
+        for number, words in vehicle.senders.conflicts(self._now_s):
+            found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
+        for name, value in self.doubted.items():
+            change = f"{name} changed in flight from {self.parameters[name]:g} to {value:g}"
+            found.append(f"{change}: counts when it is heard again")
+        return found
+
+    def take(self, frame: bytes, header: framing.Header, stamp_s: float, sender: object = None) -> Taken:
+        """Take in a frame. `stamp_s` [s]: time of reception, never falling; `sender`: who sent it, if that is known."""
+        self._now_s = stamp_s
         message: Any = None
         if header.message_id in WANTED:
             message = self._decode(frame)
             if not message:
                 self.rejected += 1
-                return []
-            self._choose(header, message)
-        if not self.belongs(header):
-            return []
-        time_s = self._log.time_s(stamp_s)
-        if message is None or header.component != self.component:
-            return []
-        return self._rows(header.message_id, message, time_s)
+                return NOTHING
+            self._hear(header, message)
+        vehicle = self._vehicles.get((header.system, header.component))
+        if vehicle is None:
+            return self._of_a_part(header, stamp_s)
+        time_s = vehicle.passes(stamp_s)
+        battery = battery_fields(header.message_id, message) if header.message_id in BATTERY_IDS else None
+        if battery is not None:
+            vehicle.senders.compare(sender, battery, stamp_s)
+        if not vehicle.senders.admits(sender, stamp_s, battery is not None):
+            return NOTHING
+        rows = vehicle.take(header.message_id, message, battery, frame, time_s) if message is not None else []
+        if battery is not None or self.followed is None:
+            self._follow(vehicle, stamp_s)
+        vehicle.heard_s = stamp_s
+        return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s)
 
-    def facts(self, instance: int) -> PackFacts:
-        """What the vehicle has said so far of one battery."""
-        said = facts_timeline(((0.0, n, v) for n, v in self.parameters.items()), instance, is_telemetry=True)
-        return said[-1][1] if said else PackFacts()
+    @property
+    def _wanted(self) -> str:
+        parts = zip(("system", "component"), self._asked, strict=True)
+        return " ".join(f"{what} {number}" for what, number in parts if number is not None)
 
-    def _choose(self, header: framing.Header, message: Any) -> None:
-        """Settle on the first autopilot: its heartbeat, or component 1 speaking of batteries or parameters."""
-        if self.is_found:
+    def _of_a_part(self, header: framing.Header, stamp_s: float) -> Taken:
+        """A frame that makes no row: of a part of the followed vehicle, or of nobody."""
+        if self.followed is None or header.system != self.followed.system:
+            return NOTHING
+        self.followed.passes(stamp_s)
+        return Taken([], True)
+
+    def _hear(self, header: framing.Header, message: Any) -> None:
+        """Get to know an autopilot: its heartbeat, or component 1 speaking of batteries, parameters or itself."""
+        source = (header.system, header.component)
+        if source in self._vehicles:
             return
         system, component = self._asked
+        is_heartbeat = header.message_id == fields.HEARTBEAT
+        if not (fields.is_autopilot(message) if is_heartbeat else source[1] == (component or AUTOPILOT_COMPONENT)):
+            return
+        if len(self._heard) < MOST_VEHICLES:
+            self._heard[header.system] = None
         if system not in (None, header.system) or component not in (None, header.component):
             return
-        is_heartbeat = header.message_id == fields.HEARTBEAT
-        if fields.is_autopilot(message) if is_heartbeat else header.component == (component or AUTOPILOT_COMPONENT):
-            self.system, self.component = header.system, header.component
+        if len(self._vehicles) >= MOST_VEHICLES:
+            others = [s for s, vehicle in self._vehicles.items() if vehicle is not self.followed]
+            del self._vehicles[min(others, key=lambda s: self._vehicles[s].heard_s)]
+        self._vehicles[source] = Vehicle(*source)
 
-    def _rows(self, message_id: int, message: Any, time_s: float) -> list[Row]:
-        if message_id == fields.HEARTBEAT:
-            self._log.armed = fields.is_armed(message)
-            self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
-            return self._released(time_s)
-        if message_id == fields.PARAM_VALUE:
-            self._remember(*fields.parameter(message, self.is_px4))
-            return []
-        if message_id == fields.BATTERY_STATUS:
-            row = self._row(time_s, fields.battery_status(message))
-            if row is None:
-                return []
-            return self._confirmed(row)
-        return self._fallback(message_id, message, time_s)
-
-    def _confirmed(self, row: Row) -> list[Row]:
-        """The row, with the first one of its battery if this is the second; nothing if it is the first."""
-        if row.instance in self.battery_ids:
-            return [row]
-        first = self._unconfirmed.pop(row.instance, None)
-        if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
-            self._unconfirmed[row.instance] = row
-            return []
-        self.battery_ids.add(row.instance)
-        self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-        return [first, row]
-
-    def _fallback(self, message_id: int, message: Any, time_s: float) -> list[Row]:
-        """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
-        is_sys = message_id == fields.SYS_STATUS
-        if self.battery_ids if is_sys else 1 in self.battery_ids:
-            return []
-        if self._first_s is None:
-            self._first_s = time_s
-        row = self._row(time_s, fields.sys_status(message) if is_sys else fields.battery2(message))
-        if row is not None and len(self._held) < MOST_HELD:
-            self._held.append(row)
-        return self._released(time_s)
-
-    def _released(self, time_s: float) -> list[Row]:
-        if self._first_s is None or time_s - self._first_s < FALLBACK_AFTER_S:
-            return []
-        released, self._held = self._held, []
-        return released
-
-    def _row(self, time_s: float, battery: fields.BatteryFields) -> Row | None:
-        """The row, cleaned by the rules of the log readers; None when they drop it."""
-        sample = Sample(
-            time_s=time_s,
-            voltage_V=battery.voltage_V,
-            current_A=battery.current_A,
-            temp_C=battery.temp_C,
-            consumed_Ah=battery.consumed_Ah,
-            reported_soc=battery.reported_soc,
-            armed=self._log.armed,
-            cell_voltages_V=battery.cell_voltages_V,
-        )
-        if not self._log.add(battery.id, sample):
-            return None
-        kept = self._log.rows[battery.id]
-        del kept[:-1]
-        del self._log.notes[:-10]
-        return Row(battery.id, kept[-1])
-
-    def _remember(self, name: str, value: float) -> None:
-        if name in self.parameters or len(self.parameters) < MOST_PARAMETERS:
-            self.version += 1
-            self.parameters[name] = value if value - value == 0.0 else float("nan")
+    def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
+        """Follow this vehicle if it is the first, or if the one that is followed gives way to it."""
+        old = self.followed
+        if old is vehicle:
+            return
+        if old is not None:
+            if not vehicle.speaks or (old.speaks and stamp_s - old.heard_s <= SILENT_S):
+                return
+            if old.speaks:
+                self._resumed = {}  # they were another's
+        vehicle.parameters.resume(self._resumed)
+        self.followed = vehicle
+        self.changes += 1

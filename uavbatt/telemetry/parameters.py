@@ -7,7 +7,9 @@ instance 0; un-numbered BAT_ names are leftovers once BATn_ exists, and are used
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 from uavbatt.records import NAN, PackFacts
 
@@ -15,6 +17,59 @@ _UNTOUCHED_CAPACITY_MAH = 3300.0
 VOLTAGE_ONLY = 3.0  # of BATT_MONITOR
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
+BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
+
+
+class Doubt(NamedTuple):
+    """A change of a parameter that was heard once, and the sequence number of the frame that said it."""
+
+    value: float
+    sequence: int
+
+
+class HeardParameters:
+    """Tells which statements of a vehicle about its parameters count, in the order in which they are heard.
+
+    The first statement of a parameter counts at once, and on the ground every change. In the air one frame may be
+    forged or damaged: a change of a battery parameter counts when a second frame says the same (one that was doubled on
+    its way has the first one's sequence number); a frame that repeats the old value takes the doubt away.
+    """
+
+    def __init__(self) -> None:
+        self.known: dict[str, float] = {}
+        self.doubted: dict[str, Doubt] = {}
+        self.version = 0  # grows with every change
+        self._resumed: set[str] = set()  # of the known ones, those that only an earlier process heard
+
+    def counts(self, name: str, value: float, sequence: int, is_armed: bool) -> bool:
+        """Take a statement; say whether it counts from now on."""
+        was = self.known.get(name)
+        if was is not None and _is_same(was, value):
+            self.doubted.pop(name, None)
+            self._resumed.discard(name)
+            return True
+        if was is not None and is_armed and name.startswith(BATTERY_NAMES):
+            doubt = self.doubted.get(name)
+            if doubt is None or not _is_same(doubt.value, value) or doubt.sequence == sequence:
+                self.doubted[name] = Doubt(value, sequence)
+                return False
+        self.doubted.pop(name, None)
+        self._resumed.discard(name)
+        self.known[name] = value
+        self.version += 1
+        return True
+
+    def resume(self, earlier: Mapping[str, float]) -> None:
+        """Take over what was known before this process, instead of what was taken over before; what was heard stays."""
+        heard = {name: value for name, value in self.known.items() if name not in self._resumed}
+        self.known, self._resumed = {**earlier, **heard}, earlier.keys() - heard.keys()
+        for name in self.doubted.keys() - self.known.keys():  # nothing is left that it would change
+            self.known[name] = self.doubted.pop(name).value
+        self.version += 1
+
+
+def _is_same(a: float, b: float) -> bool:
+    return a == b or (a != a and b != b)
 
 
 def ardupilot_prefix(instance: int) -> str:
@@ -35,7 +90,7 @@ def facts_timeline(
     known: dict[str, float] = {}
     timeline: list[tuple[float, PackFacts]] = []
     for time_s, name, value in parameters:
-        if not name.startswith(("BAT", "FS_BATT")):
+        if not name.startswith(BATTERY_NAMES):
             continue
         known[name] = value
         facts = _facts(known, instance, is_telemetry)
@@ -80,7 +135,7 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
 
 
 def _has_bit(options: float) -> bool:
-    return options == options and bool(int(options) & _SAG_COMPENSATED_TELEMETRY)
+    return math.isfinite(options) and bool(int(options) & _SAG_COMPENSATED_TELEMETRY)
 
 
 def _px4_name(known: Mapping[str, float], instance: int, what: str) -> str:

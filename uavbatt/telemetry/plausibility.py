@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Sequence
 
+from uavbatt.limits import KELVIN
 from uavbatt.records import NAN, Sample
 
 MIN_CELL_C, MAX_CELL_C = -40.0, 85.0
@@ -41,6 +42,8 @@ def temperature_verdict(samples: Sequence[Sample]) -> str:
     rows = [(s.time_s, s.temp_C) for s in samples if math.isfinite(s.temp_C)]
     if not rows:
         return "absent"
+    if all(KELVIN[0] <= temp_C <= KELVIN[1] for _, temp_C in rows):
+        return "impossible values (kelvin?)"
     if any(not MIN_CELL_C <= temp_C <= MAX_CELL_C for _, temp_C in rows):
         return "impossible values (unit?)"
     if len({temp_C for _, temp_C in rows}) == 1 and rows[-1][0] - rows[0][0] >= _LIVE_AFTER_S:

@@ -17,11 +17,16 @@ PERIOD_NAME = "UAVB_FORECAST_S"
 HEAD_BYTES = 16_384
 
 
+def is_recording(data: bytes | memoryview) -> bool:
+    """Whether a log is a recording of the companion process: its stamps come from a monotonic clock."""
+    return PERIOD_NAME.encode() in bytes(data[:HEAD_BYTES])
+
+
 def forecast_period_s(path: str | Path) -> float:
     """Seconds between forecasts in the process that wrote the recording `path`; NaN when it does not say."""
     with Path(path).open("rb") as file:
         head = file.read(HEAD_BYTES)
-    if PERIOD_NAME.encode() not in head:
+    if not is_recording(head):
         return NAN
     said = frames(head).of(fields.PARAM_VALUE)
     payloads = said.payloads(PARAM_VALUE.itemsize)

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
 from uavbatt.telemetry import tlog_payloads
-from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
 from uavbatt.telemetry.chain import Mask
 from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct, latest_before, times_s
 from uavbatt.telemetry.identity import utc_s, version
-from uavbatt.telemetry.tlog_frames import AUTOPILOT_VERSION, Frames, frames
+from uavbatt.telemetry.parameters import HeardParameters
+from uavbatt.telemetry.recording import is_recording
+from uavbatt.telemetry.tlog_frames import Frames, frames
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
@@ -39,7 +41,7 @@ class _Beats(NamedTuple):
 
 def read(data: bytes | memoryview) -> LogBuilder:
     """All batteries' rows and the parameters of the first autopilot in a tlog."""
-    log = LogBuilder()
+    log = LogBuilder(longest_step_s=math.inf if is_recording(data) else LEAP_S)
     found = frames(data)
     log.skipped_bytes = found.skipped_bytes
     if math.isnan(found.first_s):
@@ -85,9 +87,9 @@ def _identity(own: Frames, source: int, first_s: float) -> Identity:
     """Who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
     beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
     make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
-    said = own.of(AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)
+    said = own.of(fields.AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)
     told = said.view(tlog_payloads.AUTOPILOT_VERSION)[:1, 0].tolist()
-    hardware = next((f"{uid:016x}" for uid, _ in told if uid), "")
+    hardware = next((fields.hardware(uid) for uid, _ in told), "")
     number = next((version(number) for _, number in told if number), "")
     return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
 
@@ -100,12 +102,18 @@ def _beats(own: Frames) -> _Beats:
 
 
 def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
-    place = own.places(fields.PARAM_VALUE)
-    # until a heartbeat says so it is no PX4: nothing is read ahead
-    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in latest_before(place, beats.place).tolist()]
-    payloads = own.at(place).payloads(tlog_payloads.PARAM_VALUE.itemsize)
-    for at_s, said in zip(time_s[place].tolist(), tlog_payloads.parameters(payloads, is_px4), strict=True):
-        log.add_parameter(at_s, *said)
+    """The statements about parameters that count, as they count in flight: see `HeardParameters`."""
+    place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
+    # until a heartbeat says so it is no PX4, and not armed: nothing is read ahead
+    last = latest_before(place, beats.place).tolist()
+    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
+    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
+    statements = own.at(place)
+    payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
+    said = zip(tlog_payloads.parameters(payloads, is_px4), statements.sequence.tolist(), is_armed, strict=True)
+    for at_s, ((name, value), sequence, armed) in zip(time_s[place].tolist(), said, strict=True):
+        if heard.counts(name, known(value), sequence, armed):
+            log.add_parameter(at_s, name, value)
 
 
 def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:

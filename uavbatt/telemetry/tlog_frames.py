@@ -22,11 +22,10 @@ from uavbatt.mavlink import fields
 from uavbatt.telemetry.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, places_where, windows
 from uavbatt.telemetry.checksum import checksums
 
-AUTOPILOT_VERSION = 148
 # The dialect's seed of each wanted message's checksum.
 SEEDS = {
     fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
-    fields.BATTERY2: 174, AUTOPILOT_VERSION: 178,
+    fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178,
 }  # fmt: skip
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
@@ -64,6 +63,12 @@ class Frames:
     def time_s(self) -> NDArray[np.float64]:
         """Reception time of each frame [s]."""
         return stamps_us(self.data, self.start) / 1e6
+
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """The sender's running number of each frame, 0..255."""
+        is_v1 = self.payload - self.start == _HEAD_V1
+        return self.data[self.start + np.where(is_v1, _STAMP + 2, _STAMP + 4)].astype(np.int64)
 
     def payloads(self, width: int) -> Bytes:
         """Payloads, `width` bytes each: trimmed zeros put back, later extensions left out."""

@@ -10,6 +10,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from uavbatt.limits import (
+    HIGHEST_CELL_V,
+    LONGEST_ROW_S,
+    LOWEST_CELL_V,
+    capacity_doubt,
+    cells_from_voltage,
+    ending_doubt,
+)
 from uavbatt.records import PackFacts, Sample
 
 _YES, _CARE, _NO = 0, 1, 2
@@ -19,7 +27,6 @@ _LONG_GAP_S = 10.0
 _CUT_RECORD_BYTES = 300
 _MISMATCH, _MISMATCH_AH = 0.10, 0.05
 _LOOSE_SAG = -0.3  # real logs with simultaneous readings lie between -0.5 and -1
-_CELL_RANGE_V = (2.5, 4.5)
 # Notes of the readers that bear on the result, by their first words.
 _GRAVE_NOTES = ("reboot", "clock leap", "battery records carry no time", "no BATTERY_STATUS", "the file is damaged")
 _DEFAULT_CAPACITY = "3300 mAh"
@@ -57,7 +64,8 @@ def _rows(found: Findings) -> Iterator[Finding]:
     if rows < _MIN_ROWS or span_s < _MIN_DURATION_S:
         yield _NO, f"too short: {rows} rows in {span_s:.0f} s"
     if found.step_s > _MAX_STEP_S:
-        yield _NO, f"too slow: a row every {found.step_s:.0f} s"
+        slip = " (milliseconds?)" if found.step_s >= LONGEST_ROW_S else ""
+        yield _NO, f"too slow: a row every {found.step_s:.0f} s{slip}"
     long_gaps = [(start_s, length_s) for start_s, length_s in found.gaps if length_s > _LONG_GAP_S]
     if long_gaps:
         start_s, length_s = max(long_gaps, key=lambda gap: gap[1])
@@ -79,6 +87,8 @@ def _current(found: Findings) -> Iterator[Finding]:
         return
     if len(known) >= _MIN_ROWS and len(set(known)) == 1:
         yield _NO, f"the current is {known[0]:g} A throughout: no live sensor"
+    if max(known) <= 0.0 and min(known) < 0.0:
+        yield _NO, "the current is negative throughout: is the sensor's sign reversed?"
     if absent > 0.5:
         yield _NO, f"no current in {absent:.0%} of the rows"
     elif absent > 0.05:
@@ -99,12 +109,26 @@ def _voltage(found: Findings) -> Iterator[Finding]:
                 " not simultaneous, or sag-compensated"
             ),
         )
-    cells = found.facts.cells_series
-    if cells and found.samples:
-        lowest_V = min(s.voltage_V for s in found.samples) / cells
-        highest_V = max(s.voltage_V for s in found.samples) / cells
-        if lowest_V < _CELL_RANGE_V[0] or highest_V > _CELL_RANGE_V[1]:
-            yield _CARE, f"{lowest_V:.2f} .. {highest_V:.2f} V per cell with {cells} cells: is the count right?"
+    if found.samples:
+        yield from _statements(found.facts, found.samples)
+
+
+def _statements(facts: PackFacts, samples: Sequence[Sample]) -> Iterator[Finding]:
+    """What the vehicle says of its pack, against the voltages of the log."""
+    lowest_V, highest_V = min(s.voltage_V for s in samples), max(s.voltage_V for s in samples)
+    cells = facts.cells_series
+    if cells and (lowest_V < LOWEST_CELL_V * cells or highest_V > HIGHEST_CELL_V * cells):
+        spoken = f"{lowest_V / cells:.2f} .. {highest_V / cells:.2f} V per cell"
+        yield _CARE, f"{spoken} with {cells} cells: is the count right?"
+        cells = None
+    cells = cells or cells_from_voltage(samples[0].voltage_V, 1)
+    for doubt in (
+        capacity_doubt(facts.capacity_Ah),
+        ending_doubt("critical voltage ", facts.critical_voltage_V, cells),
+        ending_doubt("low-voltage warning ", facts.low_voltage_V, cells),
+    ):
+        if doubt is not None:
+            yield _CARE, f"the vehicle states {doubt.words}"
 
 
 def _surroundings(found: Findings) -> Iterator[Finding]:

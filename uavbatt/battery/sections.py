@@ -1,0 +1,145 @@
+"""The sections of a battery file and the range of every number in them.
+
+A number outside its range is a slip of the unit, or damage: no battery that flies has it. What a quantity of an effect
+may be stands in `effects`; what the keys must be to each other is checked where the file is read.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from uavbatt.limits import CAPACITY_AH, MOST_CELLS
+
+MOST_KNOTS = 4000
+LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0  # of any chemistry that flies, emptied or full
+LET_THROUGH = "its numbers are not what was sealed, or a verdict on them is fail; nobody vouches for them"
+
+Cells = Annotated[int, msgspec.Meta(ge=1, le=MOST_CELLS)]
+Capacity = Annotated[float, msgspec.Meta(ge=CAPACITY_AH[0], le=CAPACITY_AH[1])]
+Spread = Annotated[float, msgspec.Meta(gt=0.0, le=2.0)]  # of a logarithm
+Rate = Annotated[float, msgspec.Meta(gt=0.0, le=200.0)]  # [1/h]
+AtLeastZero = Annotated[float, msgspec.Meta(ge=0.0)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+SocKnots = Annotated[
+    list[Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]], msgspec.Meta(min_length=2, max_length=MOST_KNOTS)
+]
+CellVoltages = list[Annotated[float, msgspec.Meta(ge=LOWEST_CELL_V, le=HIGHEST_CELL_V)]]
+Resistances = list[Annotated[float, msgspec.Meta(ge=1e-4, le=1.0)]]  # [ohm·Ah]; cells have 0.003 to 0.3
+Series = Annotated[list[float], msgspec.Meta(max_length=100_000)]
+Volts = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
+Error = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]  # [V] or [K]
+Lasting = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]  # [s]
+
+
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A section of the file: immutable, every key known."""
+
+
+class Battery(Record, frozen=True):
+    """[battery]: one type of pack."""
+
+    name: str
+    chemistry: str
+    cells_series: Cells
+    cutoff_V: Positive
+    capacity_Ah: Capacity | None = None
+    low_V: Positive | None = None
+    source: str = ""
+    remarks: list[str] = []
+
+
+class ParameterTable(Record, frozen=True):
+    """[parameters]: the base model OCV + R0 per cell, and how far packs of the type scatter around it."""
+
+    ocv_soc: SocKnots
+    ocv_V: CellVoltages
+    resistance_soc: SocKnots
+    resistance_ohmAh: Resistances
+    resistance_scale_sd: Spread
+    capacity_scale_sd: Spread
+    c_rate: Rate | None = None
+    c_rate_sd: AtLeastZero | None = None
+    standard_error: dict[str, AtLeastZero] = {}
+
+
+class EffectEntry(Record, frozen=True):
+    """[[effects]]: an effect that is on, with its parameters and their standard errors."""
+
+    name: str
+    parameters: dict[str, float]
+    standard_error: dict[str, AtLeastZero] = {}
+
+
+class Discrepancy(Record, frozen=True):
+    """[discrepancy]: what the model leaves on effect-free data, per pack of `cells_series` cells."""
+
+    voltage_bias_V: Volts
+    voltage_rmse_V: Error
+    voltage_autocorrelation_s: Lasting
+    temperature_rmse_K: Error
+    held_out: bool
+    source: str = ""
+
+
+class Corridor(Record, frozen=True):
+    """[corridor]: mean of repeated tests and its dispersion limit at one ambient temperature."""
+
+    ambient_C: float
+    time_s: Series
+    mean_V: Series
+    limit_V: Series
+    runs: int
+    occasions: int
+
+
+class Verdict(Record, frozen=True):
+    """One claim of the certificate."""
+
+    claim: str
+    verdict: Literal["pass", "fail", "not enough data"]
+    ambient_C: float | None = None
+    statistics: dict[str, float] = {}
+    reason: str = ""
+
+
+class Certificate(Record, frozen=True):
+    """[certificate]: who says so, on which data. `edited` is no status to ship: it marks what was let through."""
+
+    status: Literal["certified", "fitted", "generic", "edited"]
+    validated_ambient_C: list[float] = []
+    verdicts: list[Verdict] = []
+    statistics: dict[str, float] = {}
+    data_sha256: str = ""
+    content_sha256: str = ""
+    date: str = ""
+    tool_version: str = ""
+
+
+class BatteryFile(Record, frozen=True):
+    """The whole file."""
+
+    battery: Battery
+    parameters: ParameterTable
+    effects: list[EffectEntry]
+    discrepancy: Discrepancy
+    certificate: Certificate
+    corridor: Corridor | None = None
+
+    @property
+    def status(self) -> str:
+        """`certified`, `fitted`, `generic`, or `edited`: let through although it is not what was sealed or passed."""
+        return self.certificate.status
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the numbers are known to come from data of this type of battery."""
+        return self.status in ("certified", "fitted")
+
+    @property
+    def caveat(self) -> str:
+        """Why the certificate vouches for nothing, in words; empty when the file is certified."""
+        if self.status == "certified":
+            return ""
+        return f"battery file is {self.status}, not certified" + (f": {LET_THROUGH}" if self.status == "edited" else "")

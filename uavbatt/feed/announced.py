@@ -1,0 +1,114 @@
+"""What is said aloud of a battery (STATUSTEXT, and on the page): alarms, a number that is lost, new warnings.
+
+- The time left at worst falls through a threshold: once, and again only after it had risen 20 % above it.
+- A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and so is the end of
+  a flight: the vehicle is disarmed and nothing tells the load to come.
+- A warning of WARNINGS stands on the estimate: once, and again only after it had been gone for a minute.
+
+A text never waits for another: the pause holds only between two texts about the same thing, and what is still so when
+it is over is said then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uavbatt.feed.now import Report, Shown
+from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
+from uavbatt.records import Status
+
+ALARM_PAUSE_S = 10.0
+REARM = 1.2
+CRITICAL_BELOW_S = 90.0
+LOST_AFTER_S = 1.0  # one bad row is no loss
+WARNING_GONE_S = 60.0
+
+# How a warning of an estimate begins -> what is said of it, behind "Battery N: ": at most 37 characters.
+WARNINGS: dict[str, str] = {}
+
+# How the reason of a refusal begins -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
+REASONS: dict[str, str] = {
+    "no telemetry": "no telemetry",
+    "no current": "no current reading",
+    "no voltage": "no voltage reading",
+    "time went backwards": "time went backwards",
+    "state of charge known only": "charge is uncertain",
+    "on the ground or no load": "no load seen",
+    "the end lies beyond": "load is no flight's",
+    "no belief": "no estimate yet",
+    "two senders": "two senders disagree",
+    "capacity": "capacity not stated",
+}
+
+
+class Announcer:
+    """When to speak of one battery, and in which words."""
+
+    def __init__(self, instance: int, thresholds_s: Sequence[float]) -> None:
+        self._instance = instance
+        self._waiting = dict.fromkeys(sorted(thresholds_s, reverse=True), True)
+        self._spoke_s: dict[str, float] = {}  # by subject
+        self._warned_s: dict[str, float] = {}  # when a warning stood there last
+        self._was_known = False
+        self._lost_s = math.nan
+
+    def texts(self, now_s: float, report: Report, is_armed: bool | None = None) -> list[tuple[int, str]]:
+        """(severity, text) of all that is to be said now; `now_s` on the monotonic clock [s]."""
+        shown = report.at(now_s)
+        said = [*self._alarm(now_s, shown), *self._loss(now_s, shown, is_armed)]
+        if shown.status is not Status.STALE:
+            said += self._new_warnings(now_s, report.estimate.warnings)
+        return [(severity, f"Battery {self._instance}: {text}"[:LONGEST_TEXT]) for severity, text in said]
+
+    def _alarm(self, now_s: float, shown: Shown) -> list[tuple[int, str]]:
+        left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
+        for threshold_s in self._waiting:
+            if left_s > REARM * threshold_s:
+                self._waiting[threshold_s] = True
+        crossed = [t for t, waiting in self._waiting.items() if waiting and left_s <= t and self._may(now_s, f"{t}")]
+        if not crossed:
+            return []
+        for threshold_s in crossed:
+            self._waiting[threshold_s] = False
+            self._spoke_s[f"{threshold_s}"] = now_s
+        severity = SEVERITY_CRITICAL if min(crossed) < CRITICAL_BELOW_S else SEVERITY_WARNING
+        return [(severity, f"{_minutes(left_s)} left at worst")]
+
+    def _loss(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
+        if math.isfinite(shown.remaining_s):
+            self._was_known, self._lost_s = True, math.nan
+            return []
+        if not self._was_known:
+            return []
+        if math.isnan(self._lost_s):
+            self._lost_s = now_s
+        is_stale = shown.status is Status.STALE  # that took its time already
+        if not (is_stale or now_s - self._lost_s >= LOST_AFTER_S) or not self._may(now_s, "loss"):
+            return []
+        self._was_known = False
+        if is_armed is False and not is_stale:
+            return []
+        self._spoke_s["loss"] = now_s
+        return [(SEVERITY_WARNING if is_armed else SEVERITY_NOTICE, f"time unknown, {_short(shown.reason)}")]
+
+    def _new_warnings(self, now_s: float, warnings: Sequence[str]) -> list[tuple[int, str]]:
+        made = []
+        for begins, short in WARNINGS.items():
+            if not any(warning.startswith(begins) for warning in warnings):
+                continue
+            if now_s - self._warned_s.get(begins, -math.inf) > WARNING_GONE_S:
+                made.append((SEVERITY_WARNING, short))
+            self._warned_s[begins] = now_s
+        return made
+
+    def _may(self, now_s: float, subject: str) -> bool:
+        return now_s - self._spoke_s.get(subject, -math.inf) >= ALARM_PAUSE_S
+
+
+def _short(reason: str) -> str:
+    return next((short for begins, short in REASONS.items() if reason.startswith(begins)), reason)
+
+
+def _minutes(left_s: float) -> str:
+    return f"{int(left_s) // 60}:{int(left_s) % 60:02d} min"

@@ -1,0 +1,90 @@
+"""Workers of an existing Dask cluster (`--scheduler tcp://host:8786`); who may reach it is its owner's matter."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from uavbatt import __version__
+from uavbatt.errors import UavbattError, UsageError
+from uavbatt.fleet.fly import Job, bad, fly
+from uavbatt.fleet.logs import LogFile
+from uavbatt.fleet.row import LOST, Row
+
+WAIT_FOR_WORKERS_S = 30
+
+
+class Cluster:
+    """A crew of as many workers as the cluster has threads."""
+
+    def __init__(self, client: Any) -> None:
+        from distributed import as_completed
+
+        self.size = max(sum(client.nthreads().values()), 1)
+        self._client = client
+        self._under_way: dict[Any, tuple[int, LogFile, Job]] = {}
+        self._coming = as_completed(loop=client.loop)
+
+    def fly(self, number: int, log: LogFile, job: Job) -> None:
+        """Have a log flown."""
+        future = self._client.submit(fly, log, job, pure=False, retries=1)
+        self._under_way[future] = (number, log, job)
+        self._coming.add(future)
+
+    def finished(self) -> tuple[int, Row]:
+        """The next row that comes back, with the number of its log."""
+        future = next(self._coming)
+        number, log, job = self._under_way.pop(future)
+        row = self._row(future, log, job)
+        future.release()
+        return number, row
+
+    def _row(self, future: Any, log: LogFile, job: Job) -> Row:
+        """The row of a future. `fly` raises nothing, so an error here is the cluster's."""
+        try:
+            row: Row = future.result()
+        except Exception as error:
+            if self._client.status != "running":
+                raise UavbattError("the cluster went away: run again, what is done stays done") from None
+            return bad(log, job, f"the worker died on it, of too little memory perhaps ({type(error).__name__})", LOST)
+        return row
+
+
+@contextmanager
+def joined(scheduler: str) -> Iterator[Cluster]:
+    """The crew of a cluster.
+
+    Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
+    """
+    from distributed import Client
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
+        client = Client(scheduler, timeout=10, set_as_default=False)
+    except Exception as error:  # an address can be wrong in as many ways as there are transports
+        raise UsageError(f"--scheduler {scheduler}: expected a Dask scheduler that answers: {error}") from None
+    with client:
+        _check_workers(client, scheduler)
+        yield Cluster(client)
+
+
+def _check_workers(client: Any, scheduler: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS_S)
+    except TimeoutError:
+        raise UavbattError(f"{scheduler}: expected a worker within {WAIT_FOR_WORKERS_S} s, there is none") from None
+    try:
+        versions = client.run(_version)
+    except Exception as error:
+        raise UavbattError(f"{scheduler}: expected uavbatt {__version__} on every worker: {error}") from None
+    for worker, version in versions.items():
+        if version != __version__:
+            raise UavbattError(f"{scheduler}: expected uavbatt {__version__} on worker {worker}, found {version}")
+
+
+def _version() -> str:
+    from uavbatt import __version__
+
+    return __version__

@@ -1,0 +1,185 @@
+"""Workers on this machine: processes at the ends of unnamed pipes, so that no port is open through which another user
+of the machine could have code run.
+
+    queue -> the pipe of an idle worker -> fly -> the pipe -> row
+
+A worker flies one log at a time: when it dies, or takes more memory than its share, it is known on which. That log is
+flown once more in a new process; a second time, its row says so.
+"""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from uavbatt.errors import UavbattError
+from uavbatt.fleet.logs import LogFile
+
+if TYPE_CHECKING:  # a worker loads the rest when it knows on how many threads
+    from uavbatt.fleet.fly import Job
+    from uavbatt.fleet.row import Row
+
+TRIES = 2
+LOOK_PERIOD_S = 1.0
+MEMORY_IN_USE = 0.9  # of the machine's memory, by all workers together
+_SPAWN = multiprocessing.get_context("spawn")
+
+
+class Task(NamedTuple):
+    """A log to be flown, and how often that has been tried."""
+
+    number: int
+    log: LogFile
+    job: Job
+    tries: int = 0
+
+
+class Worker:
+    """One process, with the log that it is on."""
+
+    def __init__(self) -> None:
+        self.line, theirs = _SPAWN.Pipe()
+        self._process: SpawnProcess = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._job: Job | None = None
+        self.task: Task | None = None
+        self.is_ready = False
+
+    def give(self, task: Task) -> None:
+        """Have a log flown; the job goes along when it is another than before."""
+        self.task = task
+        is_new, self._job = task.job is not self._job, task.job
+        with suppress(OSError):  # it is dead, as its pipe will tell
+            self.line.send((task.job if is_new else None, task.log))
+
+    def memory_bytes(self) -> int:
+        """What it holds now; 0 where the system does not tell."""
+        try:
+            pages = int(Path(f"/proc/{self._process.pid}/statm").read_text("ascii").split()[1])
+        except (OSError, ValueError, IndexError):
+            return 0
+        return pages * os.sysconf("SC_PAGE_SIZE")
+
+    def end(self) -> int | None:
+        """Its exit code, once it is gone."""
+        self.line.close()
+        self._process.kill()
+        self._process.join()
+        return self._process.exitcode
+
+
+class Processes:
+    """A crew of `size` workers; no more than `limit_bytes` of memory for each."""
+
+    def __init__(self, size: int, limit_bytes: float | None = None) -> None:
+        self.size = size
+        self._limit_bytes = limit_bytes or MEMORY_IN_USE * machine_bytes() / size
+        self._look_s = time.monotonic() + LOOK_PERIOD_S
+        self._queue: deque[Task] = deque()
+        self._workers = [Worker() for _ in range(size)]
+
+    def fly(self, number: int, log: LogFile, job: Job) -> None:
+        """Have a log flown."""
+        self._queue.append(Task(number, log, job))
+        self._hand_out()
+
+    def finished(self) -> tuple[int, Row]:
+        """The next row that comes back, with the number of its log."""
+        return next(found for found in self._rows() if found is not None)
+
+    def _rows(self) -> Iterator[tuple[int, Row] | None]:
+        """What comes of each worker that has something to say or has grown too big."""
+        while True:
+            if time.monotonic() >= self._look_s:
+                self._look_s = time.monotonic() + LOOK_PERIOD_S
+                busy = [worker for worker in self._workers if worker.task is not None]
+                for worker in [w for w in busy if w.memory_bytes() > self._limit_bytes]:
+                    yield self._lost(worker, f"it took more than {self._limit_bytes / 1e6:.0f} MB of memory")
+            self._hand_out()
+            for line in wait([worker.line for worker in self._workers], LOOK_PERIOD_S):
+                found = self._heard(next(w for w in self._workers if w.line is line))
+                self._hand_out()
+                yield found
+
+    def close(self) -> None:
+        """End the workers, whatever they are on."""
+        for worker in self._workers:
+            worker.end()
+
+    def _hand_out(self) -> None:
+        for worker in self._workers:
+            if self._queue and worker.is_ready and worker.task is None:
+                worker.give(self._queue.popleft())
+
+    def _heard(self, worker: Worker) -> tuple[int, Row] | None:
+        try:
+            row: Row | None = worker.line.recv()
+        except (EOFError, OSError):
+            return self._lost(worker, "the worker died on it, of too little memory perhaps")
+        task, worker.task, worker.is_ready = worker.task, None, True
+        return None if task is None or row is None else (task.number, row)
+
+    def _lost(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
+        """A new process in the place of this one; the row of its log if that has been tried often enough."""
+        code, task = worker.end(), worker.task
+        if not worker.is_ready:
+            raise UavbattError(f"expected a worker process that starts, it ended with exit code {code}")
+        self._workers[self._workers.index(worker)] = Worker()
+        if task is None:
+            return None
+        if task.tries + 1 < TRIES:
+            self._queue.appendleft(task._replace(tries=task.tries + 1))
+            return None
+        from uavbatt.fleet.fly import bad
+        from uavbatt.fleet.row import LOST
+
+        return task.number, bad(task.log, task.job, f"{reason} (exit code {code})", LOST)
+
+
+def machine_bytes() -> float:
+    """The memory of the machine, or of the container that this runs in."""
+    size = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    try:
+        return min(size, float(Path("/sys/fs/cgroup/memory.max").read_text("ascii")))
+    except (OSError, ValueError):  # no such file, or `max`
+        return size
+
+
+def _work(line: Connection) -> None:
+    """The worker: until the other end of its pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends its workers
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    gc.set_threshold(50_000)  # as the command does: rows are values without circles
+    from uavbatt.fleet.fly import fly
+
+    job: Job | None = None
+    try:
+        line.send(None)
+        while True:
+            new, log = line.recv()
+            job = new or job
+            assert job is not None
+            line.send(fly(log, job))
+    except (EOFError, OSError):
+        return
+
+
+def _end_with_parent() -> None:
+    """Nobody wants the row of a run that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

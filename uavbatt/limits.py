@@ -1,0 +1,184 @@
+"""The limits of what a pack can be: every statement about one is held against them, in every command and live.
+
+Two bounds each: outside the first a statement is nonsense and is not used (certain), outside the second it is odd and
+is said (likely). Cells are judged at rest or at the first rows: under load an empty cell shows anything.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import NamedTuple
+
+from uavbatt.errors import UsageError
+
+MOST_CELLS = 100
+LOWEST_CELL_V, HIGHEST_CELL_V = 2.5, 4.45  # of any chemistry that flies, before the load
+FULLEST_CELL_V = 4.40  # cells are sold that charge to 4.35 V
+EMPTIEST_CELL_V = 3.0
+RESTING_SLACK_V = 0.2  # so far below its own type's empty voltage no cell rests that will fly again
+ENDING_CELL_V, USUAL_ENDING_CELL_V = (2.0, 4.2), (2.5, 3.8)  # of a cut-off or a low-voltage warning
+CAPACITY_AH = (0.05, 500.0)
+AMBIENT_C = (-40.0, 60.0)
+HIGHEST_RESERVE = 0.99
+C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
+LONGEST_ROW_S = 90.0  # rows farther apart are no telemetry: milliseconds
+KELVIN = (230.0, 360.0)  # a cell's temperature in the wrong unit
+POWER_FACTOR = 2.0  # beyond it another aircraft flew
+
+
+class Doubt(NamedTuple):
+    """A doubt says in words what speaks against a statement, and if that is certain."""
+
+    words: str
+    is_certain: bool
+
+
+class Resting(NamedTuple):
+    """A cell of the battery file's type rests at these voltages when it is empty and when little is left [V]."""
+
+    empty_V: float = EMPTIEST_CELL_V
+    low_V: float = 3.5
+
+
+class Seen(NamedTuple):
+    """Statements are held against these pack voltages [V]: of the first rows, and of them at rest; NaN until seen."""
+
+    first_V: float = math.nan
+    rested_V: float = math.nan
+
+
+class Names(NamedTuple):
+    """A caller knows the checked arguments by these names."""
+
+    cells: str = "cells="
+    capacity: str = "capacity_Ah="
+    cutoff: str = "cutoff_V="
+    low: str = "low_V="
+    ambient: str = "ambient_C="
+    reserve: str = "reserve_soc="
+
+
+OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltage ", "--ambient-c ", "--reserve-soc ")
+
+
+def cells_doubt(cells: int, seen: Seen, resting: Resting) -> Doubt | None:
+    """The first voltages of a record speak against a count of cells in series, or do not (None)."""
+    first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
+    if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
+        words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
+        return Doubt(f"{_count(cells)}: {words}", True)
+    if rested_V < resting.empty_V:
+        words = f"{seen.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {_expected_cells(seen, resting.empty_V)}"
+        return Doubt(f"{_count(cells)}: {words}", True)
+    if rested_V < resting.low_V:
+        return Doubt(f"{_count(cells)} at {rested_V:.1f} V a cell at rest: nearly empty, or another count", False)
+    if first_V > FULLEST_CELL_V:
+        return Doubt(f"{_count(cells)} at {first_V:.1f} V a cell: fuller than cells are, or another count", False)
+    return None
+
+
+def cells_from_voltage(voltage_V: float, typical: int) -> int:
+    """Cells in series that fit the first voltage [V]: the battery file's own if plausible, else the fewest."""
+    if EMPTIEST_CELL_V <= voltage_V / typical <= FULLEST_CELL_V:
+        return typical
+    return max(1, math.ceil(voltage_V / FULLEST_CELL_V))
+
+
+def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan) -> Doubt | None:
+    """A pack voltage [V] that is to end the flight, or to warn of its end, is judged by the cell; NaN is not stated."""
+    cell_V, (lowest_V, highest_V) = volts / cells, ENDING_CELL_V
+    said = f"{what}{volts:g} V is {cell_V:.3g} V a cell of {cells}"
+    if not math.isnan(volts) and not lowest_V <= cell_V <= highest_V:
+        return Doubt(f"{said}, expected {lowest_V:g} to {highest_V:g} V{_slip(volts, cells)}", True)
+    lowest_V, highest_V = USUAL_ENDING_CELL_V
+    if cell_V > highest_V and volts > rested_V:
+        return Doubt(f"{said}, above the {rested_V:.2f} V that the pack has at rest", True)
+    if cell_V < lowest_V or cell_V > highest_V:
+        return Doubt(f"{said}, usual are {lowest_V:g} to {highest_V:g} V", False)
+    return None
+
+
+def capacity_doubt(capacity_Ah: float) -> Doubt | None:
+    """A capacity [Ah] is judged by itself; NaN is not stated."""
+    lowest_Ah, highest_Ah = CAPACITY_AH
+    if math.isnan(capacity_Ah) or lowest_Ah <= capacity_Ah <= highest_Ah:
+        return None
+    slip = " (mAh?)" if capacity_Ah > highest_Ah else ""
+    return Doubt(f"{capacity_Ah:g} Ah, expected {lowest_Ah:g} to {highest_Ah:g} Ah{slip}", True)
+
+
+def rate_doubt(what: str, c_rate: float) -> Doubt | None:
+    """A C-rate [1/h] that is to last is judged; one that is too low is no flight, which is said elsewhere."""
+    if c_rate <= USUAL_C_RATE[1]:
+        return None
+    is_certain = c_rate > C_RATE[1]
+    return Doubt(f"{what} {c_rate:.0f} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
+
+
+def check_stated(
+    cells: int | None = None,
+    capacity_Ah: float = math.nan,
+    cutoff_V: float = math.nan,
+    low_V: float = math.nan,
+    ambient_C: float = math.nan,
+    reserve_soc: float = 0.0,
+    names: Names = Names(),
+) -> None:
+    """UsageError, with the argument's name and its bounds, when what the caller states cannot be; NaN is not stated."""
+    if cells is not None and not 1 <= _whole(names.cells, cells) <= MOST_CELLS:
+        raise UsageError(f"{names.cells}{cells}: expected 1 to {MOST_CELLS}")
+    doubt = capacity_doubt(_number(names.capacity, capacity_Ah))
+    if doubt is not None:
+        raise UsageError(f"{names.capacity}{doubt.words}")
+    lowest_V, highest_V = ENDING_CELL_V
+    for name, volts in ((names.cutoff, cutoff_V), (names.low, low_V)):
+        if cells is not None:
+            doubt = ending_doubt(name, _number(name, volts), cells)
+            if doubt is not None and doubt.is_certain:
+                raise UsageError(doubt.words)
+        elif not math.isnan(_number(name, volts)) and not lowest_V <= volts <= highest_V * MOST_CELLS:
+            slip = " (millivolts?)" if volts > highest_V * MOST_CELLS else ""
+            raise UsageError(f"{name}{volts:g} V: expected {lowest_V:g} to {highest_V:g} V for each cell{slip}")
+    _check_between(names.ambient, ambient_C, *AMBIENT_C, unit=" °C")
+    if math.isnan(_number(names.reserve, reserve_soc)):
+        raise UsageError(f"{names.reserve}{reserve_soc}: expected 0 to {HIGHEST_RESERVE:g}")
+    _check_between(names.reserve, reserve_soc, 0.0, HIGHEST_RESERVE)
+
+
+def _check_between(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not math.isnan(_number(name, value)) and not low <= value <= high:
+        raise UsageError(f"{name}{value:g}: expected {low:g} to {high:g}{unit}")
+
+
+def _whole(name: str, value: object) -> int:
+    try:
+        return operator.index(value)  # type: ignore[arg-type]  # that is the question
+    except TypeError:
+        raise UsageError(f"{name}{value!r}: expected a whole number from 1 to {MOST_CELLS}, or None") from None
+
+
+def _number(name: str, value: object) -> float:
+    try:
+        return float(value) if not isinstance(value, str) else float(None)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise UsageError(f"{name}{value!r}: expected a number, or NaN where it is not known") from None
+
+
+def _count(cells: int) -> str:
+    return f"{cells} cell{'s' if cells > 1 else ''} in series"
+
+
+def _expected_cells(seen: Seen, lowest_V: float) -> str:
+    """The bounds, and the counts that the voltage fits."""
+    volts = seen.first_V if math.isnan(seen.rested_V) else seen.rested_V
+    fewest = max(1, math.ceil(volts / FULLEST_CELL_V))
+    return f"expected {lowest_V:.3g} to {HIGHEST_CELL_V:g} V before the load, as with {fewest}"
+
+
+def _slip(volts: float, cells: int) -> str:
+    """The slip that would explain a voltage that cannot be: one cell's value, or another unit."""
+    lowest_V, highest_V = ENDING_CELL_V
+    if cells > 1 and lowest_V <= volts <= highest_V:
+        return f" (one cell's value? {cells} of them make {volts * cells:g} V)"
+    return " (millivolts?)" if lowest_V <= volts / 1000.0 / cells <= highest_V else ""

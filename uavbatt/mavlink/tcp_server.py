@@ -1,0 +1,97 @@
+"""`tcpin:HOST:PORT`: clients come, each gets everything.
+
+Dropped are a client that takes its bytes too slowly, where an autopilot is expected one that has not spoken within a
+minute, and one that is silent while another wants its place: in a full table the newcomer gets the place of the oldest
+client that has never spoken, else of the one that has been quiet for longest, unless all have spoken in the last
+QUIET_S. So an autopilot that comes gets a place among the silent, and one that speaks keeps it.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+from collections.abc import Iterator
+
+from uavbatt.errors import UsageError
+from uavbatt.mavlink.endpoint import Chunk, Endpoint
+from uavbatt.mavlink.pipe import Pipe
+
+MOST_CLIENTS = 32
+QUIET_S = 5.0  # heartbeats come every second
+
+
+class TcpServer:
+    """The listening socket and its clients, at most MOST_CLIENTS."""
+
+    is_stream = True
+
+    def __init__(self, at: Endpoint, silent_after_s: float = math.inf) -> None:
+        self._clients: dict[Pipe, tuple[bool, float]] = {}  # has it spoken, and when it last did or came [s]
+        self._silent_after_s = silent_after_s
+        try:
+            self._socket = socket.create_server((at.host, at.port))
+        except OSError as error:
+            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+        self._socket.setblocking(False)
+
+    def filenos(self) -> Iterator[int]:
+        """The listening socket and the clients."""
+        yield self._socket.fileno()
+        yield from (client.fd for client in self._clients)
+
+    def read(self, now_s: float) -> list[Chunk]:
+        """What the clients sent; forgets those that left or are silent, takes in new ones."""
+        found: list[Chunk] = []
+        for client, (has_spoken, since_s) in list(self._clients.items()):
+            data = client.read()
+            if data:
+                self._clients[client] = (True, now_s)
+                found.append((data, client))
+                continue
+            is_silent = not has_spoken and now_s - since_s > self._silent_after_s
+            if data is None or is_silent or not client.write(b""):
+                self._drop(client)
+        self._accept(now_s)
+        return found
+
+    def write(self, data: bytes, now_s: float) -> None:
+        """Send to every client, the one that has just come as well."""
+        self._accept(now_s)
+        for client in list(self._clients):
+            if not client.write(data):
+                self._drop(client)
+
+    def close(self) -> None:
+        """Release all sockets."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._socket.close()
+
+    def _accept(self, now_s: float) -> None:
+        """Whoever waits, at most a table full a turn; who finds no place is sent away."""
+        for _ in range(MOST_CLIENTS):
+            try:
+                made, _address = self._socket.accept()
+            except OSError:
+                return
+            if not self._has_place(now_s):
+                made.close()
+                continue
+            made.setblocking(False)
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._clients[Pipe(made.fileno(), made)] = (False, now_s)
+
+    def _has_place(self, now_s: float) -> bool:
+        """Whether there is room for one more; made, where somebody may be dropped."""
+        if len(self._clients) < MOST_CLIENTS:
+            return True
+        weakest = min(self._clients, key=lambda client: self._clients[client])
+        has_spoken, since_s = self._clients[weakest]
+        if has_spoken and now_s - since_s <= QUIET_S:
+            return False
+        self._drop(weakest)
+        return True
+
+    def _drop(self, client: Pipe) -> None:
+        client.close()
+        del self._clients[client]

@@ -1,0 +1,113 @@
+"""Who speaks for a vehicle when frames of its system and component come from several addresses.
+
+MAVLink frames without a signature carry no proof of their sender: whoever is on the link can send them. Only one sender
+is believed at a time: the first, until it falls silent or leaves the batteries to another. The rows of the others are
+compared with its own. The same autopilot on two ways says nearly the same within some seconds; two sources whose
+readings of one battery lie apart, every row of one from every row of the other, are not one battery, and nobody can
+know which of them flies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from uavbatt.mavlink.fields import BatteryFields
+
+SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
+WORDLESS_S = 10.0  # without a word of batteries, while another has some
+WINDOW_S, FEWEST_ROWS = 10.0, 4
+HELD_S = 10.0  # after the last row of one that disagreed; a conflict that flickers is one
+MOST_SENDERS, MOST_BATTERIES, MOST_ROWS = 4, 8, 64
+# Two ways of one autopilot differ by what changes between their rows; ranges over seconds overlap.
+APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0, 0.02
+
+
+class Said(NamedTuple):
+    """A row of one sender."""
+
+    time_s: float
+    voltage_V: float
+    current_A: float
+    consumed_Ah: float
+
+
+class Senders:
+    """The senders of one vehicle's frames: addresses, or whatever else tells one stream from another."""
+
+    def __init__(self) -> None:
+        self._believed: object = self  # nobody yet
+        self._heard_s = self._spoke_s = -math.inf
+        self._rows: dict[int, dict[object, deque[Said]]] = {}
+        self._conflicts: dict[int, tuple[float, str]] = {}
+
+    def admits(self, sender: object, time_s: float, is_battery: bool) -> bool:
+        """Whether a frame of this sender counts. `time_s` [s]: reception."""
+        if sender != self._believed:
+            is_silent = time_s - self._heard_s > SILENT_S
+            if not (is_silent or (is_battery and time_s - self._spoke_s > WORDLESS_S)):
+                return False
+            self._believed = sender
+        self._heard_s = time_s
+        if is_battery:
+            self._spoke_s = time_s
+        return True
+
+    def compare(self, sender: object, battery: BatteryFields, time_s: float) -> None:
+        """Take a row of whatever sender, and look whether the senders of this battery agree."""
+        if battery.id not in self._rows and len(self._rows) >= MOST_BATTERIES:
+            return
+        by_sender = self._rows.setdefault(battery.id, {})
+        if sender not in by_sender:
+            for gone in [s for s, rows in by_sender.items() if time_s - rows[-1].time_s > WINDOW_S]:
+                del by_sender[gone]
+            if len(by_sender) >= MOST_SENDERS:
+                return
+        own = by_sender.setdefault(sender, deque(maxlen=MOST_ROWS))
+        own.append(Said(time_s, battery.voltage_V, battery.current_A, battery.consumed_Ah))
+        if len(by_sender) == 1:
+            return
+        for other, rows in by_sender.items():
+            what = "" if other == sender else apart(_recent(own, time_s), _recent(rows, time_s))
+            if what:
+                self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")
+
+    def conflict(self, battery_id: int, time_s: float) -> str:
+        """What the senders of a battery disagree on, and who they are; empty while they agree."""
+        at_s, words = self._conflicts.get(battery_id, (-math.inf, ""))
+        return words if time_s - at_s <= HELD_S else ""
+
+    def conflicts(self, time_s: float) -> list[tuple[int, str]]:
+        """Every battery whose senders disagree."""
+        return [(number, words) for number in self._conflicts if (words := self.conflict(number, time_s))]
+
+
+def apart(one: Iterable[Said], other: Iterable[Said]) -> str:
+    """The quantity in which two sources of one battery cannot be the same; empty when they can."""
+    a, b = list(one), list(other)
+    for name, share, least in (
+        ("voltage_V", APART_VOLTAGE, 0.0),
+        ("current_A", APART_CURRENT, APART_CURRENT_A),
+        ("consumed_Ah", 0.0, APART_CHARGE_AH),
+    ):
+        left = [v for v in (getattr(row, name) for row in a) if v == v]
+        right = [v for v in (getattr(row, name) for row in b) if v == v]
+        if len(left) < FEWEST_ROWS or len(right) < FEWEST_ROWS:
+            continue
+        slack = least + share * max(map(abs, (*left, *right)))
+        if min(left) > max(right) + slack or min(right) > max(left) + slack:
+            return {"voltage_V": "voltage", "current_A": "current", "consumed_Ah": "charge drawn"}[name]
+    return ""
+
+
+def _recent(rows: Iterable[Said], time_s: float) -> list[Said]:
+    return [row for row in rows if time_s - row.time_s <= WINDOW_S]
+
+
+def _places(*senders: object) -> str:
+    """Addresses in words, in a fixed order; streams have none."""
+    named = [f"{s[0]}:{s[1]}" if isinstance(s, tuple) else s for s in senders]
+    places = sorted(place for place in named if isinstance(place, str) and ":" in place)
+    return f" ({' and '.join(places)})" if places else ""

@@ -1,0 +1,160 @@
+"""Live frames of one vehicle -> rows of its batteries, by the same rules and functions as a tlog is read.
+
+    HEARTBEAT: armed, PX4 or not        PARAM_VALUE: PackFacts of each battery (`HeardParameters`: which of them count)
+    AUTOPILOT_VERSION: serial number
+    BATTERY_STATUS / SYS_STATUS / BATTERY2: a Sample
+
+SYS_STATUS speaks for battery 0 (BATTERY2 for 1) only where no BATTERY_STATUS does: such rows are held for
+FALLBACK_AFTER_S and then released. The first row of a battery waits for its second: one damaged frame of 65 536 has a
+good checksum, and shall not make a battery that nobody has.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from uavbatt.mavlink import fields, framing
+from uavbatt.records import PackFacts, Sample
+from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
+from uavbatt.telemetry.senders import Senders
+
+FALLBACK_AFTER_S = 5.0
+CONFIRMED_WITHIN_S = 60.0
+MOST_HELD = 500
+MOST_PARAMETERS = 1000
+BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
+
+
+class Row(NamedTuple):
+    """One telemetry row of one battery."""
+
+    instance: int
+    sample: Sample
+
+
+def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
+    """A battery message (one of BATTERY_IDS) in SI."""
+    if message_id == fields.BATTERY_STATUS:
+        return fields.battery_status(message)
+    return fields.sys_status(message) if message_id == fields.SYS_STATUS else fields.battery2(message)
+
+
+class Vehicle:
+    """Frames of one autopilot in order of reception; holds what a row needs from earlier frames."""
+
+    def __init__(self, system: int, component: int) -> None:
+        self.system, self.component = system, component
+        self.senders = Senders()
+        self.parameters = HeardParameters()
+        self.words: dict[bytes, bytes] = {}  # its heartbeat and battery parameters: frames that a recording begins with
+        self.battery_ids: set[int] = set()
+        self.is_px4 = False
+        self.hardware = ""  # serial number of the autopilot
+        self.speaks = False  # whether it has spoken of a battery twice
+        self.heard_s = -math.inf
+        self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
+        self._held: list[Row] = []
+        self._unconfirmed: dict[int, Row] = {}
+        self._first_s: float | None = None
+        self._spoke_s = -math.inf
+
+    @property
+    def now_s(self) -> float:
+        """Time of the vehicle's last frame, from its first [s]."""
+        return self._log.now_s
+
+    @property
+    def armed(self) -> bool | None:
+        """The armed bit of the last heartbeat; None before it."""
+        return self._log.armed
+
+    def passes(self, stamp_s: float) -> float:
+        """A frame of its system has come: time goes on. Returns the time from its first frame [s]."""
+        return self._log.time_s(stamp_s)
+
+    def facts(self, instance: int) -> PackFacts:
+        """What the vehicle has said so far of one battery."""
+        said = facts_timeline(((0.0, n, v) for n, v in self.parameters.known.items()), instance, is_telemetry=True)
+        return said[-1][1] if said else PackFacts()
+
+    def take(
+        self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
+    ) -> list[Row]:
+        """Rows that a wanted message of the autopilot completes; `battery` is what it says of one, if it does."""
+        if message_id == fields.HEARTBEAT:
+            self._log.armed = fields.is_armed(message)
+            self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
+            self.words[b"heartbeat"] = frame
+            return self._released(time_s)
+        if message_id == fields.PARAM_VALUE:
+            self._hear(message, frame)
+            return []
+        if message_id == fields.AUTOPILOT_VERSION:
+            self.hardware = self.hardware or fields.hardware(message.uid)
+            return []
+        assert battery is not None
+        if message_id == fields.BATTERY_STATUS:
+            row = self._row(time_s, battery)
+            return [] if row is None else self._confirmed(row)
+        return self._fallback(message_id, battery, time_s)
+
+    def _hear(self, message: Any, frame: bytes) -> None:
+        name, value = fields.parameter(message, self.is_px4)
+        if name not in self.parameters.known and len(self.parameters.known) >= MOST_PARAMETERS:
+            return
+        value = value if math.isfinite(value) else math.nan
+        counts = self.parameters.counts(name, value, framing.sequence(frame), self._log.armed is True)
+        if counts and name.startswith(BATTERY_NAMES):
+            self.words[name.encode("latin-1")] = frame
+
+    def _confirmed(self, row: Row) -> list[Row]:
+        """The row, with the first one of its battery if this is the second; nothing if it is the first."""
+        if row.instance in self.battery_ids:
+            return [row]
+        first = self._unconfirmed.pop(row.instance, None)
+        if first is None or row.sample.time_s - first.sample.time_s > CONFIRMED_WITHIN_S:
+            self._unconfirmed[row.instance] = row
+            return []
+        self.battery_ids.add(row.instance)
+        self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
+        return [first, row]
+
+    def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[Row]:
+        """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
+        if self.battery_ids if message_id == fields.SYS_STATUS else 1 in self.battery_ids:
+            return []
+        if self._first_s is None:
+            self._first_s = time_s
+        row = self._row(time_s, battery)
+        if row is not None and len(self._held) < MOST_HELD:
+            self._held.append(row)
+        return self._released(time_s)
+
+    def _released(self, time_s: float) -> list[Row]:
+        if self._first_s is None or time_s - self._first_s < FALLBACK_AFTER_S:
+            return []
+        released, self._held = self._held, []
+        return released
+
+    def _row(self, time_s: float, battery: fields.BatteryFields) -> Row | None:
+        """The row, cleaned by the rules of the log readers; None when they drop it."""
+        sample = Sample(
+            time_s=time_s,
+            voltage_V=battery.voltage_V,
+            current_A=battery.current_A,
+            temp_C=battery.temp_C,
+            consumed_Ah=battery.consumed_Ah,
+            reported_soc=battery.reported_soc,
+            armed=self._log.armed,
+            cell_voltages_V=battery.cell_voltages_V,
+        )
+        if not self._log.add(battery.id, sample):
+            return None
+        kept = self._log.rows[battery.id]
+        del kept[:-1]
+        del self._log.notes[:-10]
+        self.speaks = self.speaks or time_s - self._spoke_s <= CONFIRMED_WITHIN_S
+        self._spoke_s = time_s
+        return Row(battery.id, kept[-1])
