@@ -7,9 +7,9 @@ import numpy as np
 from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy
 from uavbatt.fitting import assemble, prior
 
-# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.8 (racing packs have 2 mohm a cell at
+# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.6 (racing packs have 2 mohm a cell at
 # 5 Ah, tired ones 10), the charge that is printed on them is up to 15 % off either way, before any wear.
-RESISTANCE_SCALE_SD = 0.6
+RESISTANCE_SCALE_SD = 0.45
 CAPACITY_SCALE_SD = 0.15
 CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5
 
