@@ -7,10 +7,9 @@ import numpy as np
 from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy
 from uavbatt.fitting import assemble, prior
 
-# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.6 (racing packs have 2 mohm a cell at
-# 5 Ah, tired ones 10), the charge that is printed on them is up to 15 % off either way, before any wear.
-RESISTANCE_SCALE_SD = 0.45
-CAPACITY_SCALE_SD = 0.15
+# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.5, usable capacity by 6 %.
+RESISTANCE_SCALE_SD = 0.4
+CAPACITY_SCALE_SD = 0.05
 CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5
 
 
