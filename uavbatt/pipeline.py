@@ -162,6 +162,9 @@ class Estimator:
         if self._filter is None or self._forecaster is None or self._intake.guessed != was_guessed:
             if not math.isfinite(sample.voltage_V):
                 return Asked(sample, unknown(sample), None, "no voltage in this row", None)
+            if self._doubts and self._doubts[0].is_certain:  # no filter begins at what no pack shows
+                nothing = replace(unknown(sample), reason=self._doubts[0].words, warnings=(self._doubts[0].words,))
+                return Asked(sample, nothing, None, nothing.reason, None)
             assert self.resolved is not None
             self._begin(self._pack(self.resolved), sample)
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
@@ -181,6 +184,8 @@ class Estimator:
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
         if self._intake.guessed:  # nobody measured these
             estimate = replace(estimate, current_A=NAN, power_W=NAN)
+            if estimate.status is Status.OK:
+                estimate = replace(estimate, status=Status.CONVERGING, reason="no current sensor: the load is assumed")
         refusal, question = self._forecaster.ask(sample, estimate, belief)
         return Asked(sample, estimate, self._forecaster, refusal, question, self._wall_s(sample, belief))
 

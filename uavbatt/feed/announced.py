@@ -38,6 +38,13 @@ WARNINGS: dict[str, str] = {
     "the current flows into the pack": "current flows into the pack",
     "the rows are more than": "time of the rows does not fit",
     "this aircraft draws": "power is not what is stated",
+    "the voltage falls faster": "voltage falls faster than charge says",
+    "this pack holds less than stated": "pack holds less than stated",
+    "the voltage is far off": "voltage is not this battery file's",
+    "have not fitted this battery": "voltage and current do not fit",
+    "the voltage has not moved": "voltage is stuck",
+    "the current has not moved": "current is stuck",
+    "the current fell to nothing": "current fell to nothing: sensor?",
 }
 
 # Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
@@ -59,6 +66,10 @@ REASONS: dict[str, str] = {
     "cut-off ": "cut-off is wrong",
     "the current flows into the pack": "current is negative",
     "the rows are more than": "time is wrong",
+    "the voltage has not moved": "voltage is stuck",
+    "the current has not moved": "current is stuck",
+    "the current fell to nothing": "current fell to nothing",
+    "no end in sight": "charge and load differ",
 }
 
 

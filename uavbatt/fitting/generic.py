@@ -32,11 +32,11 @@ def generic_lipo() -> BatteryFile:
         effects=assemble.effect_entries(slots, x, error, prior.BASE_EFFECTS),
         discrepancy=Discrepancy(
             voltage_bias_V=0.0,
-            voltage_rmse_V=0.03,
+            voltage_rmse_V=0.07,
             voltage_autocorrelation_s=2000.0,
             temperature_rmse_K=1.5,
             held_out=False,
-            source="assumed: what is left of a make's OCV beside the standard errors of its knots",
+            source="assumed: the OCV of a make (4.20 or 4.35 V cells) differs from the prior for a whole flight",
         ),
         certificate=Certificate(status="generic"),
     )
