@@ -18,7 +18,7 @@ from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.service import capacities
 from uavbatt.errors import UsageError
-from uavbatt.estimation.noise import start_covariance
+from uavbatt.estimation.noise import start_covariances
 from uavbatt.limits import rate_doubt
 from uavbatt.pipeline import Estimator, PackOptions, Resolved
 from uavbatt.prediction.forecaster import Forecaster, Settings
@@ -165,8 +165,8 @@ def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : C.SENSOR + 1], means[:, C.LOG_CAPACITY] = state, members.log_scale
     charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
-    covariance = start_covariance(pack, state, charge, AMBIENT_SD_K, members.sd)
-    return Belief(0.0, means, np.tile(covariance, (len(means), 1, 1)), members.weight, ambient_C)
+    covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members.sd)
+    return Belief(0.0, means, covariances, members.weight, ambient_C)
 
 
 def range_remark(battery: BatteryFile, ambient_C: float) -> str:

@@ -26,6 +26,7 @@ class Pack(NamedTuple):
     low_V: Number
     resistance_scale_sd: float
     capacity_scale_sd: float
+    capacity_short_sd: float  # beside it, for less than is stated: who prints a capacity seldom prints too little
     bias_sd_V: float  # discrepancy of the model, per cell
     bias_tau_s: float
     ocv_sd_V: Array  # on SOC_GRID: how far the file's own open-circuit voltage may be off, per cell
@@ -45,8 +46,11 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.02, 3000.0
+SERVICE_RESISTANCE_SD = 0.2  # ohms grow with age, and contacts with dirt
 # Of a make that nobody tested the printed capacity is no measurement either, and racing packs have a third of the ohms.
-UNKNOWN_MAKE_CAPACITY_SD, UNKNOWN_MAKE_RESISTANCE_SD = 0.2, 0.3
+UNKNOWN_MAKE_CAPACITY_SD, UNKNOWN_MAKE_RESISTANCE_SD = 0.45, 0.3
+# The discrepancy of a prior is that of its whole curve, whose knots state their own errors: this share is left.
+BESIDE_KNOTS = 0.45
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 
@@ -139,17 +143,20 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
     installation = installation_of(file, cells, capacity_Ah)
     widening = WIDENING[file.status]
     left = file.discrepancy
-    stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     unknown = file.status == "generic"
+    stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
+    stated_V *= BESIDE_KNOTS if unknown else 1.0
     return Pack(
         cell=cell_parameters(file),
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,
         resistance_scale_sd=math.hypot(
-            file.parameters.resistance_scale_sd * widening, UNKNOWN_MAKE_RESISTANCE_SD * unknown
+            file.parameters.resistance_scale_sd * widening,
+            UNKNOWN_MAKE_RESISTANCE_SD if unknown else SERVICE_RESISTANCE_SD,
         ),
-        capacity_scale_sd=math.hypot(file.parameters.capacity_scale_sd * widening, UNKNOWN_MAKE_CAPACITY_SD * unknown),
+        capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
+        capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
         bias_sd_V=math.hypot(stated_V, SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, SERVICE_BIAS_TAU_S),
         ocv_sd_V=_ocv_sd_V(file),

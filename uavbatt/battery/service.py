@@ -20,16 +20,18 @@ MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP = 0.6  # sd of a member as a share of the distance to the next
+# A capacity stated ten times too large, and what lies between.
+ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
 # Shares, means and sds of ln(capacity / stated): packs as good as new, packs in service, and those of which something
 # stated is wrong.
 PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
 
 
 class Capacities(NamedTuple):
-    """Members of the prior: ln of the capacity scale [members], its sd within each, their weights [members]."""
+    """Members of the prior, [members] each: ln of the capacity scale, its sd within the member, its weight."""
 
     log_scale: Array
-    sd: float
+    sd: Array
     weight: Array
 
 
@@ -39,12 +41,19 @@ def capacities(pack: Pack) -> Capacities:
     scale = np.linspace(min(SMALLEST, -REACH * widest), max(LARGEST, REACH * widest), MEMBERS)
     weight = np.zeros(MEMBERS)
     for share, mean, own_sd in PRIOR:
-        sd = math.hypot(own_sd, pack.capacity_scale_sd)
-        weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / sd
-    return Capacities(scale, OVERLAP * float(scale[1] - scale[0]), weight / weight.sum())
+        above = math.hypot(own_sd, pack.capacity_scale_sd)
+        sd = np.where(scale > mean, above, math.hypot(above, pack.capacity_short_sd))
+        weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
+    weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
+    member_sd = np.full(MEMBERS, OVERLAP * float(scale[1] - scale[0]))
+    return Capacities(
+        np.concatenate([ABSURD, scale]),
+        np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
+        np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
+    )
 
 
 def known_capacity(pack: Pack) -> Capacities:
     """One member, around what is stated: for a pack that was measured."""
-    return Capacities(np.zeros(1), pack.capacity_scale_sd, np.ones(1))
+    return Capacities(np.zeros(1), np.full(1, pack.capacity_scale_sd), np.ones(1))
 

@@ -27,7 +27,7 @@ from uavbatt.estimation.sensors import (
 )
 from uavbatt.records import Estimate, Sample, Status
 
-FAR_SDS = 3.0
+FAR_SDS, LOST_SDS = 3.0, 5.0
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
 SMALL_PACK, SURE_SDS = 0.9, 1.5
 
@@ -66,7 +66,7 @@ class Monitor(NamedTuple):
     readings: Readings = Readings()
     load: Load = Load()
     innovations: Innovations = Innovations()
-    is_far_off: bool = False
+    off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -91,11 +91,13 @@ class Monitor(NamedTuple):
             refusals.append(DEAD_CURRENT)
         if innovations.is_unfitting(time_s):
             doubts.append(UNFITTING)
-        far = is_far_off(belief, pack) if math.isfinite(estimate.nis) else self.is_far_off  # once a block is enough
-        if far:
+        off_sds = discrepancy_sds(belief, pack) if math.isfinite(estimate.nis) else self.off_sds  # once a block does
+        if abs(off_sds) > FAR_SDS:
             doubts.append(FAR_OFF)
+        if off_sds < -LOST_SDS:  # far too little voltage for the charge; too much of it harms nobody
+            refusals.append(FAR_OFF)
         remarks = (SMALL,) if is_small(estimate) else ()
-        return Monitor(readings, load, innovations, far, tuple(doubts), remarks, refusals[0] if refusals else "")
+        return Monitor(readings, load, innovations, off_sds, tuple(doubts), remarks, refusals[0] if refusals else "")
 
     def judged(self, estimate: Estimate) -> Estimate:
         """The estimate with what the monitor has against it: refused, or converging, and the words."""
@@ -111,11 +113,10 @@ class Monitor(NamedTuple):
         return replace(estimate, status=status, reason=reason, warnings=warnings)
 
 
-def is_far_off(belief: Belief, pack: Pack) -> bool:
-    """Whether the discrepancy has left its prior: its size where the charge is believed to be."""
+def discrepancy_sds(belief: Belief, pack: Pack) -> float:
+    """The discrepancy that is believed in, in standard deviations of its prior where the charge is believed to be."""
     mean_V, soc = belief.weights @ belief.means[:, [C.BIAS, C.SOC]]
-    file_V = float(np.interp(soc, SOC_GRID, pack.ocv_sd_V))
-    return bool(abs(mean_V) > FAR_SDS * math.hypot(pack.bias_sd_V, file_V))
+    return float(mean_V) / math.hypot(pack.bias_sd_V, float(np.interp(soc, SOC_GRID, pack.ocv_sd_V)))
 
 
 def is_small(estimate: Estimate) -> bool:

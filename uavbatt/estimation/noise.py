@@ -83,17 +83,21 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     return First(start.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
 
 
-def start_covariance(pack: Pack, state: State, charge: Array, temp_sd_K: float, capacity_sd: float) -> Array:
-    """Covariance [8, 8] of the first belief around `state`; `charge` [2, 2] is that of (soc, discrepancy)."""
+def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float, capacity_sd: Array) -> Array:
+    """Covariances [members, 8, 8] of the first belief around `state`.
+
+    `charge` [2, 2] is the covariance of (soc, discrepancy), `capacity_sd` [members] that of ln of the capacity scale.
+    """
     sd = np.zeros(SIZE)
     sd[C.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
     sd[C.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
     sd[C.CORE] = sd[C.SENSOR] = temp_sd_K
     sd[C.LOG_RESISTANCE] = pack.resistance_scale_sd
-    sd[C.LOG_CAPACITY] = capacity_sd
     covariance = np.diag(sd**2)
     covariance[np.ix_((C.SOC, C.BIAS), (C.SOC, C.BIAS))] = charge
-    return covariance
+    members = np.tile(covariance, (capacity_sd.size, 1, 1))
+    members[:, C.LOG_CAPACITY, C.LOG_CAPACITY] = capacity_sd**2
+    return members
 
 
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, before_c: float) -> Array:
