@@ -46,7 +46,7 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.02, 3000.0
-SERVICE_RESISTANCE_SD = 0.2  # ohms grow with age, and contacts with dirt
+SERVICE_RESISTANCE_SD = 0.15  # ohms grow with age, and contacts with dirt
 # Of a make that nobody tested the printed capacity is no measurement either, and racing packs have a third of the ohms.
 UNKNOWN_MAKE_CAPACITY_SD, UNKNOWN_MAKE_RESISTANCE_SD = 0.45, 0.3
 # The discrepancy of a prior is that of its whole curve, whose knots state their own errors: this share is left.
