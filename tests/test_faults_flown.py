@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import pytest
-from other_pack import CUTOFF_V, Pack, flown, rested
 from scoring.live_flight import Extra, Flown, flown_live, heartbeat, parameter
+from scoring.other_pack import CUTOFF_V, Pack, flown, rested
 
 from uavbatt.pipeline import PackOptions
 from uavbatt.records import Sample
