@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import OPTIONS, flight
 
 from uavbatt.battery.belief import C
+from uavbatt.battery.model import Array
 from uavbatt.config import LinkSection, StateSection
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.saved import implausible_belief

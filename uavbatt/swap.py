@@ -3,8 +3,9 @@
 A pack is changed on the ground, and the telemetry falls silent meanwhile. What the old pack can show at rest after a
 silence is bounded: at most its open-circuit voltage at the last charge (it rested all along), at least that after the
 load had gone on to the end, its overpotentials still there. A rested pack outside, row after row, is another. After
-minutes the old one would have settled, and the bounds are those of its prediction. Without a silence only far too
-much voltage tells: a pack that was just loaded shows too little for a while.
+minutes the old one would have settled, and the bounds are those of its prediction. Without a silence a fall from row
+to row tells, since a pack at rest only rises, or far too much voltage: one that was just loaded shows too little for a
+while.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from uavbatt.battery.build import Pack
 from uavbatt.records import NAN, Estimate
 
 RESTED_C_RATE, SWAP_ROWS = 0.15, 3
-FAR_CELL_V, ODD_CELL_V = 0.12, 0.05
+FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
@@ -40,6 +41,7 @@ class SwapWatch(NamedTuple):
     row_s: float = NAN  # the usual time between two rows
     bounds: Bounds | None = None  # after a silence, until the pack is loaded
     rows: int = 0
+    rested_V: float = NAN  # of a cell, at the last rested row of the pack that is believed in
 
     @property
     def is_another(self) -> bool:
@@ -60,10 +62,11 @@ class SwapWatch(NamedTuple):
             row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             return SwapWatch(estimate.time_s, current_A, belief, row_s)
-        other = estimate.innovation_V > FAR_CELL_V * cells
+        other = estimate.innovation_V > FAR_CELL_V * cells or cell_V < self.rested_V - FALLEN_CELL_V
         if bounds is not None:
             other = other or not bounds.low_V <= cell_V <= bounds.high_V
-        return SwapWatch(estimate.time_s, current_A, belief, row_s, bounds, self.rows + 1 if other else 0)
+        rows, rested_V = (self.rows + 1, self.rested_V) if other else (0, cell_V)
+        return SwapWatch(estimate.time_s, current_A, belief, row_s, bounds, rows, rested_V)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
         """What the pack that was seen last can show at rest after a silence of `gap_s`."""

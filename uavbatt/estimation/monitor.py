@@ -1,8 +1,8 @@
 """Do the readings and the belief still fit each other? A value that goes from row to row.
 
 A filter explains whatever it is given. So what it had to assume is held against what can be: a discrepancy far outside
-its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands still. Each has
-its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
+its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands still. Each
+has its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
 """
 
 from __future__ import annotations
