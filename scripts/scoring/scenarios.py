@@ -175,12 +175,11 @@ MORE: dict[str, Callable[[], Scenario]] = {
         counted(seen(whole(), lambda row: replace(row, current_A=1.3 * row.current_A), 0.0))
     ),
     "voltage_stuck_late": lambda: Scenario(frozen(voltage=True, current=False, since_s=LATE_S)),
-    "caller_cells_3": lambda: stated(part(), cells=3),
+    "caller_cells_3": lambda: stated(part(), cells=3, cutoff_V=9.9),
     "caller_capacity_x1.5": lambda: stated(part(), capacity_Ah=1.5 * FULL_AH),
     "caller_capacity_x3": lambda: stated(part(), capacity_Ah=3.0 * FULL_AH),
     "caller_capacity_half": lambda: stated(part(), capacity_Ah=0.5 * FULL_AH),
-    "caller_cutoff_3.0_a_cell": lambda: stated(part(), cutoff_V=12.0),
-    "caller_cutoff_3.3": lambda: stated(part(), cutoff_V=3.3),
+    "caller_cutoff_15.6": lambda: stated(part(), cutoff_V=15.6),
 }
 
 

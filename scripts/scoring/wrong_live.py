@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from contextlib import redirect_stderr
 from dataclasses import dataclass
+from io import StringIO
 
 from scoring.live_flight import Flown
 from scoring.scenarios import LAST_S, TOO_LONG_S, is_heard, lo_excess_s, said
@@ -29,8 +31,9 @@ class Heard:
 
 
 def heard(name: str) -> Heard:
-    """Fly one scenario."""
-    flown, end_s = said(name)
+    """Fly one scenario; what the process tells its journal is not shown."""
+    with redirect_stderr(StringIO()):
+        flown, end_s = said(name)
     last = [row for row in flown.rows if row.time_s > end_s - LAST_S]
     shown = [row for row in last if math.isfinite(row.remaining_s)]
     left = [end_s - row.time_s for row in shown]

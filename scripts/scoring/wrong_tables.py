@@ -16,7 +16,7 @@ from scoring.wrong_judged import Judged, Said
 from scoring.wrong_live import Heard
 
 AT_S = (120.0, 60.0, 20.0)
-WORST = 8
+WORST, EARLY_S = 8, 240.0
 IN_SERVICE = (0.70, 1.0)  # of the stated capacity: what the targets speak of
 
 
@@ -41,7 +41,7 @@ def groups(every: Sequence[Judged]) -> Table:
     """One row a battery, capacity and start charge."""
     head = (
         "battery, capacity, charged", "flights", "half time", "120 s", "60 s", "20 s", "5 % point too long by at most",
-        "inside 90 %", "alarm with [s] left", "NEES of soc", "soc RMSE", "refused",
+        "inside 90 %", "alarm with [s] left", "with over 240 s", "NEES of soc", "soc RMSE", "refused",
     )  # fmt: skip
     drawn = [j for j in every if j.case.capacity_class != "issue"]
     rows = [_group(", ".join(name), list(some)) for name, some in groupby(drawn, key=lambda j: j.case.group)]
@@ -171,6 +171,7 @@ def _group(name: str, some: Sequence[Judged]) -> tuple[str, ...]:
         figure(max((j.lo_excess_s for j in some if math.isfinite(j.lo_excess_s)), default=math.nan)),
         share(_mean([j.covered for j in some])),
         " / ".join(figure(s) for s in alarms),
+        str(sum(s > EARLY_S for s in alarm_s)),
         figure(_mean([j.nees for j in some]), 2),
         figure(100.0 * _mean([j.soc_rmse for j in some]), 1) + " %",
         share(_mean([j.refused for j in some])),
