@@ -65,16 +65,25 @@ def battery(name: str, make: Make) -> BatteryFile:
     return file.read("lipo-generic") if name == GENERIC else fitted(make)
 
 
-def replayed(case: Case) -> tuple[Flown, list[Step]]:
-    """The flight and every row of it through a fresh estimator."""
-    flown = case.flown()
+def estimator(case: Case) -> Estimator:
+    """A fresh estimator that is told what is stated of the pack."""
     options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V, forecast_period_s=PERIOD_S)
-    return flown, list(steps(flown.flight(case.name), Estimator(battery(case.battery, case.make), options)))
+    return Estimator(battery(case.battery, case.make), options)
+
+
+def replayed(case: Case) -> tuple[Flown, list[Step]]:
+    """The flight, and every row of it through an estimator."""
+    flown = case.flown()
+    return flown, list(steps(flown.flight(case.name), estimator(case)))
 
 
 def judged(case: Case) -> Judged:
-    """The figures of a flight."""
-    flown, run = replayed(case)
+    """A flight, flown and in figures."""
+    return judge(case, *replayed(case))
+
+
+def judge(case: Case, flown: Flown, run: Sequence[Step]) -> Judged:
+    """The figures of what was said of a flight."""
     lines, start_s, end_s = ours(run), flown.start_s, flown.end_s
     score = lines.scored(case.name, case.battery, start_s, end_s)
     columns = np.stack([lines.time_s, lines.remaining_s, *(c for c in (lines.lo_s, lines.hi_s) if c is not None)])
