@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from uavbatt.asked import Asked, say, unknown
 from uavbatt.battery import file as battery_file
-from uavbatt.battery.belief import Belief
+from uavbatt.battery.belief import Belief, C
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
 from uavbatt.battery.service import capacities
@@ -39,6 +39,8 @@ from uavbatt.swap import SwapWatch
 __all__ = ["Estimator", "PackOptions", "Past", "Resolved"]
 
 NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
+SURE_LOOKS = 3  # of the last wall, a second apart
+NO_FALL = (math.inf,) * SURE_LOOKS
 # Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
 # power is right to a fifth. Around its mean the load wanders by a fifth for a minute at a time: as independent errors
 # of readings two seconds apart that is five times as much.
@@ -71,7 +73,7 @@ class Estimator:
         self._swap = SwapWatch()
         self._statements, self._doubts = Statements(), tuple[Doubt, ...]()
         self._resting, self._stated_W = resting(battery), stated_power(self.options.load)
-        self._monitor, self._fall, self._wall_at_s = Monitor(), Fall(), math.inf
+        self._monitor, self._fall, self._falls = Monitor(), Fall(), NO_FALL
         self._coming: deque[tuple[Intake, Sample]] = deque()
 
     @classmethod
@@ -180,16 +182,21 @@ class Estimator:
         if self._intake.guessed:  # nobody measured these
             estimate = replace(estimate, current_A=NAN, power_W=NAN)
         refusal, question = self._forecaster.ask(sample, estimate, belief)
-        return Asked(sample, estimate, self._forecaster, refusal, question, self._wall_s(sample))
+        return Asked(sample, estimate, self._forecaster, refusal, question, self._wall_s(sample, belief))
 
-    def _wall_s(self, sample: Sample) -> float:
+    def _wall_s(self, sample: Sample, belief: Belief | None) -> float:
         """How soon the measured voltage itself is at the cut-off [s]; infinite where it does not fall."""
         assert self._forecaster is not None
-        self._fall = self._fall.after(sample.time_s, sample.voltage_V, sample.current_A)
+        cells = float(self._forecaster.pack.installation.cells)
+        lag_V = NAN
+        if belief is not None:
+            lag_V = cells * float(belief.weights @ belief.means[:, [C.POLARISATION, C.DIFFUSION]].sum(axis=1))
+        self._fall = self._fall.after(sample.time_s, sample.voltage_V, sample.current_A, lag_V)
         if self._fall.is_due:
-            cells = float(self._forecaster.pack.installation.cells)
-            self._wall_at_s = sample.time_s + self._fall.time_left_s(cells, self._forecaster.cutoff_V)
-        return max(self._wall_at_s - sample.time_s, 0.0)
+            left_s = self._fall.time_left_s(cells, self._forecaster.cutoff_V)
+            # Once is chance: the bound holds when the falls of SURE_LOOKS seconds on end agree that there is one.
+            self._falls = (*self._falls[1 - SURE_LOOKS :], sample.time_s + left_s)
+        return max(max(self._falls) - sample.time_s, 0.0)
 
     def _hold_against(self, raw: Sample, sample: Sample) -> None:
         """What is stated of the pack, held against a row, as it came and as the filter has it; see `statements`."""
@@ -214,7 +221,7 @@ class Estimator:
             pack, Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s)
         )
         self._swap = SwapWatch()
-        self._monitor, self._fall, self._wall_at_s = Monitor(), Fall(), math.inf
+        self._monitor, self._fall, self._falls = Monitor(), Fall(), NO_FALL
 
     def _assumed_W(self, coming: Sequence[Sample]) -> float:
         """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""

@@ -49,7 +49,7 @@ from uavbatt.records import NAN, Estimate, Sample, Status
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
-CONVERGED_SOC_SD = 0.06
+CONVERGED_SOC_SD = 0.10
 REFUSED_SOC_SD = 0.20
 ROOM_TEMP_C = 22.0
 

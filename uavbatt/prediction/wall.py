@@ -1,11 +1,12 @@
-"""The last wall: how soon the measured voltage itself reaches the cut-off, without any model of the battery.
+"""The last wall: how soon the measured voltage itself reaches the cut-off, whatever is believed of the charge.
 
-    V = a + b t + c t² - r I        least squares over the last WINDOW_S, t = 0 now, c <= 0 <= r
-    h + b t + c t² = 0              h: what is left above the cut-off under the window's mean current
+    V + v_lag = a + b t + c t² - r I    least squares over 40 s and over 60 s, t = 0 now, c <= 0 <= r
+    h + b t + c t² = 0                  h: what is left above the cut-off under the window's mean current
 
-Whatever is believed of the charge, a pack whose voltage falls towards its cut-off is there when it is there. On packs
-of many makes the time is right to a factor of two in the last 45 s, and too long before: so it bounds what is said and
-never lengthens it. Rows slower than every three seconds show no such fall.
+Of the model only the lagging overpotentials are used, so that the sag after a climb is not taken for an emptying pack.
+The later of the two windows counts, and only when both falls stand out of their scatter. On packs of many makes the
+time is then right to a factor of two in the last 45 s, and too long before: it bounds what is said and never lengthens
+it. Rows slower than every three seconds show no such fall.
 """
 
 from __future__ import annotations
@@ -18,61 +19,85 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.records import NAN, Remaining
 
-WINDOW_S, BIN_S = 40.0, 1.0
-FEWEST_BINS, LEAST_SPAN_S = 12, 28.0
+WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
+FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that they span
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.45  # a cell farther above its cut-off is on its plateau
 SIGHT_S = 150.0  # beyond this a fall says little
+OUTSTANDING = 4.0  # standard errors of the slope
 # The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
 SHARES = (0.6, 0.8, 1.25, 2.5)
 
 
-class Fall(NamedTuple):
-    """Means over BIN_S of the last WINDOW_S: rows (time [s], voltage [V], current [A], count), the open one last."""
+class Row(NamedTuple):
+    """Means over one bin: its begin [s], voltage [V], current [A], lagging overpotential of the pack [V], rows."""
 
-    bins: tuple[tuple[float, float, float, int], ...] = ()
+    begin_s: float
+    voltage_V: float
+    current_A: float
+    lag_V: float
+    rows: int = 1
+
+
+class Fall(NamedTuple):
+    """The last minute in bins, the open one last."""
+
+    bins: tuple[Row, ...] = ()
 
     @property
     def is_due(self) -> bool:
         """Whether the last row has begun a new bin: once a second is often enough to look."""
-        return bool(self.bins) and self.bins[-1][3] == 1
+        return bool(self.bins) and self.bins[-1].rows == 1
 
-    def after(self, time_s: float, voltage_V: float, current_A: float) -> Fall:
-        """The window with one more row; a row before the last one leaves it as it is."""
-        if not (math.isfinite(voltage_V) and math.isfinite(current_A)):
+    def after(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
+        """The window with one more row; a clock that falls back begins anew."""
+        if not (math.isfinite(voltage_V) and math.isfinite(current_A) and math.isfinite(lag_V)):
             return self
-        if self.bins and time_s < self.bins[-1][0]:
-            return Fall()
-        if self.bins and time_s - self.bins[-1][0] < BIN_S:
-            start_s, volts, amps, count = self.bins[-1]
-            share = 1.0 / (count + 1)
-            blended = (start_s, volts + share * (voltage_V - volts), amps + share * (current_A - amps), count + 1)
-            return Fall((*self.bins[:-1], blended))
-        kept = tuple(row for row in self.bins if time_s - row[0] <= WINDOW_S)
-        return Fall((*kept, (time_s, voltage_V, current_A, 1)))
+        if not self.bins or time_s < self.bins[-1].begin_s:
+            return Fall((Row(time_s, voltage_V, current_A, lag_V),))
+        last = self.bins[-1]
+        if time_s - last.begin_s < BIN_S:
+            share = 1.0 / (last.rows + 1)
+            volts = last.voltage_V + share * (voltage_V - last.voltage_V)
+            amps = last.current_A + share * (current_A - last.current_A)
+            return Fall((*self.bins[:-1], Row(last.begin_s, volts, amps, last.lag_V, last.rows + 1)))
+        kept = tuple(row for row in self.bins if time_s - row.begin_s <= max(WINDOWS_S))
+        return Fall((*kept, Row(time_s, voltage_V, current_A, lag_V)))
 
     def time_left_s(self, cells: float, cutoff_V: float) -> float:
         """Seconds until the pack's voltage is at `cutoff_V`; infinite where no fall tells."""
         judged = self.bins[-JUDGED_BINS:]
-        if not judged or judged[-1][1] - cutoff_V > WITHIN_REACH_V * cells:
+        if not judged or judged[-1].voltage_V - cutoff_V > WITHIN_REACH_V * cells:
             return math.inf
-        if len(judged) == JUDGED_BINS and sum(row[1] for row in judged) < JUDGED_BINS * cutoff_V:
+        if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
-        if len(self.bins) < FEWEST_BINS or self.bins[-1][0] - self.bins[0][0] < LEAST_SPAN_S:
+        if len(self.bins) < FEWEST_BINS:
             return math.inf
-        time_s, volts, amps, _ = np.array(self.bins).T
-        level_V, slope, bend = _fitted(time_s - time_s[-1], volts, amps - float(np.mean(amps)))
-        left_s = _crossing_s(level_V - cutoff_V, slope, min(bend, 0.0))
-        return left_s if left_s <= SIGHT_S else math.inf
+        rows = np.array([row[:4] for row in self.bins])
+        rows[:, 0] -= rows[-1, 0]
+        left_s = 0.0
+        for window_s in WINDOWS_S:
+            left_s = max(left_s, _fallen_s(rows[rows[:, 0] >= -window_s], window_s, cutoff_V))
+            if left_s > SIGHT_S:
+                return math.inf
+        return left_s
 
 
-def _fitted(t: Array, volts: Array, amps: Array) -> tuple[float, float, float]:
-    """Level [V], slope [V/s] and bend [V/s²] now, at the mean current; a sag of the wrong sign is left out."""
+def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
+    """Time left by the fall over one window of rows (time, voltage, current, lag); infinite when none stands out."""
+    t, volts, amps, lag_V = rows.T
+    if len(t) < FEWEST_BINS or -t[0] < LEAST_SPAN * window_s:
+        return math.inf
     curve = np.stack([np.ones_like(t), t, t * t], axis=1)
-    found = np.linalg.lstsq(np.column_stack([curve, -amps]), volts, rcond=None)[0]
-    if found[3] < 0.0:
-        found = np.linalg.lstsq(curve, volts, rcond=None)[0]
-    return float(found[0]), float(found[1]), float(found[2])
+    sagging = np.column_stack([curve, np.mean(amps) - amps])
+    found, design = np.linalg.lstsq(sagging, volts + lag_V, rcond=None)[0], sagging
+    if found[3] < 0.0:  # no sag has this sign
+        found, design = np.linalg.lstsq(curve, volts + lag_V, rcond=None)[0], curve
+    scatter_V2 = float(np.sum((volts + lag_V - design @ found) ** 2)) / (len(t) - found.size)
+    slope_sd = math.sqrt(scatter_V2 * float(np.linalg.pinv(design.T @ design)[1, 1]))
+    if -found[1] < OUTSTANDING * slope_sd:
+        return math.inf
+    return _crossing_s(float(found[0] - lag_V[-1]) - cutoff_V, float(found[1]), min(float(found[2]), 0.0))
 
 
 def _crossing_s(height_V: float, slope: float, bend: float) -> float:
