@@ -25,7 +25,8 @@ from scoring.table import Table
 SECTIONS = ("estimator", "live")
 EACH, EACH_QUICK, WORKERS = 6, 2, 2
 SHOWN_S, SHOWN_EVERY_S = 180.0, 5.0
-Given, Made = TypeVar("Given"), TypeVar("Made")
+Given = TypeVar("Given")
+Made = TypeVar("Made")
 
 
 def main(arguments: list[str] | None = None) -> int:

