@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -41,6 +42,18 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the measured data are not here: set UAVBATT_DATA to their folder")
     return folder
+
+
+@pytest.fixture
+def vehicle() -> Iterator[Any]:
+    """A quad that talks over UDP (`live_rig.Vehicle`) to a port that is free."""
+    from live_rig import Vehicle, free_port
+
+    made = Vehicle(free_port())
+    made.start()
+    yield made
+    made.is_over = True
+    made.join(2.0)
 
 
 @pytest.fixture(scope="session")

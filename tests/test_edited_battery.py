@@ -76,7 +76,7 @@ def test_a_plan_says_it(tampered: Path) -> None:
 
 
 def test_a_fleet_says_it(tampered: Path) -> None:
-    pytest.importorskip("distributed", reason="the extra `fleet` is not installed")
+    pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     from uavbatt.fleet.fly import Job, fly
     from uavbatt.fleet.logs import find
     from uavbatt.pipeline import PackOptions

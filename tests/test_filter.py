@@ -34,7 +34,7 @@ def plain_noise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_plain_noise(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(noise, "process_variances", lambda made, mean, rate_c, dt_s: WALK**2 * dt_s)
+    patch.setattr(noise, "process_variances", lambda made, mean, rate_c, dt_s, before_c: WALK**2 * dt_s)
     patch.setattr(noise, "voltage_variance", lambda *_, **__: READING_SD_V**2)
 
 
@@ -46,7 +46,8 @@ def pack() -> Pack:
 def known_pack() -> Pack:
     """The generic cell in a pack that scatters little, so that the filter's linearisation is good."""
     return pack()._replace(
-        resistance_scale_sd=0.06, capacity_scale_sd=0.02, bias_sd_V=0.005, bias_tau_s=120.0, temperature_sd_K=0.4
+        resistance_scale_sd=0.06, capacity_scale_sd=0.02, bias_sd_V=0.005, bias_tau_s=120.0, temperature_sd_K=0.4,
+        ocv_sd_V=np.zeros(SOC_GRID.size),
     )  # fmt: skip
 
 

@@ -53,7 +53,8 @@ def forecast(
 def plain_pack(ocv_V: Array, r0_ohmAh: float = 1e-9) -> Pack:
     """A pack of 4 cells of 5 Ah with this OCV on the grid, hardly any resistance and no model error."""
     cell = Parameters(ocv_V=ocv_V, r0_ohmAh=np.full(SOC_GRID.size, r0_ohmAh))
-    return pack()._replace(cell=cell, installation=Installation(4, 5.0), bias_sd_V=1e-9, low_V=NAN)
+    sure = pack()._replace(bias_sd_V=1e-9, ocv_sd_V=np.zeros(SOC_GRID.size))
+    return sure._replace(cell=cell, installation=Installation(4, 5.0), low_V=NAN)
 
 
 # --- closed forms ------------------------------------------------------------------------------------------------

@@ -52,7 +52,9 @@ def test_current_dies_0A() -> None:
     bench = Bench()
     bench.fly(30.0)
     rows(bench, 100.0, 0.0)
-    assert [text for text in texts(bench) if "unknown" in text] == ["Battery 0: time unknown, no load seen"]
+    said = texts(bench)
+    assert [text for text in said if "unknown" in text] == ["Battery 0: time unknown, current fell to nothing"]
+    assert "Battery 0: current fell to nothing: sensor?" in said
 
 
 def test_stale_after_converging_is_said() -> None:

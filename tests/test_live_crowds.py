@@ -49,15 +49,6 @@ def room() -> Iterator[None]:
 
 
 @pytest.fixture
-def vehicle() -> Iterator[Vehicle]:
-    made = Vehicle(free_port())
-    made.start()
-    yield made
-    made.is_over = True
-    made.join(2.0)
-
-
-@pytest.fixture
 def streaming() -> Iterator[tuple[StreamVehicle, int]]:
     """A vehicle that is called by TCP, and its port."""
     port = free_port()

@@ -11,7 +11,6 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +22,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.mavlink.tlog_writer import battery_status
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
-
-
-@pytest.fixture
-def vehicle() -> Iterator[Vehicle]:
-    made = Vehicle(free_port())
-    made.start()
-    yield made
-    made.is_over = True
-    made.join(2.0)
 
 
 def is_timed(message: Any) -> bool:

@@ -13,7 +13,6 @@ import threading
 import time
 import urllib.request
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -26,15 +25,6 @@ from uavbatt.feed.web import serve
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.records import Sample
-
-
-@pytest.fixture
-def vehicle() -> Any:
-    made = Vehicle(free_port())
-    made.start()
-    yield made
-    made.is_over = True
-    made.join(2.0)
 
 
 class StuckLink(FakeLink):

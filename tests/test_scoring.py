@@ -127,7 +127,10 @@ OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, forecast_period_s
 def known_pack(capacity_scale_sd: float = 0.02) -> BatteryFile:
     """The generic cell as a fit would state it: packs of the type differ little, and the model is good."""
     generic = file.read("lipo-generic")
-    table = msgspec.structs.replace(generic.parameters, resistance_scale_sd=0.06, capacity_scale_sd=capacity_scale_sd)
+    errors = {name: 0.25 * error for name, error in generic.parameters.standard_error.items()}
+    table = msgspec.structs.replace(
+        generic.parameters, resistance_scale_sd=0.06, capacity_scale_sd=capacity_scale_sd, standard_error=errors
+    )
     left = msgspec.structs.replace(generic.discrepancy, voltage_rmse_V=0.01)
     certificate = msgspec.structs.replace(generic.certificate, status="fitted")
     return msgspec.structs.replace(generic, parameters=table, discrepancy=left, certificate=certificate)

@@ -350,6 +350,21 @@ def test_live_refuses_an_absurd_statement_and_goes_on(stated: dict[str, Any]) ->
     assert bench.daemon.board.counts["rows"] == 60
 
 
+@pytest.mark.parametrize(
+    ("stated", "parameters", "words"),
+    [
+        ({"cells": 6}, {}, "count of cells does not fit the pack"),
+        ({"cutoff_V": 17.5}, {}, "cut-off does not fit the pack"),
+        ({}, {"BAT1_N_CELLS": 3.0}, "cells of the vehicle not used"),
+        ({}, {"BATT_CRT_VOLT": 3.3}, "critical voltage does not fit"),
+        ({}, {"BATT_LOW_VOLT": 25.0}, "low-voltage warning does not fit"),
+    ],
+)
+def test_the_crew_hears_what_cannot_be(stated: dict[str, Any], parameters: dict[str, float], words: str) -> None:
+    bench = live(parameters, PackOptions(**{"capacity_Ah": 5.0, "forecast_period_s": 5.0, **stated}))
+    assert f"Battery 0: {words}" in [text for _, text in bench.daemon.board.said]
+
+
 def test_live_says_what_capacity_was_not_used() -> None:
     bench = live({"BATT_CAPACITY": 5.0}, PackOptions(forecast_period_s=5.0))  # Ah where mAh were asked
     report = bench.daemon.board.reports[0]
@@ -441,6 +456,22 @@ def test_live_does_not_start_on_an_absurd_ambient_temperature(tmp_path: Path) ->
     (tmp_path / "c.toml").write_text("[pack]\nambient_C = -60\n")
     done = called("live", "udpin:127.0.0.1:0", "--config", "c.toml", folder=tmp_path)
     assert done.returncode == 1 and "pack.ambient_C" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_current_that_no_pack_of_the_stated_size_gives_is_refused_in_words(tmp_path: Path) -> None:
+    rows = [f"{80 * k},15.2,600,25" for k in range(80)]
+    (tmp_path / "absurd.csv").write_text("\n".join(["time_s,voltage_V,current_A,temp_C", *rows]) + "\n")
+    done = called("replay", "absurd.csv", "--cells", "4", "--capacity-ah", "0.05", folder=tmp_path)
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert "the stated 0.05 Ah gives more than 60 C for a minute" in done.stdout
+
+
+def test_one_damaged_current_moves_nothing() -> None:
+    """A row in flight of 1900 A on a pack of 5 Ah."""
+    rows = list(flown()[:60])
+    rows[40] = replace(rows[40], current_A=1900.0)
+    damaged, sound = after(samples=rows), after(samples=flown()[:60])
+    assert damaged[-1][0].soc == pytest.approx(sound[-1][0].soc, abs=2e-4)
 
 
 def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:

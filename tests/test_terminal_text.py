@@ -70,7 +70,6 @@ def test_of_a_battery_file(tmp_path: Path) -> None:
 
 
 def test_of_a_fleet(tmp_path: Path) -> None:
-    pytest.importorskip("distributed", reason="the extra `fleet` is not installed")
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/a.csv").write_text(HEAD + "0,\x1b[31mred,1\n")

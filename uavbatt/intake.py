@@ -2,8 +2,9 @@
 
 A voltage that leaps between two rows and a cell voltage that no cell has are damage until they are repeated. A
 temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
-is missing for a moment is held; one that is never there is worked out from the power that the operator stated, or from
-one that is assumed, which the filter then doubts as much as it deserves.
+no pack of the size gives, which would carry the model out of all numbers, is no reading. One that is missing for a
+moment is held; one that is never there is worked out from the power that the operator stated, or from one that is
+assumed, which the filter then doubts as much as it deserves.
 """
 
 from __future__ import annotations
@@ -41,11 +42,14 @@ class Intake(NamedTuple):
     cell_spread_V: float = 0.0
     spread_s: float = NAN
 
-    def after(self, sample: Sample, assumed_power_W: float = NAN) -> tuple[Intake, Sample]:
-        """The next state, and the sample as the filter may have it; a load is assumed where nothing tells any."""
+    def after(self, sample: Sample, assumed_power_W: float = NAN, most_A: float = math.inf) -> tuple[Intake, Sample]:
+        """The next state, and the sample as the filter may have it.
+
+        A load is assumed where nothing tells any; a current above `most_A`, which the pack cannot give, tells none.
+        """
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
-        now, current_A = now._with_current(sample, assumed_power_W)
+        now, current_A = now._with_current(sample, assumed_power_W, most_A)
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample), sample
@@ -77,12 +81,15 @@ class Intake(NamedTuple):
         now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
         return now, NAN if is_board else temp_C
 
-    def _with_current(self, sample: Sample, assumed_power_W: float) -> tuple[Intake, float]:
-        if math.isfinite(sample.current_A):
+    def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Intake, float]:
+        is_read = math.isfinite(sample.current_A)
+        if is_read and abs(sample.current_A) <= most_A:
             read_A = sample.current_A
             return self._replace(current_A=read_A, current_s=sample.time_s, metered=True, guessed=False), read_A
         if sample.time_s - self.current_s <= HELD_CURRENT_S:
             return self, self.current_A
+        if is_read:
+            return self._replace(metered=True), NAN
         now = self if math.isfinite(self.first_s) else self._replace(first_s=sample.time_s)
         is_absent = math.isfinite(self.stated_power_W) or sample.time_s - now.first_s >= ABSENT_S
         power_W = self.stated_power_W if math.isfinite(self.stated_power_W) else assumed_power_W

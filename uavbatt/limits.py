@@ -22,6 +22,7 @@ CAPACITY_AH = (0.05, 500.0)
 AMBIENT_C = (-40.0, 60.0)
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
+HIGHEST_C_RATE = 200.0  # of any row: a pack that gives it is empty in 18 s
 LONGEST_ROW_S = 90.0  # rows farther apart are no telemetry: milliseconds
 KELVIN = (230.0, 360.0)  # a cell's temperature in the wrong unit
 POWER_FACTOR = 2.0  # beyond it another aircraft flew

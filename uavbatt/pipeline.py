@@ -26,7 +26,7 @@ from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.recursion import Summary
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.intake import Intake
-from uavbatt.limits import Doubt, Seen
+from uavbatt.limits import HIGHEST_C_RATE, Doubt, Seen
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.questions import answer
@@ -144,9 +144,9 @@ class Estimator:
 
     def look_ahead(self, samples: Sequence[Sample]) -> None:
         """The next samples will be these, with the facts as they are now: the filter may take them in one go."""
-        intake, assumed_W = self._intake, self._assumed_W(samples)
+        intake, assumed_W, most_A = self._intake, self._assumed_W(samples), self._most_A(samples)
         for sample in samples:
-            intake, cleaned = intake.after(sample, assumed_W)
+            intake, cleaned = intake.after(sample, assumed_W, most_A)
             self._coming.append((intake, cleaned))
         if self._filter is not None:
             self._filter.look_ahead([cleaned for _, cleaned in self._coming])
@@ -157,11 +157,14 @@ class Estimator:
         if self._coming:
             self._intake, sample = self._coming.popleft()
         else:
-            self._intake, sample = self._intake.after(sample, self._assumed_W([sample]))
+            self._intake, sample = self._intake.after(sample, self._assumed_W([sample]), self._most_A([sample]))
         self._hold_against(raw, sample)
         if self._filter is None or self._forecaster is None or self._intake.guessed != was_guessed:
             if not math.isfinite(sample.voltage_V):
                 return Asked(sample, unknown(sample), None, "no voltage in this row", None)
+            if self._doubts and self._doubts[0].is_certain:  # no filter begins at what no pack shows
+                nothing = replace(unknown(sample), reason=self._doubts[0].words, warnings=(self._doubts[0].words,))
+                return Asked(sample, nothing, None, nothing.reason, None)
             assert self.resolved is not None
             self._begin(self._pack(self.resolved), sample)
         assert self._filter is not None and self._forecaster is not None and self.resolved is not None
@@ -181,6 +184,8 @@ class Estimator:
         self._forecaster.cell_spread_V = self._intake.cell_spread_V
         if self._intake.guessed:  # nobody measured these
             estimate = replace(estimate, current_A=NAN, power_W=NAN)
+            if estimate.status is Status.OK:
+                estimate = replace(estimate, status=Status.CONVERGING, reason="no current sensor: the load is assumed")
         refusal, question = self._forecaster.ask(sample, estimate, belief)
         return Asked(sample, estimate, self._forecaster, refusal, question, self._wall_s(sample, belief))
 
@@ -229,6 +234,11 @@ class Estimator:
             return NAN
         pack = self.resolved or self._resolved_by(coming)
         return ASSUMED_C_RATE * pack.capacity_Ah * pack.cells * ASSUMED_CELL_V if pack is not None else NAN
+
+    def _most_A(self, coming: Sequence[Sample]) -> float:
+        """More than this no pack of the size gives; no limit before a voltage tells the pack."""
+        pack = self.resolved or self._resolved_by(coming)
+        return HIGHEST_C_RATE * pack.capacity_Ah if pack is not None else math.inf
 
     def _resolved_by(self, coming: Sequence[Sample]) -> Resolved | None:
         """The pack by the first voltage that there is; None without one."""

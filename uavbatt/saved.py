@@ -17,6 +17,7 @@ import numpy as np
 from uavbatt.battery.belief import SIZE, C, mixed_covariance
 from uavbatt.battery.model import Array
 from uavbatt.battery.sections import HIGHEST_CELL_V, Capacity, Cells
+from uavbatt.limits import HIGHEST_C_RATE
 from uavbatt.pipeline import Past
 from uavbatt.records import PackFacts
 
@@ -24,7 +25,6 @@ Column = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 Square = Annotated[list[Column], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 Weight = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 MOST_MEMBERS = 64
-HIGHEST_C_RATE = 200.0  # a pack at 200 C is empty in 18 s
 
 # The mean of each component and its standard deviation, from .. to. Below the lowest sd nobody knows a battery: flights
 # end with 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials may be known (there are none).

@@ -45,6 +45,8 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.02, 3000.0
+# Of a make that nobody tested the printed capacity is no measurement either, and racing packs have a third of the ohms.
+UNKNOWN_MAKE_CAPACITY_SD, UNKNOWN_MAKE_RESISTANCE_SD = 0.2, 0.3
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 
@@ -138,13 +140,16 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
     widening = WIDENING[file.status]
     left = file.discrepancy
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
+    unknown = file.status == "generic"
     return Pack(
         cell=cell_parameters(file),
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,
-        resistance_scale_sd=file.parameters.resistance_scale_sd * widening,
-        capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
+        resistance_scale_sd=math.hypot(
+            file.parameters.resistance_scale_sd * widening, UNKNOWN_MAKE_RESISTANCE_SD * unknown
+        ),
+        capacity_scale_sd=math.hypot(file.parameters.capacity_scale_sd * widening, UNKNOWN_MAKE_CAPACITY_SD * unknown),
         bias_sd_V=math.hypot(stated_V, SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, SERVICE_BIAS_TAU_S),
         ocv_sd_V=_ocv_sd_V(file),

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
 CONVERGED_SOC_SD = 0.10
-REFUSED_SOC_SD = 0.20
+REFUSED_SOC_SD = 0.25
 ROOM_TEMP_C = 22.0
 
 

@@ -24,10 +24,30 @@ CRITICAL_BELOW_S = 90.0
 LOST_AFTER_S = 1.0  # one bad row is no loss
 WARNING_GONE_S = 60.0
 
-# How a warning of an estimate begins -> what is said of it, behind "Battery N: ": at most 37 characters.
-WARNINGS: dict[str, str] = {}
+# Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
+WARNINGS: dict[str, str] = {
+    "the vehicle states": "cells of the vehicle not used",
+    " V a cell, expected": "count of cells does not fit the pack",
+    "nearly empty, or another count": "nearly empty, or wrong cell count",
+    "fuller than cells are": "too full, or wrong cell count",
+    "capacity of the vehicle,": "capacity of the vehicle not used",
+    "the stated": "capacity does not fit the flight",
+    "critical voltage of the vehicle,": "critical voltage does not fit",
+    "low-voltage warning": "low-voltage warning does not fit",
+    "cut-off ": "cut-off does not fit the pack",
+    "the current flows into the pack": "current flows into the pack",
+    "the rows are more than": "time of the rows does not fit",
+    "this aircraft draws": "power is not what is stated",
+    "the voltage falls faster": "voltage falls faster than charge says",
+    "this pack holds less than stated": "pack holds less than stated",
+    "the voltage is far off": "voltage is not this battery file's",
+    "have not fitted this battery": "voltage and current do not fit",
+    "the voltage has not moved": "voltage is stuck",
+    "the current has not moved": "current is stuck",
+    "the current fell to nothing": "current fell to nothing: sensor?",
+}
 
-# How the reason of a refusal begins -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
+# Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
 REASONS: dict[str, str] = {
     "no telemetry": "no telemetry",
     "no current": "no current reading",
@@ -38,7 +58,18 @@ REASONS: dict[str, str] = {
     "the end lies beyond": "load is no flight's",
     "no belief": "no estimate yet",
     "two senders": "two senders disagree",
-    "capacity": "capacity not stated",
+    "in uavbatt itself": "a fault of uavbatt",
+    "capacity: neither": "capacity not stated",
+    " V a cell, expected": "cell count is wrong",
+    "the stated": "capacity is wrong",
+    "low-voltage warning": "low voltage is wrong",
+    "cut-off ": "cut-off is wrong",
+    "the current flows into the pack": "current is negative",
+    "the rows are more than": "time is wrong",
+    "the voltage has not moved": "voltage is stuck",
+    "the current has not moved": "current is stuck",
+    "the current fell to nothing": "current fell to nothing",
+    "no end in sight": "charge and load differ",
 }
 
 
@@ -94,12 +125,12 @@ class Announcer:
 
     def _new_warnings(self, now_s: float, warnings: Sequence[str]) -> list[tuple[int, str]]:
         made = []
-        for begins, short in WARNINGS.items():
-            if not any(warning.startswith(begins) for warning in warnings):
+        for words, short in WARNINGS.items():
+            if not any(words in warning for warning in warnings):
                 continue
-            if now_s - self._warned_s.get(begins, -math.inf) > WARNING_GONE_S:
+            if now_s - self._warned_s.get(words, -math.inf) > WARNING_GONE_S:
                 made.append((SEVERITY_WARNING, short))
-            self._warned_s[begins] = now_s
+            self._warned_s[words] = now_s
         return made
 
     def _may(self, now_s: float, subject: str) -> bool:
@@ -107,7 +138,7 @@ class Announcer:
 
 
 def _short(reason: str) -> str:
-    return next((short for begins, short in REASONS.items() if reason.startswith(begins)), reason)
+    return next((short for words, short in REASONS.items() if words in reason), reason)
 
 
 def _minutes(left_s: float) -> str:

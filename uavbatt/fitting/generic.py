@@ -7,10 +7,9 @@ import numpy as np
 from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy
 from uavbatt.fitting import assemble, prior
 
-# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.8 (racing packs have 2 mohm a cell at
-# 5 Ah, tired ones 10), the charge that is printed on them is up to 15 % off either way, before any wear.
-RESISTANCE_SCALE_SD = 0.6
-CAPACITY_SCALE_SD = 0.15
+# Between makes and ages of LiPo packs: total resistance differs by a factor of 1.5, usable capacity by 6 %.
+RESISTANCE_SCALE_SD = 0.4
+CAPACITY_SCALE_SD = 0.05
 CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5
 
 
@@ -33,11 +32,11 @@ def generic_lipo() -> BatteryFile:
         effects=assemble.effect_entries(slots, x, error, prior.BASE_EFFECTS),
         discrepancy=Discrepancy(
             voltage_bias_V=0.0,
-            voltage_rmse_V=0.03,
+            voltage_rmse_V=0.07,
             voltage_autocorrelation_s=2000.0,
             temperature_rmse_K=1.5,
             held_out=False,
-            source="assumed: what is left of a make's OCV beside the standard errors of its knots",
+            source="assumed: the OCV of a make (4.20 or 4.35 V cells) differs from the prior for a whole flight",
         ),
         certificate=Certificate(status="generic"),
     )
