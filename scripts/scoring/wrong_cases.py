@@ -1,0 +1,141 @@
+"""The flights of `wrong_packs.py`: packs that are not what is stated, drawn once and for all by fixed seeds.
+
+A generic battery meets any make at 0.4 to 2.5 times its ohms; a fitted one meets packs of the make that it was fitted
+to, healthy ones and worn ones, at 0.85 to 1.9 times the make's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from scoring.other_pack import (
+    CELLS,
+    CUTOFF_V,
+    FULL_AH,
+    LIPO,
+    MAKES,
+    ORDINARY,
+    PRIOR_OHMAH,
+    Flown,
+    Make,
+    Pack,
+    Power,
+    Sensors,
+    flight,
+)
+from uavbatt.battery.file import BatteryFile
+from uavbatt.fitting.battery import Size, fit_battery
+
+GENERIC, FITTED = "generic", "fitted"
+GUSTY = Power()
+CAPACITIES = (("65..80 %", 0.65, 0.80), ("80..92 %", 0.80, 0.92), ("92..105 %", 0.92, 1.05))
+CHARGES = (("full", 0.97, 1.0), ("part", 0.60, 0.93))
+GAINS = (("current reads 0.5..0.8", 0.5, 0.8), ("current reads 1.1..1.3", 1.1, 1.3))
+GENERIC_OHMS, FITTED_OHMS = (0.4, 2.5), (0.85, 1.9)
+ISSUE_AH = (5.0, 4.5, 4.0, 3.5)
+# Healthy packs that a battery is fitted to: capacity / stated, ohms / make's, air [°C], level power [W], climbs.
+HEALTHY = (
+    (1.00, 1.00, 22.0, 260.0, 0.3),
+    (0.99, 1.04, 28.0, 330.0, 0.0),
+    (1.01, 0.96, 15.0, 400.0, 0.2),
+    (0.98, 1.05, 25.0, 220.0, 0.3),
+    (1.00, 1.00, 30.0, 300.0, 0.3),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One flight: what the pack is, of a stated 5 Ah, and how it is flown and read."""
+
+    name: str
+    battery: str
+    capacity_class: str
+    charge_class: str
+    make: Make = LIPO
+    capacity_Ah: float = FULL_AH
+    start_soc: float = 1.0
+    resistance: float = 1.0  # against the make's
+    air_C: float = 25.0
+    power: Power = GUSTY
+    sensors: Sensors = ORDINARY
+    seed: int = 3
+
+    @property
+    def group(self) -> tuple[str, str, str]:
+        """The row of the table that the flight belongs to."""
+        return (self.battery, self.capacity_class, self.charge_class)
+
+    def flown(self) -> Flown:
+        """The flight, to its end."""
+        pack = Pack(self.capacity_Ah, self.start_soc, FULL_AH, self.resistance, self.make, CELLS, self.air_C)
+        return flight(pack, self.power, self.sensors, seed=self.seed)
+
+    @property
+    def words(self) -> str:
+        """What is flown, for who reruns it."""
+        ohms = self.resistance * self.make.ohmAh / PRIOR_OHMAH
+        return (
+            f"{self.make.name}, {self.capacity_Ah:.2f} of {FULL_AH:g} Ah, charged to {self.start_soc:.0%}, ohms "
+            f"{ohms:.2f} of the prior, {self.resistance:.2f} of the make, {self.power.level_W:.0f} W with climbs of "
+            f"{self.power.climb:.0%}, {self.air_C:.0f} °C, current gain {self.sensors.current_gain:.2f}"
+        )
+
+
+def issue() -> list[Case]:
+    """The table of the issue: nothing else wrong than the capacity."""
+    return [
+        Case(f"issue-{ah:.1f}Ah-{battery}", battery, "issue", "full", capacity_Ah=ah)
+        for battery in (GENERIC, FITTED)
+        for ah in ISSUE_AH
+    ]
+
+
+def sampled(each: int) -> list[Case]:
+    """So many flights of every group."""
+    spans = [(c, charge, (1.0, 1.0)) for c in CAPACITIES for charge in CHARGES]
+    spans += [((name, 0.85, 1.0), CHARGES[0], (low, high)) for name, low, high in GAINS]
+    return [
+        _drawn(battery, capacity, charge, gain, number)
+        for battery in (GENERIC, FITTED)
+        for capacity, charge, gain in spans
+        for number in range(each)
+    ]
+
+
+def _drawn(
+    battery: str,
+    capacity: tuple[str, float, float],
+    charge: tuple[str, float, float],
+    gain: tuple[float, float],
+    number: int,
+) -> Case:
+    name = f"{battery}-{capacity[0]}-{charge[0]}-{number}".replace(" ", "").replace("%", "").replace("..", "to")
+    dice = np.random.default_rng(list(name.encode()))
+    make = MAKES[number % len(MAKES)]
+    low, high = (k * PRIOR_OHMAH / make.ohmAh for k in GENERIC_OHMS) if battery == GENERIC else FITTED_OHMS
+    return Case(
+        name,
+        battery,
+        *(capacity[0], charge[0]),
+        make,
+        capacity_Ah=FULL_AH * float(dice.uniform(*capacity[1:])),
+        start_soc=float(dice.uniform(*charge[1:])),
+        resistance=math.exp(float(dice.uniform(math.log(low), math.log(high)))),
+        air_C=float(dice.uniform(10.0, 32.0)),
+        power=Power(float(dice.uniform(200.0, 380.0)), gust=0.05, climb=float(dice.choice([0.0, 0.15, 0.3]))),
+        sensors=Sensors(0.01, 0.15, 0.01, 0.05, current_gain=float(dice.uniform(*gain))),
+        seed=int(dice.integers(1, 10_000)),
+    )
+
+
+def fitted(make: Make) -> BatteryFile:
+    """A battery fitted to flights of healthy packs of a make."""
+    flights = [
+        flight(Pack(FULL_AH * share, 1.0, FULL_AH, ohms, make, CELLS, air_C), Power(level_W, climb=climb), seed=100 + k)
+        for k, (share, ohms, air_C, level_W, climb) in enumerate(HEALTHY)
+    ]
+    logs = [flown.flight(f"{make.name} {k}") for k, flown in enumerate(flights)]
+    return fit_battery(Size(f"{make.name}, fitted", CELLS, FULL_AH, CUTOFF_V), [], logs).file

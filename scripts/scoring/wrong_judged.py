@@ -1,0 +1,123 @@
+"""One flight of a pack that is not ours through the estimator, against its truth: figures and lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from peers.columns import FloatArray
+
+from scoring.lines import ours
+from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Flown, Make
+from scoring.wrong_cases import GENERIC, Case, fitted
+from uavbatt.asked import FALLS_FASTER
+from uavbatt.battery import file
+from uavbatt.battery.file import BatteryFile
+from uavbatt.estimation.monitor import FAR_OFF, SMALL
+from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.replay import Step, steps
+
+PERIOD_S = 5.0
+BEFORE_END_S = (120.0, 60.0, 20.0, 5.0)
+LAST_S, SETTLED_S = 120.0, 30.0
+WORDS = (FALLS_FASTER, SMALL, FAR_OFF)
+NAN = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What was shown at an instant, and how long it really took [s]; NaN where refused."""
+
+    true_s: float
+    median_s: float
+    lo_s: float
+    hi_s: float
+
+    @property
+    def error_s(self) -> float:
+        """Positive is too long."""
+        return self.median_s - self.true_s
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A flight in figures [s]; shares of its rows in the air."""
+
+    case: Case
+    flown_s: float
+    half: Said
+    before: dict[float, Said]
+    lo_excess_s: float  # of the 5 % point over the truth, the worst of the last two minutes; NaN: all refused
+    covered: float  # of the 90 % interval, a refusal is a miss
+    refused: float
+    alarm_s: float  # true time left at the two-minute alarm; 0: never
+    words_s: float  # true time left when a warning first said what is wrong; NaN: never
+    nees: float  # of soc
+    soc_rmse: float
+
+
+@cache
+def battery(name: str, make: Make) -> BatteryFile:
+    """The packaged generic battery, or one fitted to the make."""
+    return file.read("lipo-generic") if name == GENERIC else fitted(make)
+
+
+def estimator(case: Case) -> Estimator:
+    """A fresh estimator that is told what is stated of the pack."""
+    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V, forecast_period_s=PERIOD_S)
+    return Estimator(battery(case.battery, case.make), options)
+
+
+def replayed(case: Case) -> tuple[Flown, list[Step]]:
+    """The flight, and every row of it through an estimator."""
+    flown = case.flown()
+    return flown, list(steps(flown.flight(case.name), estimator(case)))
+
+
+def judged(case: Case) -> Judged:
+    """A flight, flown and in figures."""
+    return judge(case, *replayed(case))
+
+
+def judge(case: Case, flown: Flown, run: Sequence[Step]) -> Judged:
+    """The figures of what was said of a flight."""
+    lines, start_s, end_s = ours(run), flown.start_s, flown.end_s
+    score = lines.scored(case.name, case.battery, start_s, end_s)
+    columns = np.stack([lines.time_s, lines.remaining_s, *(c for c in (lines.lo_s, lines.hi_s) if c is not None)])
+    late = columns[:, lines.time_s > end_s - LAST_S]
+    excess_s = late[2] - (end_s - late[0])
+    nees, rmse = _charge(run, flown, start_s + SETTLED_S)
+    words = [s.estimate.time_s for s in run if any(w in s.estimate.warnings for w in WORDS)]
+    return Judged(
+        case,
+        flown_s=end_s - start_s,
+        half=_said(columns, start_s + 0.5 * (end_s - start_s), end_s),
+        before={left_s: _said(columns, end_s - left_s, end_s) for left_s in BEFORE_END_S},
+        lo_excess_s=float(np.nanmax(excess_s)) if np.isfinite(excess_s).any() else NAN,
+        covered=score.coverage,
+        refused=score.refused,
+        alarm_s=score.alarm_at_s,
+        words_s=end_s - words[0] if words else NAN,
+        nees=nees,
+        soc_rmse=rmse,
+    )
+
+
+def _said(columns: FloatArray, at_s: float, end_s: float) -> Said:
+    """The last row at or before an instant."""
+    time_s, median_s, lo_s, hi_s = (float(c) for c in columns[:, np.searchsorted(columns[0], at_s + 1e-6) - 1])
+    return Said(end_s - time_s, median_s, lo_s, hi_s)
+
+
+def _charge(run: Sequence[Step], flown: Flown, since_s: float) -> tuple[float, float]:
+    """NEES and root mean square error of the state of charge."""
+    known = [(s.estimate.soc, s.estimate.soc_sd, s.estimate.time_s) for s in run]
+    soc, sd, time_s = (np.array(c) for c in zip(*known, strict=True))
+    apart = soc - np.array(flown.soc)
+    counts = (time_s >= since_s) & np.isfinite(soc) & (sd > 0.0)
+    if not counts.any():
+        return NAN, NAN
+    return float(np.mean((apart[counts] / sd[counts]) ** 2)), float(np.sqrt(np.mean(apart[counts] ** 2)))

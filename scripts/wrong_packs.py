@@ -1,0 +1,110 @@
+"""Packs that are not what is stated, of a model that is not ours: what is said of them, and how late.
+
+    python scripts/wrong_packs.py [--only estimator|live] [--quick] [--markdown FILE] [--flight NAME]
+
+Flies small, worn, part-charged and mis-stated packs through the estimator, with the generic battery and with one fitted
+to healthy packs of the make, and the faults of sensors, swaps and statements through the companion process. Reports,
+does not judge. Tables go to stdout, progress to stderr; --markdown also writes them for the README.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread only gets in the way
+
+from scoring.table import Table
+
+SECTIONS = ("estimator", "live")
+EACH, EACH_QUICK, WORKERS = 6, 2, 2
+SHOWN_S, SHOWN_EVERY_S = 180.0, 5.0
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fly the chosen sections, or one flight."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="one section; may be given again")
+    parser.add_argument("--quick", action="store_true", help="a third of the flights, the faults of the tests alone")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables as Markdown")
+    parser.add_argument("--flight", metavar="NAME", help="print the lines of one flight's last three minutes")
+    given = parser.parse_args(arguments)
+    if given.flight is not None:
+        return _one(given.flight)
+    tables = _tables(given.only or SECTIONS, given.quick)
+    print("\n".join(t.text() for t in tables), flush=True)
+    if given.markdown is not None:
+        from uavbatt.aside import written_aside
+
+        with written_aside(given.markdown, "w") as stream:
+            stream.write("\n".join(t.markdown() for t in tables) + "\n")
+    return 0
+
+
+def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
+    from scoring import scenarios, wrong_cases, wrong_judged, wrong_live, wrong_tables
+
+    say, made = _progress(time.monotonic()), []
+    flown: list[wrong_judged.Judged] = []
+    faults: list[wrong_live.Heard] = []
+    if "estimator" in sections:
+        cases = wrong_cases.issue() + wrong_cases.sampled(EACH_QUICK if is_quick else EACH)
+        flown = list(_each(wrong_judged.judged, cases, say, "estimator"))
+        made += [wrong_tables.issue(flown), wrong_tables.groups(flown), wrong_tables.worst(flown)]
+    if "live" in sections:
+        names = [*scenarios.SCENARIOS, *(() if is_quick else scenarios.MORE)]
+        faults = list(_each(wrong_live.heard, names, say, "live"))
+        made.append(wrong_live.table(faults))
+    return [*made, wrong_tables.targets(flown, faults)]
+
+
+def _each(work: Callable[[Given], Made], given: list[Given], say: Callable[[str], None], name: str) -> Iterator[Made]:
+    """All of it, on two cores, in the order given."""
+    with get_context("spawn").Pool(WORKERS) as pool:
+        for number, made in enumerate(pool.imap(work, given, chunksize=1), 1):
+            if number % 10 == 0 or number == len(given):
+                say(f"{name}: {number} of {len(given)}")
+            yield made
+
+
+def _one(name: str) -> int:
+    """The lines of one flight through the estimator, by its name in the tables."""
+    from scoring import wrong_cases, wrong_judged
+
+    cases = {case.name: case for case in wrong_cases.issue() + wrong_cases.sampled(EACH)}
+    if name not in cases:
+        print(f"wrong_packs: --flight {name}: expected one of {', '.join(cases)}", file=sys.stderr)
+        return 2
+    print(cases[name].words)
+    flown, run = wrong_judged.replayed(cases[name])
+    for step, soc in zip(run, flown.soc, strict=True):
+        left_s = flown.end_s - step.estimate.time_s
+        if left_s <= SHOWN_S and left_s % SHOWN_EVERY_S == 0.0:
+            known, said = step.estimate, step.remaining
+            print(
+                f"{left_s:4.0f} s left, said {said.remaining_s:4.0f} [{said.remaining_lo_s:4.0f}, "
+                f"{said.remaining_hi_s:4.0f}] alarm point {said.remaining_alarm_s:4.0f}  {known.voltage_V:6.2f} V "
+                f"{known.current_A:5.1f} A  soc {known.soc:.3f} ± {known.soc_sd:.3f} (true {soc:.3f})  capacity "
+                f"{known.capacity_scale:.2f} ± {known.capacity_scale_sd:.2f}  ohms {known.resistance_scale:.2f}  "
+                f"{said.status} {said.reason}"
+            )
+    return 0
+
+
+def _progress(began_s: float) -> Callable[[str], None]:
+    def say(text: str) -> None:
+        print(f"[{time.monotonic() - began_s:5.0f} s] {text}", file=sys.stderr, flush=True)
+
+    return say
+
+
+if __name__ == "__main__":
+    sys.exit(main())
