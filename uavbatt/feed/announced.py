@@ -3,6 +3,7 @@
 - The time left at worst falls through a threshold: once, and again only after it had risen 20 % above it.
 - A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and so is the end of
   a flight: the vehicle is disarmed and nothing tells the load to come.
+- No number comes although the vehicle is armed: once.
 - A warning of WARNINGS stands on the estimate: once, and again only after it had been gone for a minute.
 
 A text never waits for another: the pause holds only between two texts about the same thing, and what is still so when
@@ -23,6 +24,7 @@ REARM = 1.2
 CRITICAL_BELOW_S = 90.0
 LOST_AFTER_S = 1.0  # one bad row is no loss
 WARNING_GONE_S = 60.0
+WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
 
 # Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
 WARNINGS: dict[str, str] = {
@@ -81,7 +83,7 @@ class Announcer:
         self._waiting = dict.fromkeys(sorted(thresholds_s, reverse=True), True)
         self._spoke_s: dict[str, float] = {}  # by subject
         self._warned_s: dict[str, float] = {}  # when a warning stood there last
-        self._was_known = False
+        self._was_known = self._is_without_said = False
         self._lost_s = math.nan
 
     def texts(self, now_s: float, report: Report, is_armed: bool | None = None) -> list[tuple[int, str]]:
@@ -110,10 +112,10 @@ class Announcer:
         if math.isfinite(shown.remaining_s):
             self._was_known, self._lost_s = True, math.nan
             return []
-        if not self._was_known:
-            return []
         if math.isnan(self._lost_s):
             self._lost_s = now_s
+        if not self._was_known:
+            return self._never_known(now_s, shown, is_armed)
         is_stale = shown.status is Status.STALE  # that took its time already
         if not (is_stale or now_s - self._lost_s >= LOST_AFTER_S) or not self._may(now_s, "loss"):
             return []
@@ -122,6 +124,14 @@ class Announcer:
             return []
         self._spoke_s["loss"] = now_s
         return [(SEVERITY_WARNING if is_armed else SEVERITY_NOTICE, f"time unknown, {_short(shown.reason)}")]
+
+    def _never_known(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
+        """In the air without a number from the start: said once."""
+        is_due = is_armed is True and not self._is_without_said and now_s - self._lost_s >= WITHOUT_AFTER_S
+        if not is_due or shown.status is not Status.REFUSED:
+            return []
+        self._is_without_said = True
+        return [(SEVERITY_WARNING, f"time unknown, {_short(shown.reason)}")]
 
     def _new_warnings(self, now_s: float, warnings: Sequence[str]) -> list[tuple[int, str]]:
         made = []

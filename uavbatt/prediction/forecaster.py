@@ -25,6 +25,7 @@ from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
+SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 # Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power the longer steps
@@ -265,6 +266,8 @@ class Forecaster:
             return ""
         if not math.isfinite(self._flying_since_s):
             return "on the ground or no load: nothing tells the load to come"
+        if sample.time_s - self._flying_since_s < SETTLED_S:
+            return "the load has just come"
         return ""
 
 
