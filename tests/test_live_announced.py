@@ -29,7 +29,8 @@ def rows(bench: Bench, seconds: float, amps: float, volts: float = 15.9, armed: 
     for k in range(int(5 * seconds)):
         if k % 5 == 0:
             bench.send(heartbeat(armed))
-        bench.send(battery_status(Sample(0.0, volts, amps, 25.0, 0.1, armed=armed), 0))
+        shown_V = volts - 0.001 * (k // 25) + (0.4 if abs(amps) < 1.0 and not armed else 0.0)  # sinks; rises at rest
+        bench.send(battery_status(Sample(0.0, shown_V, amps, 25.0, 0.1, armed=armed), 0))
         bench.daemon.turn()
         bench.now_s += 0.2
 
@@ -154,3 +155,10 @@ def test_a_warning_of_the_estimate_reaches_station_and_page(monkeypatch: pytest.
     messages = [m for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
     assert [(m.text, m.severity) for m in messages] == [("Battery 0: no temperature", dialect.MAV_SEVERITY_WARNING)]
     assert [line["text"] for line in content(bench.daemon.board, bench.now_s)["said"]] == ["Battery 0: no temperature"]
+
+
+def test_a_number_that_never_comes_is_said_once() -> None:
+    """Twelve cells are stated of a pack of four: refused from the first row on, and the crew hears of it."""
+    bench = Bench(PackOptions(cells=12, capacity_Ah=5.0, forecast_period_s=1.0))
+    rows(bench, 60.0, 12.0)
+    assert len([text for text in texts(bench) if "time unknown" in text]) == 1

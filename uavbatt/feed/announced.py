@@ -110,7 +110,7 @@ class Announcer:
 
     def _loss(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
         if math.isfinite(shown.remaining_s):
-            self._was_known, self._lost_s = True, math.nan
+            self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
             return []
         if math.isnan(self._lost_s):
             self._lost_s = now_s
