@@ -230,7 +230,8 @@ def test_intervals_hold_on_flights_of_the_model_itself() -> None:
             inside.append(said.remaining_lo_s <= truth_s <= said.remaining_hi_s)
             errors.append(said.remaining_s - truth_s)
     assert sum(inside) >= 19  # binomial(24, 0.9): fewer in 1 of 200
-    assert abs(float(np.median(errors))) < 30.0
+    # Of a make that nobody tested less charge is likelier than more: pessimistic on a pack that holds all of it.
+    assert -100.0 < float(np.median(errors)) < 30.0
 
 
 def test_it_is_finite_in_order_and_never_negative() -> None:

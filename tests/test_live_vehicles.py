@@ -71,13 +71,13 @@ def test_wrong_vehicle_first_through_the_process() -> None:
     with running(*arguments) as process:
         link: Any = dialect.MAVLink(None, srcSystem=42, srcComponent=1)
         assert process.stderr is not None and "listening" in process.stderr.readline()
-        for system in (42, 42, 42, *[1] * 25):
+        for system in (42, 42, 42, *[1] * 70):  # longer than the load takes to show itself
             link.srcSystem = system
             line.sendto(bytes(heartbeat(True).pack(link)), ("127.0.0.1", port))
             if system == 1:
                 line.sendto(bytes(row(16.0).pack(link)), ("127.0.0.1", port))
             time.sleep(0.1)
-        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60)
+        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60, 25.0)
         assert said.get_srcSystem() == 1
         process.terminate()
         assert "uavbatt: heard systems 42, 1; following 1\n" in process.stderr.readlines()

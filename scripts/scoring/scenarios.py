@@ -191,15 +191,10 @@ def said(name: str) -> tuple[Flown, float]:
     return made, told.rows[-1].time_s
 
 
-def is_heard(name: str) -> bool:
+def is_heard(name: str, in_time_s: float = IN_TIME_S) -> bool:
     """Whether the crew hears of the end in time, by an alarm or, where the number cannot be right, by a warning."""
     flown, end_s = said(name)
-    return has_alarmed(flown, end_s) or (name not in SOUND and has_warned(flown, end_s))
-
-
-def has_alarmed(flown: Flown, end_s: float) -> bool:
-    """The ground station heard of the last two minutes in time."""
-    return flown.alarm_s() <= end_s - IN_TIME_S
+    return flown.alarm_s() <= end_s - in_time_s or (name not in SOUND and has_warned(flown, end_s))
 
 
 def has_warned(flown: Flown, end_s: float) -> bool:

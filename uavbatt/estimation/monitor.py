@@ -29,7 +29,7 @@ from uavbatt.records import Estimate, Sample, Status
 
 FAR_SDS, LOST_SDS = 3.0, 5.0
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
-SMALL_PACK, SURE_SDS = 0.9, 1.5
+SMALL_PACK, FAR_SMALLER, SURE_SDS = 0.9, 0.7, 1.5  # shares of what is stated, surely so
 
 STUCK_VOLTAGE = "the voltage has not moved under load for half a minute: a stuck sensor?"
 STUCK_CURRENT = "the current has not moved for half a minute while the voltage does: a stuck sensor?"
@@ -96,7 +96,10 @@ class Monitor(NamedTuple):
             doubts.append(FAR_OFF)
         if off_sds < -LOST_SDS:  # far too little voltage for the charge; too much of it harms nobody
             refusals.append(FAR_OFF)
-        remarks = (SMALL,) if is_small(estimate) else ()
+        most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd
+        remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
+        if most < FAR_SMALLER:  # no wear: something that is stated is wrong
+            doubts.append(SMALL)
         return Monitor(readings, load, innovations, off_sds, tuple(doubts), remarks, refusals[0] if refusals else "")
 
     def judged(self, estimate: Estimate) -> Estimate:
@@ -118,7 +121,3 @@ def discrepancy_sds(belief: Belief, pack: Pack) -> float:
     mean_V, soc = belief.weights @ belief.means[:, [C.BIAS, C.SOC]]
     return float(mean_V) / math.hypot(pack.bias_sd_V, float(np.interp(soc, SOC_GRID, pack.ocv_sd_V)))
 
-
-def is_small(estimate: Estimate) -> bool:
-    """Whether the pack surely holds less than what is stated, by more than packs scatter."""
-    return estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd < SMALL_PACK
