@@ -16,7 +16,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from uavbatt import dataset
 from uavbatt.battery import belief as b
@@ -25,6 +25,7 @@ from uavbatt.battery.belief import SIZE
 from uavbatt.battery.build import pack_of
 from uavbatt.battery.pack import c_rate
 from uavbatt.estimation import noise
+from uavbatt.estimation.recursion import Moments
 from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.telemetry import read_log
@@ -33,55 +34,38 @@ DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] /
 SETS = ("reference/r0", "practice/p1")
 
 
-class Unscented(ExtendedKalmanFilter):
-    """filterpy's UKF in the place of the EKF: the linear maps that SocFilter hands over are not used."""
-
-    def __init__(self, dim_x: int, dim_z: int) -> None:
-        super().__init__(dim_x, dim_z)
-        points = MerweScaledSigmaPoints(dim_x, alpha=0.3, beta=2.0, kappa=0.0)
-        self.ukf = UnscentedKalmanFilter(dim_x, dim_z, dt=1.0, hx=None, fx=None, points=points)
-
-
 class UnscentedSocFilter(SocFilter):
-    """SocFilter with the unscented transform for both steps."""
-
-    def _filterpy(self):
-        if not isinstance(self._kalman, Unscented):
-            kalman = Unscented(SIZE, 2)
-            kalman.x, kalman.P = self._kalman.x.copy(), self._kalman.P.copy()
-            self._kalman = kalman
-        return self._kalman
+    """SocFilter with filterpy's unscented transform for both steps: the linear maps that it hands over are not used."""
 
     def _predict(self, mean_A, dt_s):
-        kalman = self._filterpy()
-        ukf = kalman.ukf
-        ukf.x, ukf.P = kalman.x.copy(), 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(SIZE)
-        rate = float(c_rate(self.pack.installation, mean_A))
-        ukf.Q = np.diag(noise.process_variances(self.pack, kalman.x, rate, dt_s))
+        at = self._moments()
+        points = MerweScaledSigmaPoints(SIZE, alpha=0.3, beta=2.0, kappa=0.0)
+        self._ukf = ukf = UnscentedKalmanFilter(SIZE, 2, dt=1.0, hx=None, fx=None, points=points)
+        ukf.x, ukf.P = at.x[0].copy(), at.P[0] + 1e-12 * np.eye(SIZE)
+        rate, before = (float(c_rate(self.pack.installation, amps)) for amps in (mean_A, self._block_A))
+        ukf.Q = np.diag(noise.process_variances(self.pack, at.x[0], rate, dt_s, before))
         ukf.predict(fx=lambda x, dt: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s))
-        kalman.x, kalman.P = ukf.x.copy(), ukf.P.copy()
-        original = kalman.update
-
-        def update(measured, jacobian, expected, R):
-            current_A = self._block_seen_A
-            has_temp = len(measured) == 2
-
-            def reading(x):
-                volts = float(b.voltage(self.pack, x, current_A))
-                return np.array([volts, x[b.C.SENSOR]]) if has_temp else np.array([volts])
-
-            ukf._dim_z = len(measured)
-            ukf.z = np.zeros((len(measured), 1))
-            ukf.sigmas_h = np.zeros((2 * SIZE + 1, len(measured)))
-            ukf.update(measured, R=R, hx=reading)
-            kalman.x, kalman.P = ukf.x.copy(), ukf.P.copy()
-            kalman.update = original
-
-        kalman.update = update
+        self._at = Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
 
     def _update(self, block, step_A):
-        self._block_seen_A = block.current_A
+        self._block_seen = block
         return super()._update(block, step_A)
+
+    def _condition(self, at, innovation, observation, noise_R):
+        block, ukf = self._block_seen, self._ukf
+        if block is None:  # a cell is never more than full
+            return super()._condition(at, innovation, observation, noise_R)
+        self._block_seen = None
+        count = innovation.shape[1]
+
+        def reading(x):
+            volts = float(b.voltage(self.pack, x, block.current_A))
+            return np.array([volts, x[b.C.SENSOR]])[:count]
+
+        ukf._dim_z = count
+        ukf.z, ukf.sigmas_h = np.zeros((count, 1)), np.zeros((2 * SIZE + 1, count))
+        ukf.update(np.array([block.voltage_V, block.temp_C])[:count], R=noise_R[0], hx=reading)
+        return Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
 
 
 def score(kind: type[SocFilter], battery: file.BatteryFile) -> tuple[float, float, float]:
