@@ -18,6 +18,7 @@ from uavbatt.battery.model import Array
 
 MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
+NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP = 0.6  # sd of a member as a share of the distance to the next
 # A capacity stated ten times too large, and what lies between.
@@ -42,7 +43,8 @@ def capacities(pack: Pack) -> Capacities:
     weight = np.zeros(MEMBERS)
     for share, mean, own_sd in PRIOR:
         above = math.hypot(own_sd, pack.capacity_scale_sd)
-        sd = np.where(scale > mean, above, math.hypot(above, pack.capacity_short_sd))
+        short_sd = pack.capacity_short_sd * (1.0 if mean < 0.0 else NEW_SHORT)
+        sd = np.where(scale > mean, above, math.hypot(above, short_sd))
         weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
     weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
     member_sd = np.full(MEMBERS, OVERLAP * float(scale[1] - scale[0]))
