@@ -11,17 +11,19 @@ from __future__ import annotations
 import math
 
 import pytest
-from scoring.scenarios import IN_TIME_S, MID_S, SCENARIOS, SOUND, TOO_LONG_S, is_heard, lo_excess_s, said
+from scoring.scenarios import MID_S, SCENARIOS, SOUND, TOO_LONG_S, is_heard, lo_excess_s, said
 
 # What is wrong here by a factor of two or more shows only in the knee; until then the lower end is too long by so much.
-HARDLY_KNOWN = {"current_half": 45.0, "swap_silent_small_pack": 50.0, "current_stuck_2A": 350.0, "capacity_x10": 300.0}
+HARDLY_KNOWN = {
+    "current_half": 60.0, "swap_silent_small_pack": 65.0, "param_default_3300_of_2200": 30.0,
+    "current_stuck_2A": 350.0, "capacity_x10": 300.0,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_the_crew_hears_of_the_end_in_time(name: str) -> None:
     flown, end_s = said(name)
-    in_time_s = 40.0 if name == "swap_silent_small_pack" else IN_TIME_S  # 44 % of what is stated, at twice the ohms
-    assert is_heard(name, in_time_s), [(round(end_s - text.time_s), text.text) for text in flown.texts]
+    assert is_heard(name), [(round(end_s - text.time_s), text.text) for text in flown.texts]
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -33,7 +35,7 @@ def test_the_lower_end_is_not_too_long_in_the_last_two_minutes(name: str) -> Non
     assert not excess_s > HARDLY_KNOWN.get(name, TOO_LONG_S), excess_s
 
 
-@pytest.mark.parametrize("name", HARDLY_KNOWN)
+@pytest.mark.parametrize("name", ["current_stuck_2A", "capacity_x10"])
 def test_a_number_that_contradicts_itself_is_not_ok(name: str) -> None:
     """Far less charge than stated, or none counted: in the last minute the status is open and the words stand there."""
     flown, end_s = said(name)
