@@ -193,8 +193,8 @@ class Estimator:
         """How soon the measured voltage itself is at the cut-off [s]; infinite where it does not fall."""
         assert self._forecaster is not None
         cells = float(self._forecaster.pack.installation.cells)
-        lag_V = NAN
-        if belief is not None:
+        lag_V = 0.0
+        if belief is not None and self._fall.begins(sample.time_s):
             lag_V = cells * float(belief.weights @ belief.means[:, [C.POLARISATION, C.DIFFUSION]].sum(axis=1))
         self._fall = self._fall.after(sample.time_s, sample.voltage_V, sample.current_A, lag_V)
         if self._fall.is_due:

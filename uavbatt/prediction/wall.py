@@ -24,6 +24,7 @@ FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that 
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.45  # a cell farther above its cut-off is on its plateau
 SIGHT_S = 190.0  # beyond this a fall says little
+LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 4.0  # standard errors of the slope
 # The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
 SHARES = (0.5, 0.63, 1.25, 2.5)
@@ -51,7 +52,7 @@ class Fall(NamedTuple):
 
     def after(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
         """The window with one more row; a clock that falls back begins anew."""
-        if not (math.isfinite(voltage_V) and math.isfinite(current_A) and math.isfinite(lag_V)):
+        if not (math.isfinite(voltage_V) and math.isfinite(current_A)):
             return self
         if not self.bins or time_s < self.bins[-1].begin_s:
             return Fall((Row(time_s, voltage_V, current_A, lag_V),))
@@ -64,6 +65,18 @@ class Fall(NamedTuple):
         kept = tuple(row for row in self.bins if time_s - row.begin_s <= max(WINDOWS_S))
         return Fall((*kept, Row(time_s, voltage_V, current_A, lag_V)))
 
+    def begins(self, time_s: float) -> bool:
+        """Whether a row at this time begins a new bin, which needs the lag."""
+        return not self.bins or not 0.0 <= time_s - self.bins[-1].begin_s < BIN_S
+
+    def _is_level(self, cutoff_V: float) -> bool:
+        """Whether the voltage fell so little over the window that no bend could matter: most of a flight."""
+        part = len(self.bins) // 4
+        first_V = sum(row.voltage_V for row in self.bins[:part]) / part
+        last_V = sum(row.voltage_V for row in self.bins[-part:]) / part
+        over_s = 0.75 * (self.bins[-1].begin_s - self.bins[0].begin_s)
+        return (last_V - cutoff_V) * over_s > LEVEL * SIGHT_S * max(first_V - last_V, 0.0)
+
     def time_left_s(self, cells: float, cutoff_V: float) -> float:
         """Seconds until the pack's voltage is at `cutoff_V`; infinite where no fall tells."""
         judged = self.bins[-JUDGED_BINS:]
@@ -71,7 +84,7 @@ class Fall(NamedTuple):
             return math.inf
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
-        if len(self.bins) < FEWEST_BINS:
+        if len(self.bins) < FEWEST_BINS or self._is_level(cutoff_V):
             return math.inf
         rows = np.array([row[:4] for row in self.bins])
         rows[:, 0] -= rows[-1, 0]
