@@ -39,7 +39,7 @@ from uavbatt.swap import SwapWatch
 __all__ = ["Estimator", "PackOptions", "Past", "Resolved"]
 
 NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
-SURE_LOOKS = 3  # of the last wall, a second apart
+SURE_LOOKS = 5  # of the last wall, a second apart
 NO_FALL = (math.inf,) * SURE_LOOKS
 # Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
 # power is right to a fifth. Around its mean the load wanders by a fifth for a minute at a time: as independent errors

@@ -22,10 +22,10 @@ from uavbatt.records import NAN, Remaining
 WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
 FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that they span
 JUDGED_BINS = 5
-WITHIN_REACH_V = 0.45  # a cell farther above its cut-off is on its plateau
+WITHIN_REACH_V = 0.33  # a cell farther above its cut-off is on its plateau
 SIGHT_S = 190.0  # beyond this a fall says little
 LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
-OUTSTANDING = 4.0  # standard errors of the slope
+OUTSTANDING = 6.0  # standard errors of the slope
 # The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
 SHARES = (0.5, 0.63, 1.25, 2.5)
 
