@@ -12,11 +12,11 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread only gets in the way
 
+from scoring.progress import progress
 from scoring.table import Table
 
 SECTIONS = ("m100", "truth", "flights")
@@ -50,7 +50,7 @@ def _section(name: str) -> list[Table]:
     from scoring import data
 
     folder, began_s = data.folder(), time.monotonic()
-    say = _progress(began_s)
+    say = progress(began_s)
     if name == "m100":
         from scoring import m100, m100_tables
 
@@ -65,13 +65,6 @@ def _section(name: str) -> list[Table]:
         made = shared.tables(folder, say)
     say(f"{name}: done")
     return made
-
-
-def _progress(began_s: float) -> Callable[[str], None]:
-    def say(text: str) -> None:
-        print(f"[{time.monotonic() - began_s:5.0f} s] {text}", file=sys.stderr, flush=True)
-
-    return say
 
 
 if __name__ == "__main__":

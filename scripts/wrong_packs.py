@@ -20,6 +20,7 @@ from typing import TypeVar
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread only gets in the way
 
+from scoring.progress import progress
 from scoring.table import Table
 
 SECTIONS = ("estimator", "live")
@@ -52,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
     from scoring import scenarios, wrong_cases, wrong_judged, wrong_live, wrong_tables
 
-    say, made = _progress(time.monotonic()), []
+    say, made = progress(time.monotonic()), []
     flown: list[wrong_judged.Judged] = []
     faults: list[wrong_live.Heard] = []
     if "estimator" in sections:
@@ -97,13 +98,6 @@ def _one(name: str) -> int:
                 f"{said.status} {said.reason}"
             )
     return 0
-
-
-def _progress(began_s: float) -> Callable[[str], None]:
-    def say(text: str) -> None:
-        print(f"[{time.monotonic() - began_s:5.0f} s] {text}", file=sys.stderr, flush=True)
-
-    return say
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def say(asked: Asked, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
 
 
 def walled(said: Remaining, wall_s: float) -> Remaining:
-    """What is said of the time left, held against the measured voltage; a number of no width is never `ok`."""
+    """The measured voltage bounds the time left that is said; a number of no width is never `ok`."""
     if not math.isfinite(said.remaining_s):
         return said
     now = bounded(said, wall_s)

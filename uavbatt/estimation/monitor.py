@@ -56,12 +56,12 @@ class Innovations(NamedTuple):
         return Innovations(mean, self.high_since_s if math.isfinite(self.high_since_s) else time_s)
 
     def is_unfitting(self, time_s: float) -> bool:
-        """Whether they have been too large for a minute."""
+        """They have been too large for a minute."""
         return math.isfinite(self.high_since_s) and time_s - self.high_since_s >= NIS_AFTER_S
 
 
 class Monitor(NamedTuple):
-    """What was seen so far, and what follows from it."""
+    """The monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
 
     readings: Readings = Readings()
     load: Load = Load()

@@ -61,7 +61,7 @@ class First(NamedTuple):
 
 
 def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> First:
-    """What a cell that shows `cell_V` [V] under `c_rate` [1/h] in the first row is believed to be.
+    """The first belief about a cell comes from its voltage `cell_V` [V] under `c_rate` [1/h] in the first row.
 
     The drop depends on the charge, which depends on the drop: a few rounds settle it.
     """
@@ -76,8 +76,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
         read = start.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
-    joint = start.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
-    mean, covariance = joint
+    mean, covariance = start.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
     return First(start.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
