@@ -1,9 +1,9 @@
 """Every battery of the vehicle that is followed: its estimator, its last report, and what survives a crash.
 
-    row -> TrackedBattery -> Report
-              |      ^
-              v      |
-    saved state, written every few seconds, resumed at the first row of the vehicle that it is of
+row -> TrackedBattery -> Report
+          |      ^
+          v      |
+saved state, written every few seconds, resumed at the first row of the vehicle that it is of
 """
 
 from __future__ import annotations

@@ -58,4 +58,3 @@ def capacities(pack: Pack) -> Capacities:
 def known_capacity(pack: Pack) -> Capacities:
     """One member, around what is stated: for a pack that was measured."""
     return Capacities(np.zeros(1), np.full(1, pack.capacity_scale_sd), np.ones(1))
-

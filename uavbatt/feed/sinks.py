@@ -109,7 +109,6 @@ def in_order(line: Line) -> Line:
     return {key: line[key] for key in COLUMNS}
 
 
-
 @contextmanager
 def _opened(path: str | Path, kind: Callable[[TextIO], Sink]) -> Iterator[Sink]:
     with written_aside(path) as file:

@@ -196,6 +196,4 @@ def judge(
 
 
 def _error(voltage_V: float, temp_K: float, errors: list[float], hits: list[bool]) -> Error:
-    return Error(
-        voltage_V, temp_K, float(np.mean(errors)) if errors else NAN, float(np.mean(hits)) if hits else NAN
-    )
+    return Error(voltage_V, temp_K, float(np.mean(errors)) if errors else NAN, float(np.mean(hits)) if hits else NAN)

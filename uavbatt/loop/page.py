@@ -52,8 +52,7 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
 
 def _suspect(one: EffectClass) -> Suspect:
     values = tuple(
-        (QUANTITY.get(name, name), name, i.value, i.lo, i.hi, unit_words(i.unit))
-        for name, i in one.parameters.items()
+        (QUANTITY.get(name, name), name, i.value, i.lo, i.hi, unit_words(i.unit)) for name, i in one.parameters.items()
     )
     return Suspect(tuple((m, MEANING[m], CHECK[m]) for m in one.members), one.probability, values)
 

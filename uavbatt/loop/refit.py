@@ -59,8 +59,9 @@ class _Batch:
             w.rows.size + (t.rows.size if t is not None else 0)
             for w, t in zip(evidence.volts, evidence.temps, strict=True)
         ]
-        self.start_sd = np.array([[max(s, FREE_START_SD) if c.free_start else s for s in evidence.start_sd]
-                                  for c in candidates])
+        self.start_sd = np.array(
+            [[max(s, FREE_START_SD) if c.free_start else s for s in evidence.start_sd] for c in candidates]
+        )
 
     def hold(self, centre: Array, weight: float, earlier: bool = False) -> None:
         """Priors of the shared errors that are estimated: where, and how strong a record; the rest stays at zero.

@@ -80,9 +80,7 @@ class Fit:
 def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
     """Unknowns of a variant for tests of `series` series."""
     cell = [s for s in prior.cell_slots(KEPT) if not s.name.startswith("ocv_")]
-    heat = [
-        Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT
-    ]
+    heat = [Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT]
     load = [s for s in LOAD_SLOTS if s.name != "start_offset_K"]
     steep = [Slot("steeper_cold", 0.0, 1.0)]
     nuisance = [Slot(f"{what}_{k}", 0.0, 0.1) for k in range(1, series) for what in ("ln_load", "ln_resistance")]
