@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from uavbatt import fast
-from uavbatt.battery import belief as b
+from uavbatt.battery import state_space as b
 from uavbatt.estimation.recursion import (
     BLOCK_S,
     NOTHING,
@@ -28,7 +28,7 @@ from uavbatt.estimation.recursion import (
 from uavbatt.records import Sample
 
 if TYPE_CHECKING:
-    from uavbatt.estimation.soc_filter import SocFilter
+    from uavbatt.estimation.filter import SocFilter
 
 PLAIN_ROW_S, PLAIN_BLOCK_S = 6e-6, 200e-6  # measured: a row, and a block closed
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.belief import Belief, C
-from uavbatt.battery.build import Pack
 from uavbatt.battery.model import SOC_GRID
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import Belief, C
 from uavbatt.estimation.sensors import (
     DEAD_S,
     LEAST_RISE_CELL_V,

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from uavbatt.battery import model
-from uavbatt.battery.build import dense, dense_resistance
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
