@@ -61,6 +61,11 @@ def is_flown(command: int) -> bool:
     return command <= _LAST_NAVIGATION_COMMAND
 
 
+def needs_height(command: int) -> bool:
+    """Whether an item of this command is flown to at a height of its own."""
+    return command in _AT_A_PLACE and command != LAND
+
+
 def mission_item(fields: Fields, is_px4: bool = False) -> MissionItem:
     """Return what a mission item asks for; UNKNOWN with a reason when that is not understood."""
     if fields.command in _AT_A_PLACE:
