@@ -112,7 +112,7 @@ def navigation(
 def _of_autopilot(own: Frames, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
     """The autopilot's messages with their places in the file; of heartbeats those that differ from the one before."""
     told = []
-    for message_id in (messages.HEARTBEAT, *messages.OF_AUTOPILOT):
+    for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
         frames = own.of(message_id)
         if message_id == messages.HEARTBEAT:
             frames = frames.at(_changes(frames))

@@ -16,7 +16,7 @@ from uavbatt.navigation import NAN, Home, Navigation
 from uavbatt.telemetry.route.builder import NavigationBuilder
 from uavbatt.telemetry.route.commands import Fields, mission_item
 from uavbatt.telemetry.route.modes import mode_of
-from uavbatt.telemetry.route.transfer import Transfer
+from uavbatt.telemetry.route.transfer import ACCEPTED, Transfer
 
 HEARTBEAT, GLOBAL_POSITION_INT, VFR_HUD, WIND, WIND_COV, HOME_POSITION = 0, 33, 74, 168, 231, 242
 MISSION_WRITE_PARTIAL_LIST, MISSION_ITEM, MISSION_REQUEST, MISSION_CURRENT, MISSION_REQUEST_LIST = 38, 39, 40, 42, 43
@@ -24,11 +24,14 @@ MISSION_COUNT, MISSION_CLEAR_ALL, MISSION_ITEM_REACHED, MISSION_ACK, MISSION_REQ
 MISSION_ITEM_INT, EXTENDED_SYS_STATE = 73, 245
 OF_AUTOPILOT = frozenset(
     (GLOBAL_POSITION_INT, VFR_HUD, WIND, WIND_COV, HOME_POSITION, MISSION_CURRENT, MISSION_ITEM_REACHED, MISSION_COUNT,
-     MISSION_ITEM, MISSION_ITEM_INT, MISSION_ACK, EXTENDED_SYS_STATE)
+     MISSION_ITEM, MISSION_ITEM_INT, MISSION_ACK, MISSION_REQUEST, MISSION_REQUEST_INT, EXTENDED_SYS_STATE)
 )  # fmt: skip
 """Messages of the autopilot that are taken, beside its HEARTBEAT."""
 OF_OTHERS = frozenset((MISSION_COUNT, MISSION_ITEM, MISSION_ITEM_INT, MISSION_CLEAR_ALL, MISSION_WRITE_PARTIAL_LIST))
 """Messages of other stations to the autopilot that are taken."""
+_TO_SOMEBODY = frozenset(
+    (MISSION_COUNT, MISSION_ITEM, MISSION_ITEM_INT, MISSION_ACK, MISSION_REQUEST, MISSION_REQUEST_INT)
+)
 
 SOURCE = "link"
 _E7 = 1e7
@@ -39,11 +42,16 @@ _NO_TOTAL = (0, 0xFFFF)
 
 
 class NavigationListener:
-    """Takes the messages of one autopilot, and those of others to it; holds what is known of route and place."""
+    """Takes the messages of one autopilot, and those of others to it; holds what is known of route and place.
 
-    def __init__(self, keeps_all: bool = False) -> None:
+    own : system and component by which this process asks for the mission itself, if it does
+    """
+
+    def __init__(self, keeps_all: bool = False, own: tuple[int, int] | None = None) -> None:
         self.builder = NavigationBuilder(keeps_all)
         self.transfer = Transfer()
+        self._own = own
+        self._is_outdated = False
         self._is_px4 = False
         self._mission_id = 0
         self._take: dict[int, Callable[[float, Any], None]] = {
@@ -57,13 +65,20 @@ class NavigationListener:
         """What is known at present."""
         return self.builder.now
 
+    @property
+    def wants_mission(self) -> bool:
+        """Whether the mission that the autopilot holds is not known."""
+        return self.builder.held is None or self._is_outdated or self.transfer.is_open
+
     def take(self, time_s: float, message_id: int, message: Any) -> None:
         """Take a message of the autopilot."""
         self.transfer.passes(time_s)
+        if message_id in _TO_SOMEBODY and (message.target_system, message.target_component) != self._own:
+            self.transfer.of_another(time_s)
         read = self._take.get(message_id)
         if read is not None:
             read(time_s, message)
-        elif message_id in OF_AUTOPILOT:
+        elif message_id in OF_OTHERS:
             self._transfers(time_s, message_id, message, is_upload=False)
         self.builder.transferring(time_s, self.transfer.is_open)
 
@@ -71,6 +86,7 @@ class NavigationListener:
         """Take a message of another station to the autopilot."""
         self.transfer.passes(time_s)
         if message_id in OF_OTHERS:
+            self.transfer.of_another(time_s)
             self._transfers(time_s, message_id, message, is_upload=True)
         self.builder.transferring(time_s, self.transfer.is_open)
 
@@ -95,13 +111,17 @@ class NavigationListener:
             self.transfer.begins(time_s, len(known.items), True, kept)
 
     def _ack(self, time_s: float, message: Any) -> None:
-        if message.mission_type == _MISSION:
-            self._is_held(time_s, self.transfer.acknowledged(message.type, SOURCE, not self._is_px4))
+        if message.mission_type != _MISSION:
+            return
+        is_unheard = message.type == ACCEPTED and not self.transfer.explains_acknowledgement(time_s)
+        self._is_held(time_s, self.transfer.acknowledged(message.type, SOURCE, not self._is_px4))
+        if is_unheard:
+            self._outdate(time_s)
 
     def _is_held(self, time_s: float, mission: Any) -> None:
         """The autopilot holds this mission, if it is one."""
         if mission is not None:
-            self._mission_id = 0
+            self._mission_id, self._is_outdated = 0, False
             self.builder.mission(time_s, mission)
 
     def _heartbeat(self, time_s: float, message: Any) -> None:
@@ -121,6 +141,12 @@ class NavigationListener:
         flown = len(known.items) - known.has_home_item
         self._mission_id = mission_id or self._mission_id
         if is_changed or (total not in _NO_TOTAL and total != flown):
+            self._outdate(time_s)
+
+    def _outdate(self, time_s: float) -> None:
+        """The autopilot holds a mission that nobody has heard."""
+        known, self._is_outdated = self.builder.held, True
+        if known is not None and not known.reason:
             self.builder.mission(time_s, replace(known, reason="the autopilot holds another mission than was read"))
 
     def _reached(self, time_s: float, message: Any) -> None:

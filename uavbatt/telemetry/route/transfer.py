@@ -31,15 +31,27 @@ class Transfer:
         self._is_clearing = False
         self._in_doubt = False  # an upload began and did not end well
         self._heard_s = -math.inf
+        self._written_s = self._others_heard_s = -math.inf
 
     @property
     def is_open(self) -> bool:
         """Whether a mission is passing, or one that passed was left half written."""
         return self._count is not None or self._in_doubt
 
-    def is_busy(self, time_s: float) -> bool:
-        """Whether somebody is transferring a mission at `time_s` [s]."""
-        return self._count is not None and time_s - self._heard_s <= SILENT_S
+    def is_others(self, time_s: float) -> bool:
+        """Whether another station has been transferring a mission in the last seconds before `time_s` [s]."""
+        return time_s - self._others_heard_s <= SILENT_S
+
+    def of_another(self, time_s: float) -> None:
+        """A word of the mission protocol that is not between the autopilot and us."""
+        self._others_heard_s = time_s
+
+    @property
+    def missing(self) -> int | None:
+        """The first item of an open download that was not heard yet; None without one."""
+        if self._count is None or self._is_upload:
+            return None
+        return next((seq for seq in range(self._count) if seq not in self._items), None)
 
     def passes(self, time_s: float) -> None:
         """Time goes on: a transfer that has been silent is over."""
@@ -52,6 +64,7 @@ class Transfer:
             return
         self._in_doubt = self._in_doubt or (self._is_upload and bool(self._items) and self._count is not None)
         self._count, self._is_upload, self._heard_s = count, is_upload, time_s
+        self._written_s = time_s if is_upload else self._written_s
         self._items = {item.seq: item for item in old}
 
     def takes(self, time_s: float, item: MissionItem, is_upload: bool) -> None:
@@ -60,14 +73,19 @@ class Transfer:
             return
         self._items[item.seq] = item
         self._heard_s = time_s
+        self._written_s = time_s if is_upload else self._written_s
 
     def clears(self, time_s: float) -> None:
         """Another program asks the autopilot to forget its mission."""
-        self._is_clearing, self._heard_s = True, time_s
+        self._is_clearing, self._heard_s, self._written_s = True, time_s, time_s
 
     def whole(self, source: str, has_home_item: bool) -> Mission | None:
         """Return the mission of a download once it is whole."""
         return None if self._is_upload else self._finished(source, has_home_item)
+
+    def explains_acknowledgement(self, time_s: float) -> bool:
+        """Whether a writing transfer was heard that the autopilot may be acknowledging at `time_s` [s]."""
+        return self._is_clearing or time_s - self._written_s <= SILENT_S
 
     def acknowledged(self, result: int, source: str, has_home_item: bool) -> Mission | None:
         """Return the mission that the autopilot has accepted, if this acknowledgement is of one."""
