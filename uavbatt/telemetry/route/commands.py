@@ -80,6 +80,22 @@ def mission_item(fields: Fields, is_px4: bool = False) -> MissionItem:
     return _unknown(fields, f"{name} is not understood (command {fields.command})")
 
 
+def item_fields(item: MissionItem) -> Fields:
+    """Return the fields by which an item is sent: the inverse of `mission_item` for what is understood (ArduPilot)."""
+    param1 = {Action.LOITER_TURNS: item.turns, Action.SPEED: _number_of(item.speed_kind), Action.JUMP: item.jump_to}
+    param2 = {Action.SPEED: item.speed_ms if item.speed_ms > 0.0 else -2.0, Action.JUMP: item.repeats}
+    lat_deg, lon_deg, alt_m = (0.0 if v != v else v for v in (item.lat_deg, item.lon_deg, item.alt_m))
+    frame = next(number for number in (0, 3, 10) if FRAMES[number] is item.frame)
+    return Fields(
+        item.seq, frame, item.command, float(param1.get(item.action, item.hold_s)), float(param2.get(item.action, 0.0)),
+        item.radius_m, 0.0, lat_deg, lon_deg, alt_m,
+    )  # fmt: skip
+
+
+def _number_of(kind: SpeedKind) -> int:
+    return next(number for number, known in SPEED_KINDS.items() if known is kind)
+
+
 def mission(items: Sequence[MissionItem], source: str, has_home_item: bool = True) -> Mission:
     """Return the mission of these items (in order), with the reason why it is not understood, if it is not."""
     return Mission(tuple(items), source, _reason(items, has_home_item), has_home_item)

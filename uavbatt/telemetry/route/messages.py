@@ -166,7 +166,8 @@ class NavigationListener:
 
     def _wind(self, time_s: float, message: Any) -> None:
         from_rad = math.radians(message.direction)
-        self.builder.wind(time_s, -message.speed * math.cos(from_rad), -message.speed * math.sin(from_rad))
+        north_ms, east_ms = -message.speed * math.cos(from_rad), -message.speed * math.sin(from_rad)
+        self.builder.wind(time_s, round(north_ms, 6), round(east_ms, 6))
 
     def _wind_cov(self, time_s: float, message: Any) -> None:
         sd_ms = math.sqrt(message.var_horiz) if 0.0 < message.var_horiz < math.inf else NAN
