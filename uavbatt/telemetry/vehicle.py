@@ -112,7 +112,8 @@ class Vehicle:
         before = self.route.builder.held
         take()
         if self.route.builder.held is not before:
-            self.words = {key: kept for key, kept in self.words.items() if not key.startswith(_MISSION_WORDS)}
+            for key in [key for key in self.words if key.startswith(_MISSION_WORDS)]:
+                del self.words[key]
             self.words |= {_MISSION_WORDS + b"%d" % k: kept for k, kept in enumerate(self._transfer_words)}
         if not self.route.transfer.is_open:
             self._transfer_words = []
