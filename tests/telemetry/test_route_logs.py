@@ -289,3 +289,13 @@ def test_info_names_the_route(folder: Path) -> None:
     told = lines(describe(read_log(folder / "flight.tlog")))
     assert "route        mission of 7 items, home, positions, progress, wind" in told
     assert "route        the log says nothing of it" in lines(describe(read_log(folder / "flight.csv")))
+
+
+def test_a_flight_with_its_route_has_the_rows_of_its_table(shared_data: Path) -> None:
+    for name in ("m100_001_752", "m100_022_782"):
+        table = read_log(shared_data / "flights" / "m100" / f"{name}.csv")
+        log = read_log(shared_data / "flights" / "m100_routes" / f"{name}.tlog")
+        assert [(s.time_s, s.voltage_V, s.temp_C) for s in log.samples] == [
+            (s.time_s, s.voltage_V, s.temp_C) for s in table.samples
+        ]
+        assert [s.current_A for s in log.samples] == pytest.approx([s.current_A for s in table.samples], abs=0.0051)
