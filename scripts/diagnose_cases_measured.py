@@ -27,8 +27,8 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.telemetry import read_log
-from uavbatt.validation import temperatures
-from uavbatt.validation.gate import Limits
+from uavbatt.validation.gating import temperatures
+from uavbatt.validation.gating.gate import Limits
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

@@ -14,11 +14,13 @@ import pytest
 from uavbatt import dataset
 from uavbatt.dataset import whole_minutes
 from uavbatt.report.validation_inputs import Change
-from uavbatt.validation import gate, page, paper
-from uavbatt.validation.corridor import corridor, corridors
-from uavbatt.validation.findings import Finding, findings
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation import page
+from uavbatt.validation.gating import gate
+from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision
+from uavbatt.validation.judging.corridor import corridor, corridors
+from uavbatt.validation.judging.findings import Finding, findings
+from uavbatt.validation.study import paper
 from uavbatt.validation.validate import LevelPrecision, Validation
 
 STUDY = dataset.load()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from uavbatt import dataset
-from uavbatt.validation import bands, corridor, series
-from uavbatt.validation.crossing import crossing_time, downward_crossings
+from uavbatt.validation.judging import bands, corridor, series
+from uavbatt.validation.judging.crossing import crossing_time, downward_crossings
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavbatt import dataset
-from uavbatt.validation.findings import findings
+from uavbatt.validation.judging.findings import findings
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,10 @@ from scipy import stats
 
 from uavbatt import dataset
 from uavbatt.dataset import DataSet, Uncertainty
-from uavbatt.validation import budget, gate, heldout, reading
-from uavbatt.validation.gate import Limits
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation.gating import budget, gate, heldout
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.judging import reading
 
 RANK = {"fail": 0, "not enough data": 1, "pass": 2}
 LIMITS = Limits()
@@ -68,9 +69,7 @@ def test_a_straight_line_fails(study: DataSet, held: HeldOut) -> None:
     assert "fail" in verdicts[1:]
 
 
-def test_a_model_that_is_late_by_20_s_fails_in_time_but_one_late_by_3_s_does_not(
-    study: DataSet, held: HeldOut
-) -> None:
+def test_a_model_that_is_late_by_20_s_fails_in_time_but_one_late_by_3_s_does_not(study: DataSet, held: HeldOut) -> None:
     def late(by_s: float) -> HeldOut:
         model = np.array([np.interp(held.time_s - by_s, held.time_s, c) for c in held.model_V.reshape(-1, 9)])
         return replace(held, model_V=model.reshape(held.model_V.shape))

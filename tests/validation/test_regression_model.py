@@ -9,10 +9,10 @@ import pytest
 
 from uavbatt import dataset
 from uavbatt.dataset import DataSet, Run
-from uavbatt.validation import gate, regression
-from uavbatt.validation.crossing import crossing_time
-from uavbatt.validation.gate import Limits
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation.gating import gate, regression
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.judging.crossing import crossing_time
 
 MINUTES = 60.0 * np.arange(10)
 TRUE = np.array([10.9, 0.15, -0.05, 0.2, np.log(60.0), 0.5, 0.0, np.log(380.0), 0.12, -0.02, 6.0, np.log(0.05), 9.35,

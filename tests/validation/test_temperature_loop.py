@@ -11,10 +11,11 @@ from command import Judged
 
 from uavbatt import dataset
 from uavbatt.fitting import prior
-from uavbatt.validation import as_json, cold_model, temperatures
-from uavbatt.validation.cold_model import OneTimeTests, Variant
-from uavbatt.validation.gate import Limits
-from uavbatt.validation.temperatures import Gain, Outcome, TemperatureLoop
+from uavbatt.validation import as_json
+from uavbatt.validation.gating import cold_model, temperatures
+from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.gating.temperatures import Gain, Outcome, TemperatureLoop
 
 ISOTHERMAL = Variant("isothermal", False, False, False)
 HEATED = Variant("self-heating", True, False, False)

@@ -15,8 +15,10 @@ from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import as_json, gate, paper, precision_claims
-from uavbatt.validation.gate import Claim, Limits
+from uavbatt.validation import as_json
+from uavbatt.validation.gating import gate, precision_claims
+from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.study import paper
 from uavbatt.validation.validate import Validation, validate
 
 

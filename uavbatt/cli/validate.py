@@ -13,7 +13,7 @@ from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.dataset import DataSet
-    from uavbatt.validation.paper import PaperReplay
+    from uavbatt.validation.study.paper import PaperReplay
     from uavbatt.validation.validate import Validation
 
 
@@ -50,7 +50,7 @@ def validate(
         return
     from uavbatt.files import write_json
     from uavbatt.validation.as_json import to_builtins
-    from uavbatt.validation.gate import Limits
+    from uavbatt.validation.gating.gate import Limits
     from uavbatt.validation.validate import validate as judge
 
     remark(f"fitting {tests.name}, one occasion left out at a time ...")
@@ -110,7 +110,7 @@ def _lines(result: Validation) -> list[str]:
 def _printed(tests: DataSet) -> PaperReplay | None:
     """The study's own method, where it can be applied to these tests."""
     from uavbatt.errors import UavbattError
-    from uavbatt.validation import paper
+    from uavbatt.validation.study import paper
 
     try:
         return paper.replay(tests)
@@ -120,7 +120,7 @@ def _printed(tests: DataSet) -> PaperReplay | None:
 
 def _paper(tests: DataSet, json_file: Path | None) -> None:
     from uavbatt.files import write_json
-    from uavbatt.validation import paper
+    from uavbatt.validation.study import paper
 
     replayed = paper.replay(tests)
     for line in _paper_lines(tests.name, replayed):

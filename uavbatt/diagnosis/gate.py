@@ -18,7 +18,7 @@ from uavbatt.battery.openloop import simulate
 from uavbatt.battery.scaling import cell_parameters
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import observed
-from uavbatt.validation.heldout import HeldOut, is_metered
+from uavbatt.validation.gating.heldout import HeldOut, is_metered
 from uavbatt.validation.validate import model_claims, validate
 
 AGEING = frozenset({"capacity_fade", "resistance_growth", "weak_cell"})

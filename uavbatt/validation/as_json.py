@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from uavbatt.files import plain
-from uavbatt.validation.paper import PaperReplay
+from uavbatt.validation.study.paper import PaperReplay
 from uavbatt.validation.validate import Validation
 
 

@@ -12,12 +12,12 @@ from uavbatt.dataset import DataSet, whole_minutes
 from uavbatt.files import atomic_write
 from uavbatt.report.validation import validation_report
 from uavbatt.report.validation_inputs import Change, Consistency, ModelCurve, ValidationPage
-from uavbatt.validation import reading
-from uavbatt.validation.corridor import corridors, time_corridor
-from uavbatt.validation.crossing import crossing_time
-from uavbatt.validation.heldout import HeldOut
-from uavbatt.validation.outliers import mandel
-from uavbatt.validation.paper import PaperReplay
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.iso5725.outliers import mandel
+from uavbatt.validation.judging import reading
+from uavbatt.validation.judging.corridor import corridors, time_corridor
+from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.study.paper import PaperReplay
 from uavbatt.validation.validate import Validation
 
 QUANTITIES = ("voltage_V", "surface_C")

@@ -20,9 +20,9 @@ from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
-from uavbatt.validation.corridor import Corridor
-from uavbatt.validation.gate import Claim
-from uavbatt.validation.heldout import HeldOut, is_metered, mean_test
+from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
+from uavbatt.validation.judging.corridor import Corridor
 
 # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
 # ties the charge down again, so that half of it stays with the capacity.

@@ -14,17 +14,19 @@ import numpy as np
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.dataset import DataSet, Levels, whole_minutes
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import gate, heldout, reading, regression, ship, temperatures
-from uavbatt.validation.ambient_claims import ambient_claims
-from uavbatt.validation.corridor import Corridor, corridor, corridors
-from uavbatt.validation.drift import Drift, drift
-from uavbatt.validation.findings import Finding, findings
-from uavbatt.validation.gate import Claim, Limits, Method, Verdict
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation import ship
+from uavbatt.validation.gating import gate, heldout, regression, temperatures
+from uavbatt.validation.gating.ambient_claims import ambient_claims
+from uavbatt.validation.gating.gate import Claim, Limits, Method, Verdict
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.gating.precision_claims import repeatability_claim, reproducibility_claim
+from uavbatt.validation.gating.temperatures import TemperatureLoop
 from uavbatt.validation.iso5725 import Precision, precision
-from uavbatt.validation.outliers import Mandel, mandel
-from uavbatt.validation.precision_claims import repeatability_claim, reproducibility_claim
-from uavbatt.validation.temperatures import TemperatureLoop
+from uavbatt.validation.iso5725.outliers import Mandel, mandel
+from uavbatt.validation.judging import reading
+from uavbatt.validation.judging.corridor import Corridor, corridor, corridors
+from uavbatt.validation.judging.drift import Drift, drift
+from uavbatt.validation.judging.findings import Finding, findings
 
 LEAST_DRIFT_RUNS = 4
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet
-from uavbatt.validation import budget, reading
-from uavbatt.validation.budget import ONE_SIDED, meter_rows
-from uavbatt.validation.gate import Claim, Limits, Verdict
-from uavbatt.validation.heldout import HeldOut, Single
-from uavbatt.validation.series import QuasiReplicates, breaks, quasi_replicates
+from uavbatt.validation.gating import budget
+from uavbatt.validation.gating.budget import ONE_SIDED, meter_rows
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict
+from uavbatt.validation.gating.heldout import HeldOut, Single
+from uavbatt.validation.judging import reading
+from uavbatt.validation.judging.series import QuasiReplicates, breaks, quasi_replicates
 
 NAME = "voltage bias at this temperature"
 

@@ -25,7 +25,7 @@ from scipy import stats
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation.gating.heldout import HeldOut
 
 LEVEL = 0.05
 ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))

@@ -7,8 +7,7 @@ Model y = m + B + e (ISO 5725-1). With p cells (samples, laboratories) of n_i re
     s_R² = s_r² + s_L²                          r = 2.8 s_r,  R = 2.8 s_R  (2.8 = 1.96·√2 rounded)
 
 Unequal n_i are allowed. With fewer than three cells the between-cell part is a number without worth (its 95 %
-interval spans a factor of 70) and is not called reproducibility. Outlier tests live in `outliers`; their public
-names are repeated here.
+interval spans a factor of 70) and is not called reproducibility.
 """
 
 from __future__ import annotations
@@ -21,25 +20,8 @@ import numpy as np
 from scipy import optimize, stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import BadCells, Cells, Summary, from_statistics, summarise
-from uavbatt.validation.intervals import UNKNOWN, Interval, between_interval, sd_interval, sum_interval
-from uavbatt.validation.outliers import (
-    Cochran,
-    DoubleGrubbs,
-    Grubbs,
-    Mandel,
-    cochran,
-    double_grubbs,
-    grubbs,
-    mandel,
-    scrutinise,
-)
-
-__all__ = [
-    "LIMIT_FACTOR", "BadCells", "Cochran", "DoubleGrubbs", "Grubbs", "Mandel", "Precision", "Summary",
-    "cochran", "double_grubbs", "from_statistics", "grubbs", "mandel", "precision", "precision_of",
-    "relative_uncertainty_R", "relative_uncertainty_r", "scrutinise", "summarise",
-]  # fmt: skip
+from uavbatt.validation.iso5725.cells import Cells, Summary, summarise
+from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, between_interval, sd_interval, sum_interval
 
 LIMIT_FACTOR = 2.8
 MIN_SAMPLES = 3

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, numbers
-from uavbatt.validation.drift import NDIndex, permutations
+from uavbatt.validation.iso5725.cells import Array, numbers
+from uavbatt.validation.judging.drift import NDIndex, permutations
 
 RANDOM_PAIRINGS = 20_000
 DEPENDENT_BELOW = 0.01

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, numbers, spread
-from uavbatt.validation.paper_equations import DRIFT_LIMIT, drift_ratio
+from uavbatt.validation.iso5725.cells import Array, numbers, spread
+from uavbatt.validation.study.paper_equations import DRIFT_LIMIT, drift_ratio
 
 NDIndex = NDArray[np.intp]
 PERMUTATIONS = 10_000

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
-from uavbatt.validation import budget as budgets
-from uavbatt.validation.budget import Budget
-from uavbatt.validation.crossing import crossing_time
-from uavbatt.validation.heldout import Curve, HeldOut
-from uavbatt.validation.series import KNEE_CELL_V
+from uavbatt.validation.gating import budget as budgets
+from uavbatt.validation.gating.budget import Budget
+from uavbatt.validation.gating.heldout import Curve, HeldOut
+from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.judging.series import KNEE_CELL_V
 
 Verdict = Literal["pass", "fail", "not enough data"]
 Method = Literal["iso", "paper"]

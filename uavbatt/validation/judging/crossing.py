@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
 
 Which = Literal["first", "last", "held"]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.dataset import DataSet, Flag, Run
-from uavbatt.validation.cells import Array
-from uavbatt.validation.crossing import crossing_time
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.judging.crossing import crossing_time
 
 KNEE_CELL_V = np.linspace(0.2, 0.9, 8) / 3  # above the cut-off, a cell; 9.5 to 10.2 V on the study's pack
 COLDEST_C = -10.0  # below, cold resistance and self-heating bend the law by themselves

@@ -19,15 +19,15 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Levels, Uncertainty
-from uavbatt.validation import budget, gate
-from uavbatt.validation.corridor import shared_table
-from uavbatt.validation.drift import permutations
-from uavbatt.validation.findings import Finding
-from uavbatt.validation.gate import Claim, Limits, Verdict, informing
-from uavbatt.validation.heldout import HeldOut
-from uavbatt.validation.intermediate import crossed
-from uavbatt.validation.intervals import satterthwaite
+from uavbatt.validation.gating import budget, gate
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict, informing
+from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
+from uavbatt.validation.iso5725.intermediate import crossed
+from uavbatt.validation.iso5725.intervals import satterthwaite
+from uavbatt.validation.judging.corridor import shared_table
+from uavbatt.validation.judging.drift import permutations
+from uavbatt.validation.judging.findings import Finding
 
 LEAST_SAMPLES = 3
 DEPENDENT_BELOW = 0.01

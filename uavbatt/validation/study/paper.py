@@ -17,8 +17,8 @@ import numpy as np
 
 from uavbatt.dataset import DataSet, Levels, whole_minutes
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import paper_equations as eq
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.study import paper_equations as eq
 
 STUDY = "lpab-3s"
 LATTICE_C = 0.1

@@ -22,9 +22,9 @@ from scipy.optimize import least_squares
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet, Levels, Run
-from uavbatt.validation import reading
-from uavbatt.validation.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
-from uavbatt.validation.series import breaks
+from uavbatt.validation.gating.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
+from uavbatt.validation.judging import reading
+from uavbatt.validation.judging.series import breaks
 
 READING_SD_V, TIMING_SD_S = 0.02, 6.0
 FLOOR_WIDTH_V = 0.02  # a cell

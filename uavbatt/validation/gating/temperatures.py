@@ -22,11 +22,11 @@ from scipy import stats
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import prior
-from uavbatt.validation import cold_model, gate, heldout
-from uavbatt.validation.cold_model import OneTimeTests, Variant
-from uavbatt.validation.gate import Claim, Limits
-from uavbatt.validation.heldout import HeldOut
-from uavbatt.validation.series import breaks, single_series
+from uavbatt.validation.gating import cold_model, gate, heldout
+from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
+from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.judging.series import breaks, single_series
 
 LEAST_TESTS = 8
 COLD_C = -10.0

@@ -15,12 +15,13 @@ import numpy as np
 
 from uavbatt.dataset import DataSet, Levels, whole_minutes
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import outliers, paper
-from uavbatt.validation.cells import Array
-from uavbatt.validation.corridor import corridor, leave_one_out, shared_table
-from uavbatt.validation.drift import abbe, curve_step
-from uavbatt.validation.independence import bimodality, independence, resolution
-from uavbatt.validation.series import breaks, quasi_replicates
+from uavbatt.validation.iso5725 import outliers
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.judging.corridor import corridor, leave_one_out, shared_table
+from uavbatt.validation.judging.drift import abbe, curve_step
+from uavbatt.validation.judging.independence import bimodality, independence, resolution
+from uavbatt.validation.judging.series import breaks, quasi_replicates
+from uavbatt.validation.study import paper
 
 NAMES = {"voltage_V": "voltage", "surface_C": "surface temperature"}
 UNITS = {"voltage_V": "V", "surface_C": "°C"}

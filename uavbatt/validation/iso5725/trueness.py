@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from scipy import integrate, optimize, stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import BadCells, Cells, numbers, spread, summarise
-from uavbatt.validation.intervals import Interval
-from uavbatt.validation.iso5725 import precision_of
+from uavbatt.validation.iso5725.cells import BadCells, Cells, numbers, spread, summarise
+from uavbatt.validation.iso5725.intervals import Interval
+from uavbatt.validation.iso5725.precision import precision_of
 
 
 @dataclass(frozen=True, slots=True)

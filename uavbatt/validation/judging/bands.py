@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
 
 DRAWS = 4000
 

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, BadCells, Cells, summarise
-from uavbatt.validation.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
+from uavbatt.validation.iso5725.cells import Array, BadCells, Cells, summarise
+from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
 
 MIN_DF = 15
 

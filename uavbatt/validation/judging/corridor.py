@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.dataset import DataSet, Levels, whole_minutes
-from uavbatt.validation import bands
-from uavbatt.validation.cells import Array
-from uavbatt.validation.crossing import Which, crossing_time
-from uavbatt.validation.intervals import satterthwaite
-from uavbatt.validation.series import QuasiReplicates, quasi_replicates
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.iso5725.intervals import satterthwaite
+from uavbatt.validation.judging import bands
+from uavbatt.validation.judging.crossing import Which, crossing_time
+from uavbatt.validation.judging.series import QuasiReplicates, quasi_replicates
 
 MIN_OCCASIONS = 3
 NDBool = NDArray[np.bool_]

@@ -18,7 +18,7 @@ from uavbatt.dataset import DataSet, Levels, Run, whole_minutes
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, prior, solve, unmetered
 from uavbatt.fitting.unmetered import MeanTest
-from uavbatt.validation import reading
+from uavbatt.validation.judging import reading
 
 Effects = tuple[str, ...]
 
