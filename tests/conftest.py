@@ -62,7 +62,7 @@ def judged_study(tmp_path_factory: pytest.TempPathFactory) -> Judged:
     from uavbatt.validation import validate as stage
 
     judge, found, folder = stage.validate, [], tmp_path_factory.mktemp("judged")
-    with patch.object(stage, "validate", side_effect=lambda *a: found.append(judge(*a)) or found[-1]):
+    with patch.object(stage, "validate", side_effect=lambda *a, **k: found.append(judge(*a, **k)) or found[-1]):
         done = called("validate", "--ship", "ship", "--report", "ship/r.html", "--json", "r.json", folder=folder)
     assert done.returncode == 0, done.stderr
     return Judged(folder, done.stdout, found[0])

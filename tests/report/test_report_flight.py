@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -166,23 +166,3 @@ def test_the_expected_innovation_comes_back_from_the_nis() -> None:
     assert alone == pytest.approx(sd)
     with_temp = innovation_sd(innovation, nis + 0.5, np.full(3, 25.0))
     assert (with_temp <= sd.max()).all()
-
-
-@dataclass(frozen=True)
-class Bare:
-    """The least that the page needs of an outcome: any object of that shape will do."""
-
-    rows: int = 1
-    duration_s: float = NAN
-    end_voltage_V: float = NAN
-    end_soc: float = NAN
-    end_soc_sd: float = NAN
-    end_of_flight_s: float = NAN
-    refused_in_air: float = NAN
-    mean_nis: float = NAN
-    checkpoints: tuple[Checkpoint, ...] = ()
-
-
-def test_the_page_needs_shapes_not_the_replay_itself() -> None:
-    battery = battery_file.read("lipo-generic")
-    assert "<svg" in flight_report(Flight("a", "csv", ()), [step(0.0), step(1.0)], RESOLVED, Bare(), battery)

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from uavbatt import dataset
-from uavbatt.validation.judging.findings import findings
+from uavbatt.validation.judging.corridor import corridor
+from uavbatt.validation.judging.findings import findings as findings_of
+from uavbatt.validation.judging.readings import read_once
+
+
+def findings(dataset, ambient_C=25.0):
+    readings = read_once(dataset)
+    return findings_of(readings, ambient_C, corridor(readings, ambient_C))
 
 
 @pytest.fixture(scope="module")

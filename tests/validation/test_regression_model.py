@@ -13,6 +13,7 @@ from uavbatt.validation.gating import gate, regression
 from uavbatt.validation.gating.gate import Limits
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.judging.readings import read_once
 
 MINUTES = 60.0 * np.arange(10)
 TRUE = np.array([10.9, 0.15, -0.05, 0.2, np.log(60.0), 0.5, 0.0, np.log(380.0), 0.12, -0.02, 6.0, np.log(0.05), 9.35,
@@ -26,7 +27,7 @@ def study() -> DataSet:
 
 @pytest.fixture(scope="module")
 def held(study: DataSet) -> HeldOut:
-    return regression.held_out(study)
+    return regression.held_out(read_once(study))
 
 
 def planted(sd_V: float, seed: int = 1) -> list[Run]:
@@ -98,7 +99,7 @@ def test_changing_an_occasion_does_not_change_its_own_prediction(study: DataSet,
         replace(r, voltage_V=r.voltage_V - 0.3) if r.run == 4 and r.sample != "T1" and r.ambient_C == 25.0 else r
         for r in study.runs
     )
-    again = regression.held_out(replace(study, runs=spoilt))
+    again = regression.held_out(read_once(replace(study, runs=spoilt)))
     assert again.model_V[3] == pytest.approx(held.model_V[3], abs=1e-9)
     assert np.abs(again.model_V[0] - held.model_V[0]).max() > 0.005
 
@@ -106,7 +107,7 @@ def test_changing_an_occasion_does_not_change_its_own_prediction(study: DataSet,
 def test_one_time_runs_are_predicted_by_fits_without_them(study: DataSet, held: HeldOut) -> None:
     assert sorted(s.ambient_C for s in held.singles) == [t for t in study.ambients_C if t != 25.0]
     spoilt = tuple(replace(r, voltage_V=r.voltage_V - 0.01) if r.ambient_C == 10.0 else r for r in study.runs)
-    again = regression.held_out(replace(study, runs=spoilt))
+    again = regression.held_out(read_once(replace(study, runs=spoilt)))
     a, b = (next(s.model_V for s in h.singles if s.ambient_C == 10.0) for h in (held, again))
     assert b == pytest.approx(a, abs=1e-9)
     others = [np.abs(x.model_V - y.model_V).max() for x, y in zip(held.singles, again.singles, strict=True)]

@@ -120,9 +120,10 @@ def _one(
             raise UsageError(f"{log}: expected at least one row with a voltage")
         found = outcome(run, resolved.cutoff_V)
         if report is not None:
-            from uavbatt.cli import flight_page
+            from uavbatt.report.flight import flight_report
+            from uavbatt.report.page import write_page
 
-            flight_page.write(report, flight, run, resolved, found, content)
+            write_page(report, flight_report(flight, run, resolved, found, content))
     for line in _lines(flight, resolved, found, run):
         say(line, *outputs)
     return _summary(flight, resolved, found, run, content)

@@ -63,9 +63,10 @@ def validate(
     if json_file is not None:
         write_json(json_file, to_builtins(result, printed), indent=1)
     if report is not None:
-        from uavbatt.validation import page
+        from uavbatt.report.page import write_page
+        from uavbatt.report.validation import validation_report
 
-        page.write(report, result, printed)
+        write_page(report, validation_report(result, printed))
         say(f"report: {report}", report, json_file)
     if ship is not None and result.battery is not None:
         from uavbatt.battery import battery_file

@@ -11,50 +11,16 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from uavbatt.fleet.row import Row
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
 MOST_LISTED = 100
 _FIGURE = re.compile(r"\d+(\.\d+)?")
-
-
-class FlightLike(Protocol):
-    """What the page needs of a row, see `uavbatt.fleet.row.Row`."""
-
-    @property
-    def file(self) -> str: ...
-    @property
-    def status(self) -> str: ...
-    @property
-    def reason(self) -> str: ...
-    @property
-    def look(self) -> str: ...
-    @property
-    def aircraft(self) -> str: ...
-    @property
-    def battery_serial(self) -> str: ...
-    @property
-    def certificate(self) -> str: ...
-    @property
-    def start_utc(self) -> str: ...
-    @property
-    def duration_s(self) -> float: ...
-    @property
-    def energy_Wh(self) -> float: ...
-    @property
-    def end_soc(self) -> float: ...
-    @property
-    def resistance_scale(self) -> float: ...
-    @property
-    def resistance_scale_sd(self) -> float: ...
-    @property
-    def capacity_scale(self) -> float: ...
-    @property
-    def capacity_scale_sd(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +49,7 @@ class Group:
     flown_s: float = 0.0
     energy_Wh: float = 0.0
 
-    def add(self, row: FlightLike) -> None:
+    def add(self, row: Row) -> None:
         """One more flight."""
         start = datetime.fromisoformat(row.start_utc).timestamp() if row.start_utc else math.nan
         self.start_s.append(start)
@@ -138,7 +104,7 @@ class Overview:
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
     inside: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
     refused: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
-    look: list[FlightLike] = field(default_factory=list)
+    look: list[Row] = field(default_factory=list)
     looked: int = 0
     reasons: dict[str, int] = field(default_factory=dict)  # without their figures
     failed: dict[str, list[str]] = field(default_factory=dict)  # reason -> the first few files
@@ -151,7 +117,7 @@ class Overview:
         return sum(g.flights for g in self.groups.values())
 
 
-def gathered(rows: Iterable[FlightLike]) -> Overview:
+def gathered(rows: Iterable[Row]) -> Overview:
     """One pass over the rows."""
     found = Overview()
     for row in rows:
@@ -173,7 +139,7 @@ def gathered(rows: Iterable[FlightLike]) -> Overview:
     return found
 
 
-def _score(found: Overview, row: FlightLike) -> None:
+def _score(found: Overview, row: Row) -> None:
     for key in CHECKPOINTS:
         inside, error_s = getattr(row, f"inside_{key}"), getattr(row, f"error_{key}_s")
         if inside is None:

@@ -10,9 +10,11 @@ import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import Literal
 
 from uavbatt.errors import printable
+from uavbatt.files import atomic_write
 
 UNKNOWN = "not known"
 DASH = "–"
@@ -158,3 +160,9 @@ def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
             "</html>\n",
         )
     )
+
+
+def write_page(path: str | Path, html: str) -> None:
+    """Write a page to `path` (`-`: standard output), whole or not at all. Raises BadInput when it cannot be written."""
+    with atomic_write(path) as file:
+        file.write(html)

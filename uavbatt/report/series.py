@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.records import Status
-from uavbatt.report.inputs import StepLike
+from uavbatt.replay import Step
 
 Array = NDArray[np.float64]
 BUCKETS = 360
@@ -86,7 +86,7 @@ def with_gaps(rows: Rows) -> Rows:
     return Rows(time_s=np.insert(rows.time_s, after, rows.time_s[after - 1]), **empty)
 
 
-def rows(steps: Sequence[StepLike]) -> Rows:
+def rows(steps: Sequence[Step]) -> Rows:
     """The columns of `steps`."""
     e, r = [s.estimate for s in steps], [s.remaining for s in steps]
     blind = np.array([x.status is Status.REFUSED for x in e], dtype=bool)
@@ -155,7 +155,7 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
     return middle, np.where(unknown, math.nan, lows), np.where(unknown, math.nan, highs)
 
 
-def stretches(steps: Sequence[StepLike]) -> list[Stretch]:
+def stretches(steps: Sequence[Step]) -> list[Stretch]:
     """Where a number was refused or still converging, in order; near neighbours run together when they are many."""
     found: list[Stretch] = []
     gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))

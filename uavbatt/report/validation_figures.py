@@ -10,8 +10,9 @@ import numpy as np
 
 from uavbatt.report import plot
 from uavbatt.report.page import Html, celsius, figure, number
-from uavbatt.report.validation_inputs import Array, ClaimLike, Consistency
+from uavbatt.report.validation_page import Array, Consistency
 from uavbatt.report.validation_tables import nearest
+from uavbatt.validation.gating.gate import Claim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,12 +22,12 @@ SCALES = {"V": (1000.0, "mV"), "s": (1.0, "s"), "K": (1.0, "K")}
 COLOURS = {"pass": plot.GREEN, "fail": plot.RED, "not enough data": plot.AMBER}
 
 
-def judged(claims: Sequence[ClaimLike], ambient_C: float) -> list[ClaimLike]:
+def judged(claims: Sequence[Claim], ambient_C: float) -> list[Claim]:
     """The claims at `ambient_C` that compare a bias and its interval with a limit."""
     return [c for c in claims if c.ambient_C == ambient_C and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
 
 
-def equivalence(claims: Sequence[ClaimLike]) -> list[Html]:
+def equivalence(claims: Sequence[Claim]) -> list[Html]:
     """One drawing a quantity judged at many instants, one for all that are judged once (times)."""
     many = [c for c in claims if c.at.size > 1]
     once = [c for c in claims if c.at.size == 1]
@@ -38,7 +39,7 @@ def _points(axes: Axes, at: Array, bias: Array, half: Array, colour: str) -> Non
     axes.errorbar(at, bias, yerr=known, fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
 
 
-def _over_instants(claim: ClaimLike) -> Html:
+def _over_instants(claim: Claim) -> Html:
     scale, unit = SCALES.get(claim.unit, (1.0, claim.unit))
     limit = claim.limit * scale
 
@@ -58,7 +59,7 @@ def _over_instants(claim: ClaimLike) -> Html:
     )
 
 
-def over_ambient(claims: Sequence[ClaimLike]) -> Html:
+def over_ambient(claims: Sequence[Claim]) -> Html:
     """The bias that comes nearest to the limit at each ambient temperature, with its interval where there is one."""
     shown = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
     if not shown:
@@ -81,7 +82,7 @@ def over_ambient(claims: Sequence[ClaimLike]) -> Html:
     return figure(drawn, "Voltage bias over ambient temperature", said)
 
 
-def _single(claims: Sequence[ClaimLike]) -> Html:
+def _single(claims: Sequence[Claim]) -> Html:
     """Claims with one bias each, as bars of the allowed range: 1 is the limit."""
     height = 78.0 + 34.0 * len(claims)
 

@@ -22,14 +22,12 @@ from uavbatt.report.page import (
     table,
     together,
 )
-from uavbatt.report.validation_inputs import (
-    AgreementLike,
-    BudgetLike,
-    Change,
-    ClaimLike,
-    FindingLike,
-    LevelPrecisionLike,
-)
+from uavbatt.report.validation_page import ErrorChange
+from uavbatt.validation.gating.budget import Budget
+from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.judging.findings import Finding
+from uavbatt.validation.study.paper import Agreement
+from uavbatt.validation.validate import LevelPrecision
 
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
@@ -37,19 +35,19 @@ QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surfa
 SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
-def claims_table(claims: Sequence[ClaimLike]) -> Html:
+def claims_table(claims: Sequence[Claim]) -> Html:
     """One row a claim: the verdict, the bias that comes nearest to the limit, and why."""
     head = ("claim", "verdict", "decides", "bias nearest the limit", "its interval", "limit", "why")
     return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 6))
 
 
-def nearest(claim: ClaimLike) -> int:
+def nearest(claim: Claim) -> int:
     """Index of the instant that uses the most of the limit (of the bias alone, where there is no one limit)."""
     used = np.abs(claim.bias) + (np.nan_to_num(claim.half_width) if math.isfinite(claim.limit) else 0.0)
     return int(np.nanargmax(used))
 
 
-def _claim_row(c: ClaimLike) -> tuple[str, ...]:
+def _claim_row(c: Claim) -> tuple[str, ...]:
     told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
         return *told, DASH, DASH, DASH, c.reason
@@ -63,7 +61,7 @@ def _claim_row(c: ClaimLike) -> tuple[str, ...]:
     return *told, number(bias, decimals, unit, sign=True), interval, limit, c.reason
 
 
-def elsewhere(claims: Sequence[ClaimLike]) -> list[Html]:
+def elsewhere(claims: Sequence[Claim]) -> list[Html]:
     """The claims at other ambient temperatures: which verdict where, and the whole table for who wants it."""
     by_kind: dict[tuple[str, str], list[float]] = {}
     for c in claims:
@@ -83,7 +81,7 @@ def _span(ambients_C: Sequence[float]) -> str:
     return f"{len(ambients_C)} temperatures, {celsius(min(ambients_C))} to {celsius(max(ambients_C))}"
 
 
-def findings_list(findings: Sequence[FindingLike]) -> Html:
+def findings_list(findings: Sequence[Finding]) -> Html:
     """The findings in their order, each with what it rests on."""
     if not findings:
         return paragraph("Nothing in the tests speaks against them.")
@@ -128,7 +126,7 @@ def data_overview(dataset: DataSet) -> list[Html]:
     return [facts(about), table(head, body, text_columns=(0, 1, 5)), suspect]
 
 
-def precision_table(levels: Sequence[LevelPrecisionLike], quantity: str) -> Html:
+def precision_table(levels: Sequence[LevelPrecision], quantity: str) -> Html:
     """s_r, s_L, s_R, r, R per level with 95 % intervals, and their relative uncertainties A_r, A_R."""
     mine = [row for row in levels if row.quantity == quantity]
     if not mine:
@@ -171,7 +169,7 @@ def _percent(share: float) -> str:
     return f"{share:.0%}" if math.isfinite(share) else DASH
 
 
-def budget_table(claim: ClaimLike, budget: BudgetLike) -> Html:
+def budget_table(claim: Claim, budget: Budget) -> Html:
     """Standard uncertainties per source and instant, and the half width that comes of them."""
     scale, unit, decimals = SHOWN.get(budget.unit, (1.0, budget.unit, 3))
     d = decimals + 1
@@ -195,14 +193,14 @@ def budget_table(claim: ClaimLike, budget: BudgetLike) -> Html:
     return table(("source", *at, "how"), body, caption, text_columns=(0, last))
 
 
-def agreement(tables: Sequence[AgreementLike]) -> list[Html]:
+def agreement(tables: Sequence[Agreement]) -> list[Html]:
     """The study's printed tables against the recomputation."""
     body = [(a.table, f"{a.agree} of {a.total}", a.counted) for a in tables]
     slips = bullets(s for a in tables for s in a.slips)
     return [table(("printed", "figures met", "counted"), body, text_columns=(0, 1, 2)), slips]
 
 
-def changes_table(changes: Sequence[Change]) -> Html:
+def changes_table(changes: Sequence[ErrorChange]) -> Html:
     """Errors before and after the model was extended."""
     body = [
         (
@@ -219,7 +217,7 @@ def changes_table(changes: Sequence[Change]) -> Html:
     return table(head, body, text_columns=(0, 4, 5))
 
 
-def _change(c: Change) -> str:
+def _change(c: ErrorChange) -> str:
     if not (math.isfinite(c.before) and math.isfinite(c.after)) or c.before == 0.0:
         return DASH
     return f"{(c.after - c.before) / abs(c.before):+.0%}".replace("-", "\u2212")

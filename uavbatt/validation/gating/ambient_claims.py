@@ -19,16 +19,15 @@ from uavbatt.validation.gating import budget
 from uavbatt.validation.gating.budget import ONE_SIDED, meter_rows
 from uavbatt.validation.gating.gate import Claim, Limits, Verdict
 from uavbatt.validation.gating.heldout import HeldOut, Single
-from uavbatt.validation.judging import reading
-from uavbatt.validation.judging.series import QuasiReplicates, breaks, quasi_replicates
+from uavbatt.validation.judging.readings import Readings
+from uavbatt.validation.judging.series import QuasiReplicates
 
 NAME = "voltage bias at this temperature"
 
 
-def ambient_claims(dataset: DataSet, held: HeldOut, limits: Limits) -> list[Claim]:
+def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Claim]:
     """One claim for each other ambient temperature, ascending; none of them gates."""
-    tests = reading.at_minutes(dataset)
-    groups, series = quasi_replicates(tests), breaks(tests)
+    dataset, groups, series = readings.dataset, readings.near_repeats, readings.broken
     claims = []
     for single in sorted(held.singles, key=lambda s: s.ambient_C):
         group = next((g for g in groups if np.any(np.abs(g.ambients_C - single.ambient_C) < 0.25)), None)

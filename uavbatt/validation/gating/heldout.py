@@ -14,18 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
-from uavbatt.dataset import DataSet, Levels, Run, whole_minutes
+from uavbatt.dataset import DataSet, Levels, Run
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, prior, solve, unmetered
 from uavbatt.fitting.unmetered import MeanTest
-from uavbatt.validation.judging import reading
+from uavbatt.validation.judging import fast_records
+from uavbatt.validation.judging.readings import SURFACE, Readings
 
 Effects = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One held-out run in full, read at each of its rows (`reading`); [s], [V]."""
+    """One held-out run in full, read at each of its rows (`fast_records`); [s], [V]."""
 
     occasion: int
     sample: int
@@ -108,17 +109,13 @@ def is_metered(dataset: DataSet) -> bool:
     return all(np.isfinite(r.current_A).all() for r in dataset.runs)
 
 
-def repeated_ambient(dataset: DataSet) -> float:
-    """The ambient temperature with the most runs [°C]: the one that a gate can judge."""
-    counts = {t: len(dataset.at(t)) for t in dataset.ambients_C}
-    return max(counts, key=lambda t: counts[t])
-
-
-def repeats(dataset: DataSet) -> Levels:
+def repeats(readings: Readings) -> Levels:
     """The repeated runs, read at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
-    levels = whole_minutes(reading.at_minutes(dataset), repeated_ambient(dataset))
+    levels = readings.levels(readings.ambient_C)
     if levels is None or len(levels.occasions) < 2:
-        raise NotEnoughData(f"{dataset.path}: expected repeated runs at one ambient temperature, to leave one out")
+        raise NotEnoughData(
+            f"{readings.dataset.path}: expected repeated runs at one ambient temperature, to leave one out"
+        )
     return levels
 
 
@@ -128,7 +125,7 @@ def other_runs(dataset: DataSet, levels: Levels) -> list[Run]:
 
 
 def circuit(
-    dataset: DataSet,
+    readings: Readings,
     progress: Callable[[int], None] | None = None,
     effects: Effects = prior.BASE_EFFECTS,
     model: str = "circuit",
@@ -137,7 +134,7 @@ def circuit(
 
     Raises NotEnoughData when nothing is left to fit once an occasion is out.
     """
-    levels = repeats(dataset)
+    dataset, levels = readings.dataset, repeats(readings)
     predict = _metered if is_metered(dataset) else _unmetered
     others = other_runs(dataset, levels)
     folds = []
@@ -145,7 +142,7 @@ def circuit(
         folds.append(predict(dataset, levels, occasion, others[k :: len(levels.occasions)], effects))
         if progress is not None:
             progress(1)
-    surface = whole_minutes(reading.at_minutes(dataset), levels.ambient_C, "surface_C")
+    surface = readings.levels(levels.ambient_C, SURFACE)
     measured_C = _aligned(levels, surface)
     return HeldOut(
         model=model,
@@ -183,8 +180,8 @@ def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
     run = dataset.at(levels.ambient_C)[0]
     if not np.isfinite(run.current_A).all():
         return tuple(bool(t <= 0.0) for t in levels.time_s)
-    phase = reading.phases(run.current_A)
-    rested = run.current_A[0] < reading.REST_SHARE * np.quantile(run.current_A, 0.9)
+    phase = fast_records.phases(run.current_A)
+    rested = run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
     at = np.searchsorted(run.time_s, levels.time_s, side="right") - 1
     return tuple(bool(rested and phase[max(i, 0)] == 0) for i in at)
 
@@ -219,15 +216,15 @@ def _metered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run],
     for j, test in enumerate(tested):
         rows = stack.compare[:, j]
         time_s, measured = stack.time_s[rows, j], stack.voltage_V[rows, j]
-        model, phase = run.voltage_V[rows, j] * stack.cells[j], reading.phases(stack.current_A[rows, j])
-        own = reading.weights(time_s, phase, time_s)
+        model, phase = run.voltage_V[rows, j] * stack.cells[j], fast_records.phases(stack.current_A[rows, j])
+        own = fast_records.weights(time_s, phase, time_s)
         if test in others:
             singles.append(Single(test.ambient_C, test.sample, time_s, own @ measured, own @ model))
             continue
-        at, w = levels.samples.index(test.sample), reading.weights(time_s, phase, levels.time_s)
+        at, w = levels.samples.index(test.sample), fast_records.weights(time_s, phase, levels.time_s)
         volts[at] = levels.values[k, at] + w @ (model - measured)
         surface[at] = w @ run.sensor_C[rows, j]
-        if reading.is_fast(test):
+        if fast_records.is_fast(test):
             curves.append(Curve(k, at, time_s, own @ measured, own @ model))
     return _Fold(volts, surface, curves, singles)
 

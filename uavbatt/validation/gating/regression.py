@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from uavbatt.battery.model import Array
-from uavbatt.dataset import DataSet, Levels, Run
+from uavbatt.dataset import Levels, Run
 from uavbatt.validation.gating.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
-from uavbatt.validation.judging import reading
-from uavbatt.validation.judging.series import breaks
+from uavbatt.validation.judging import fast_records
+from uavbatt.validation.judging.readings import Readings
 
 READING_SD_V, TIMING_SD_S = 0.02, 6.0
 FLOOR_WIDTH_V = 0.02  # a cell
@@ -70,8 +70,8 @@ def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Ar
 
 def load_start_s(run: Run) -> float:
     """When the load begins [s]: by the measured current, else just after the first reading."""
-    phase = reading.phases(run.current_A)
-    rested = phase[-1] > 0 and run.current_A[0] < reading.REST_SHARE * np.quantile(run.current_A, 0.9)
+    phase = fast_records.phases(run.current_A)
+    rested = phase[-1] > 0 and run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
     return float(run.time_s[np.argmax(phase > 0)]) if rested else float(run.time_s[0]) + 1e-6
 
 
@@ -121,16 +121,16 @@ def fit(rows: Rows, cells: int) -> Regression:
     return unpacked(np.asarray(found.x))
 
 
-def series_of(dataset: DataSet, levels: Levels) -> Callable[[Run], int]:
+def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
     """Number of a run's series: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
-    edges = sorted(b.high_C for b in breaks(dataset) or ())
+    edges = sorted(b.high_C for b in readings.broken or ())
     return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
 
 
-def held_out(dataset: DataSet, progress: Callable[[int], None] | None = None) -> HeldOut:
+def held_out(readings: Readings, progress: Callable[[int], None] | None = None) -> HeldOut:
     """The regression model, each occasion (and its share of the one-time runs) predicted from the others."""
-    levels, tests = repeats(dataset), reading.at_minutes(dataset)
-    number, others = series_of(tests, levels), other_runs(tests, levels)
+    dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
+    number, others = series_of(readings, levels), other_runs(tests, levels)
     starts = {(r.sample, r.run, r.ambient_C): load_start_s(r) for r in dataset.runs}
     home = [r for r in tests.at(levels.ambient_C) if r.sample in levels.samples]
     volts, curves, singles = np.full(levels.values.shape, np.nan), [], []
@@ -144,7 +144,7 @@ def held_out(dataset: DataSet, progress: Callable[[int], None] | None = None) ->
             if run.sample in levels.samples and run.run == occasion:
                 at, t0 = levels.samples.index(run.sample), starts[run.sample, run.run, run.ambient_C]
                 volts[k, at] = found.voltage(levels.time_s - t0, np.full(levels.time_s.size, run.ambient_C))
-                if reading.is_fast(run):
+                if fast_records.is_fast(run):
                     curves.append(_curve(found, run, k, at, t0))
         for run in out:
             block = blocks.index(number(run)) if number(run) in blocks else 0
@@ -167,6 +167,6 @@ def _consecutive(series: list[int]) -> list[int]:
 
 
 def _curve(found: Regression, run: Run, occasion: int, sample: int, start_s: float) -> Curve:
-    own = reading.weights(run.time_s, reading.phases(run.current_A), run.time_s)
+    own = fast_records.weights(run.time_s, fast_records.phases(run.current_A), run.time_s)
     model = found.voltage(run.time_s - start_s, np.full(run.time_s.size, run.ambient_C))
     return Curve(occasion, sample, run.time_s, own @ run.voltage_V, own @ model)

@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from uavbatt.battery.model import Array
-from uavbatt.dataset import DataSet
 from uavbatt.fitting import prior
 from uavbatt.validation.gating import cold_model, gate, heldout
 from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
 from uavbatt.validation.gating.gate import Claim, Limits
 from uavbatt.validation.gating.heldout import HeldOut
-from uavbatt.validation.judging.series import breaks, single_series
+from uavbatt.validation.judging.readings import Readings
 
 LEAST_TESTS = 8
 COLD_C = -10.0
@@ -91,16 +90,17 @@ class TemperatureLoop:
     left_out: tuple[str, ...]
 
 
-def close_loop(dataset: DataSet, limits: Limits) -> TemperatureLoop | None:
+def close_loop(readings: Readings, limits: Limits) -> TemperatureLoop | None:
     """The whole analysis; None when fewer than eight temperatures were tested once, or the current was measured."""
+    dataset = readings.dataset
     if heldout.is_metered(dataset):
         return None
-    tests, left_out = one_time_tests(dataset)
+    tests, left_out = one_time_tests(readings)
     if tests is None:
         return None
     declared, known = limits.for_cells(dataset.cells_series), dataset.uncertainty
     effects = tuple(e for e in prior.BASE_EFFECTS if e != "self_heating")
-    held = heldout.circuit(dataset, effects=effects, model="circuit without self-heating")
+    held = heldout.circuit(readings, effects=effects, model="circuit without self-heating")
     surface = gate.surface_claim(held, declared, known)
     claims = (
         gate.voltage_claim(held, declared, dataset.cutoff_V, known),
@@ -131,9 +131,9 @@ def close_loop(dataset: DataSet, limits: Limits) -> TemperatureLoop | None:
     )
 
 
-def one_time_tests(dataset: DataSet) -> tuple[OneTimeTests | None, tuple[str, ...]]:
+def one_time_tests(readings: Readings) -> tuple[OneTimeTests | None, tuple[str, ...]]:
     """The one-time tests as a table, flagged readings left out and named; None when there are too few."""
-    runs = single_series(dataset)
+    dataset, runs = readings.tests, readings.series
     if len(runs) < LEAST_TESTS or any(not np.array_equal(r.time_s, runs[0].time_s) for r in runs):
         return None, ()
     volts, left_out = np.array([r.voltage_V for r in runs]), []
@@ -143,7 +143,7 @@ def one_time_tests(dataset: DataSet) -> tuple[OneTimeTests | None, tuple[str, ..
                 volts[i, r.time_s == flag.time_s] = np.nan
                 left_out.append(flag.where)
     T = np.array([r.ambient_C for r in runs])
-    edges = sorted(b.high_C for b in breaks(dataset) or ())
+    edges = sorted(b.high_C for b in readings.broken or ())
     series = np.searchsorted(edges, T, "right").astype(np.intp)
     return OneTimeTests(T, runs[0].time_s, volts, series, dataset.cells_series), tuple(left_out)
 

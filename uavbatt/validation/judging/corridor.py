@@ -18,12 +18,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.dataset import DataSet, Levels, whole_minutes
+from uavbatt.dataset import DataSet, Levels
 from uavbatt.validation.iso5725.cells import Array
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging import bands
 from uavbatt.validation.judging.crossing import Which, crossing_time
-from uavbatt.validation.judging.series import QuasiReplicates, quasi_replicates
+from uavbatt.validation.judging.readings import VOLTAGE, Readings
+from uavbatt.validation.judging.series import QuasiReplicates
 
 MIN_OCCASIONS = 3
 NDBool = NDArray[np.bool_]
@@ -117,24 +118,24 @@ def shared_table(levels: Levels) -> Shared:
     return Shared(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
 
 
-def corridor(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V", seed: int = 5725) -> Corridor | None:
-    """The corridor at one ambient temperature, at fixed times; None if the quantity was not measured there."""
-    levels = whole_minutes(dataset, ambient_C, quantity)
+def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed: int = 5725) -> Corridor | None:
+    """The corridor at one ambient temperature [°C], at fixed times; None if `quantity` was not measured there."""
+    levels = readings.levels(ambient_C, quantity)
     if levels is None:
         return None
     shared = shared_table(levels)
     table, notes = shared.table, levels.left_out + levels.notes + shared.notes
     if len(table) >= MIN_OCCASIONS:
         return from_table(ambient_C, quantity, levels.time_s, table, notes, seed)
-    group = _group_at(dataset, ambient_C) if quantity == "voltage_V" else None
+    group = _group_at(readings, ambient_C) if quantity == VOLTAGE else None
     if group is not None:
         return from_quasi_replicates(ambient_C, group, notes, seed)
     return _unknown(ambient_C, quantity, levels.time_s, table, notes)
 
 
-def corridors(dataset: DataSet, quantity: str = "voltage_V", seed: int = 5725) -> dict[float, Corridor]:
+def corridors(readings: Readings, quantity: str = VOLTAGE, seed: int = 5725) -> dict[float, Corridor]:
     """The corridor of every ambient temperature at which `quantity` was measured."""
-    found = ((t, corridor(dataset, t, quantity, seed)) for t in dataset.ambients_C)
+    found = ((t, corridor(readings, t, quantity, seed)) for t in readings.dataset.ambients_C)
     return {t: c for t, c in found if c is not None}
 
 
@@ -151,17 +152,17 @@ def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
 
 
 def time_corridor(
-    dataset: DataSet, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
+    readings: Readings, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
 ) -> Corridor | None:
     """The corridor of crossing times [s] at fixed voltages; None without voltages that every run falls through."""
-    levels = whole_minutes(dataset, ambient_C)
+    levels = readings.levels(ambient_C)
     if levels is None:
         return None
-    volts = crossing_levels(dataset, levels) if voltages_V is None else np.asarray(voltages_V, dtype=float)
+    volts = crossing_levels(readings.tests, levels) if voltages_V is None else np.asarray(voltages_V, dtype=float)
     if not len(volts):
         return None
     values = np.full((*levels.values.shape[:2], len(volts)), math.nan)
-    for run in dataset.at(ambient_C):
+    for run in readings.tests.at(ambient_C):
         if run.sample in levels.samples and run.run in levels.occasions:
             where = (levels.occasions.index(run.run), levels.samples.index(run.sample))
             values[where] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
@@ -215,8 +216,8 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
     return np.array(found)
 
 
-def _group_at(dataset: DataSet, ambient_C: float) -> QuasiReplicates | None:
-    hits = (g for g in quasi_replicates(dataset) if np.any(np.abs(g.ambients_C - ambient_C) < 0.25))
+def _group_at(readings: Readings, ambient_C: float) -> QuasiReplicates | None:
+    hits = (g for g in readings.near_repeats if np.any(np.abs(g.ambients_C - ambient_C) < 0.25))
     return next(hits, None)
 
 

@@ -13,14 +13,15 @@ from typing import Literal
 
 import numpy as np
 
-from uavbatt.dataset import DataSet, Levels, whole_minutes
+from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725 import outliers
 from uavbatt.validation.iso5725.cells import Array
-from uavbatt.validation.judging.corridor import corridor, leave_one_out, shared_table
+from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
 from uavbatt.validation.judging.drift import abbe, curve_step
 from uavbatt.validation.judging.independence import bimodality, independence, resolution
-from uavbatt.validation.judging.series import breaks, quasi_replicates
+from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
+from uavbatt.validation.judging.series import quasi_replicates
 from uavbatt.validation.study import paper
 
 NAMES = {"voltage_V": "voltage", "surface_C": "surface temperature"}
@@ -39,17 +40,20 @@ class Finding:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
 
-def findings(dataset: DataSet, ambient_C: float = 25.0) -> tuple[Finding, ...]:
-    """Every finding, at `ambient_C` [°C] where it is about repeats; the most serious first."""
-    volts, heat = (whole_minutes(dataset, ambient_C, q) for q in ("voltage_V", "surface_C"))
-    found: list[Finding] = []
+def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tuple[Finding, ...]:
+    """Every finding, at `ambient_C` [°C] where it is about repeats; the most serious first.
+
+    `band` is the corridor of the voltage at that temperature, None where nothing was measured.
+    """
+    volts, heat = (readings.levels(ambient_C, q) for q in (VOLTAGE, SURFACE))
+    dataset, found = readings.tests, list[Finding]()
     if volts is not None and len(volts.occasions) > 1:
-        found += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(dataset, volts)]
-        found += [*_outside(dataset, ambient_C), *_paper(dataset, ambient_C)]
+        found += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(volts, band)]
+        found += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
     for levels in (volts, heat):
         if levels is not None and len(levels.occasions) > 1:
             found += [*_drift(levels), *_outliers(levels), *_two_groups(dataset, levels), *_coarse(dataset, levels)]
-    found += [*_misprints(dataset), *_breaks(dataset)]
+    found += [*_misprints(readings), *_breaks(readings)]
     rank = {"serious": 0, "warning": 1, "note": 2}
     return tuple(sorted(found, key=lambda f: rank[f.severity]))
 
@@ -92,8 +96,8 @@ def _few_samples(levels: Levels) -> Iterator[Finding]:
         yield Finding("reproducibility_unknown", title, detail, "warning", {"samples": k})
 
 
-def _coverage(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
-    left, band = leave_one_out(levels), corridor(dataset, levels.ambient_C)
+def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
+    left = leave_one_out(levels)
     if left is None or band is None or min(left.share_all, band.covers_all) >= HELD_WELL:
         return
     held, total = int(left.inside.sum()), left.inside.size
@@ -109,8 +113,7 @@ def _coverage(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
     yield Finding("corridor_coverage", title, detail, "serious", numbers)
 
 
-def _outside(dataset: DataSet, ambient_C: float) -> Iterator[Finding]:
-    band = corridor(dataset, ambient_C)
+def _outside(dataset: DataSet, ambient_C: float, band: Corridor | None) -> Iterator[Finding]:
     if band is None or band.basis != "repeats":
         return
     runs = dataset.at(ambient_C)
@@ -135,9 +138,9 @@ def _outside(dataset: DataSet, ambient_C: float) -> Iterator[Finding]:
         yield Finding("curve_outside_corridor", title, detail, "serious", numbers)
 
 
-def _paper(dataset: DataSet, ambient_C: float) -> Iterator[Finding]:
+def _paper(name: str, volts: Levels, heat: Levels | None) -> Iterator[Finding]:
     try:
-        replay = paper.replay(dataset, ambient_C)
+        replay = paper.replay_levels(name, volts, heat)
     except NotEnoughData:
         return
     for quantity, pooled in (("voltage_V", replay.pooled), ("surface_C", replay.pooled_surface)):
@@ -258,9 +261,9 @@ def _coarse(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
         yield Finding("coarse_resolution", title, detail, "note", {"instants": len(coarse), "step": step})
 
 
-def _misprints(dataset: DataSet) -> Iterator[Finding]:
+def _misprints(readings: Readings) -> Iterator[Finding]:
     """Single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
-    for group in quasi_replicates(dataset, with_flagged=True):
+    for group in quasi_replicates(readings.series, readings.broken):
         for i, t in enumerate(group.time_s):
             for index, side, G, limit in _beyond(group.residuals[:, i]):
                 T = float(group.ambients_C[index])
@@ -273,8 +276,8 @@ def _misprints(dataset: DataSet) -> Iterator[Finding]:
                 yield Finding("likely_misprint", title, detail, "warning", numbers)
 
 
-def _breaks(dataset: DataSet) -> Iterator[Finding]:
-    for b in breaks(dataset) or ():
+def _breaks(readings: Readings) -> Iterator[Finding]:
+    for b in readings.broken or ():
         title = f"The one-time tests break between {b.low_C:+g} and {b.high_C:+g} °C: two series, not one"
         detail = (
             f"The knee comes {abs(b.jump_s):.0f} s {'later' if b.jump_s > 0 else 'earlier'} at {b.high_C:+g} °C, "

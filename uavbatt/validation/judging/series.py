@@ -76,12 +76,14 @@ def knee_time(run: Run, dataset: DataSet) -> float:
     return float(np.mean([crossing_time(run.time_s, run.voltage_V, float(v)) for v in volts]))
 
 
-def breaks(dataset: DataSet) -> tuple[Break, ...] | None:
-    """Breaks between series of one-time tests at -10 °C and above; None with fewer than eight temperatures.
+def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | None:
+    """Find the breaks in a series of one-time tests (`single_series`) at -10 °C and above.
+
+    Returns None with fewer than eight temperatures.
 
     Score: knee-time difference of neighbours less the median slope, over the robust scatter (1.483·MAD).
     """
-    runs = [r for r in single_series(dataset) if r.ambient_C >= COLDEST_C]
+    runs = [r for r in series if r.ambient_C >= COLDEST_C]
     knee = np.array([knee_time(r, dataset) for r in runs])
     T = np.array([r.ambient_C for r in runs])[~np.isnan(knee)]
     knee = knee[~np.isnan(knee)]
@@ -99,20 +101,21 @@ def breaks(dataset: DataSet) -> tuple[Break, ...] | None:
     )
 
 
-def quasi_replicates(dataset: DataSet, with_flagged: bool = False) -> tuple[QuasiReplicates, ...]:
-    """Groups of five one-time curves or more, at most one degree apart, that no break divides.
+def quasi_replicates(
+    series: tuple[Run, ...], broken: tuple[Break, ...] | None, flags: tuple[Flag, ...] = ()
+) -> tuple[QuasiReplicates, ...]:
+    """Group a series of one-time tests into near repeats: five curves or more, a degree apart, no break between.
 
-    Readings that the data set flags take part only `with_flagged`; the groups name those left out.
+    Readings that `flags` name take no part; the groups say which were left out.
     """
-    divided = {b.high_C for b in breaks(dataset) or ()}
+    divided = {b.high_C for b in broken or ()}
     groups: list[list[Run]] = []
-    for run in single_series(dataset):
+    for run in series:
         near = groups and run.ambient_C - groups[-1][-1].ambient_C <= 1.01 and run.ambient_C not in divided
         if near and np.array_equal(run.time_s, groups[-1][-1].time_s):
             groups[-1].append(run)
         else:
             groups.append([run])
-    flags = () if with_flagged else dataset.flags
     return tuple(_line(group, flags) for group in groups if len(group) >= MIN_CURVES)
 
 

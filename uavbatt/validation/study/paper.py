@@ -144,12 +144,22 @@ def _complete(levels: Levels) -> tuple[list[Array], tuple[str, ...]]:
 
 
 def replay(dataset: DataSet, ambient_C: float = 25.0) -> PaperReplay:
-    """The study's method on the repeated runs at `ambient_C`; the printed tables are compared for the study only."""
+    """The study's method on the repeated runs at `ambient_C` [°C]. Raises NotEnoughData below three runs."""
     volts = whole_minutes(dataset, ambient_C)
-    heat = whole_minutes(dataset, ambient_C, "surface_C")
-    tables, notes = ([], ()) if volts is None else _complete(volts)
-    if volts is None or len(tables[0]) < 3:
-        raise NotEnoughData(f"the study's method needs three runs or more at {ambient_C:g} °C")
+    if volts is None:
+        raise _too_few(ambient_C)
+    return replay_levels(dataset.name, volts, whole_minutes(dataset, ambient_C, "surface_C"))
+
+
+def replay_levels(name: str, volts: Levels, heat: Levels | None) -> PaperReplay:
+    """The study's method on tables of voltage and surface temperature, of the data set called `name`.
+
+    The printed tables are compared for the study only. Raises NotEnoughData below three runs.
+    """
+    ambient_C = volts.ambient_C
+    tables, notes = _complete(volts)
+    if len(tables[0]) < 3:
+        raise _too_few(ambient_C)
     columns = _columns(volts, tables)
     pooled = _pooled(volts, tables)
     surface: tuple[Pooled, ...] = ()
@@ -158,13 +168,17 @@ def replay(dataset: DataSet, ambient_C: float = 25.0) -> PaperReplay:
         columns, surface, notes = columns + _columns(heat, warm), _pooled(heat, warm), notes + more
     agreements: tuple[Agreement, ...] = ()
     claim = None
-    if dataset.name == STUDY and ambient_C == 25.0 and heat is not None and _is_whole(volts, tables, heat):
+    if name == STUDY and ambient_C == 25.0 and heat is not None and _is_whole(volts, tables, heat):
         printed = printed_tables()
         surface = rebuild(heat.curves(0), printed)
         agreements = (_table5(tables[0][:, 0], printed), _table8(pooled, printed), _table9(surface, printed))
         claim = _fisher_claim(pooled, printed)
         notes += ("temperatures of sample 2 are not printed: rebuilt from Table 9 and equation (17)",)
     return PaperReplay(ambient_C, volts.samples, columns, pooled, surface, agreements, claim, notes)
+
+
+def _too_few(ambient_C: float) -> NotEnoughData:
+    return NotEnoughData(f"the study's method needs three runs or more at {ambient_C:g} °C")
 
 
 def _is_whole(volts: Levels, tables: list[Array], heat: Levels) -> bool:
