@@ -98,7 +98,7 @@ def _one(
     from uavbatt.estimator import Estimator
     from uavbatt.replay import outcome, steps
     from uavbatt.statements import check
-    from uavbatt.telemetry.recording import forecast_period_s
+    from uavbatt.telemetry.formats.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
     flight = asked_flight(log, *chosen)

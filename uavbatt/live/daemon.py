@@ -29,8 +29,8 @@ from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.mavlink.pipe import wait
 from uavbatt.records import Status
+from uavbatt.telemetry.formats.recording import PERIOD_NAME
 from uavbatt.telemetry.live import Row
-from uavbatt.telemetry.recording import PERIOD_NAME
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
