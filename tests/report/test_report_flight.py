@@ -164,5 +164,15 @@ def test_the_expected_innovation_comes_back_from_the_nis() -> None:
     nis = (innovation / sd) ** 2
     alone = innovation_sd(innovation, nis, np.full(3, np.nan))
     assert alone == pytest.approx(sd)
-    with_temp = innovation_sd(innovation, nis + 0.5, np.full(3, 25.0))
-    assert (with_temp <= sd.max()).all()
+
+
+def test_beside_a_temperature_the_expected_innovation_is_the_greatest_lower_bound_nearby() -> None:
+    """NIS then holds the temperature's part too, so that |innovation|/sqrt(NIS) is below the SD of the voltage."""
+    innovation, sd = np.full(60, 0.02), np.r_[np.full(30, 0.02), np.full(30, 0.04)]
+    nis_V, nis_temp = (innovation / sd) ** 2, np.tile([0.0, 1.5, 3.0], 20)
+    found = innovation_sd(innovation, nis_V + nis_temp, np.full(60, 25.0), reach=5)
+    assert found[:20] == pytest.approx(0.02)  # met by a row with no surprise in the temperature, raised elsewhere
+    assert found[-20:] == pytest.approx(0.04)
+    assert (found <= 0.04 + 1e-12).all()
+    unknown = innovation_sd(np.where(np.arange(60) % 2, np.nan, innovation), nis_V, np.full(60, 25.0))
+    assert np.isnan(unknown[1::2]).all() and np.isfinite(unknown[::2]).all()

@@ -90,8 +90,18 @@ def test_it_is_gated_on_occasions_it_has_not_seen(study: DataSet, held: HeldOut)
 
 
 def test_the_knee_time_of_the_study_is_met_within_the_limit(study: DataSet, held: HeldOut) -> None:
-    claim = gate.crossing_claim(held, Limits(), study.uncertainty)
-    assert abs(claim.bias[0]) < 5.0
+    limits = Limits()
+    claim = gate.crossing_claim(held, limits, study.uncertainty)
+    assert abs(claim.bias[0]) < limits.time_s
+    assert claim.verdict != "fail"
+
+
+def test_a_regression_that_is_late_by_twice_the_limit_fails_in_time(study: DataSet, held: HeldOut) -> None:
+    limits = Limits()
+    late = np.apply_along_axis(lambda v: np.interp(held.time_s - 2 * limits.time_s, held.time_s, v), 2, held.model_V)
+    claim = gate.crossing_claim(replace(held, model_V=late), limits, study.uncertainty)
+    assert claim.verdict == "fail"
+    assert claim.bias[0] > limits.time_s
 
 
 def test_changing_an_occasion_does_not_change_its_own_prediction(study: DataSet, held: HeldOut) -> None:

@@ -53,6 +53,11 @@ def test_the_study_s_model_passes_at_25_degrees_and_ships(study: Validation) -> 
     assert study.battery.certificate.validated_ambient_C == [25.0]
 
 
+def test_the_progress_adds_up_to_the_whole_work(judged_study: Judged) -> None:
+    assert sum(judged_study.shares) == pytest.approx(1.0)
+    assert len(judged_study.shares) > 20 and max(judged_study.shares) < 0.15
+
+
 def test_the_study_says_nothing_of_other_packs(study: Validation) -> None:
     found = claim(study, "reproducibility")
     assert found.verdict == "not enough data"

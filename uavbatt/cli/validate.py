@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavbatt.cli.options import check_writable, remark, say
+from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def validate(
     from uavbatt.validation.validate import validate as judge
 
     remark(f"fitting {tests.name}, one occasion left out at a time ...")
-    result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s))
+    with progress_bar(tests.name) as progress:
+        result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s), progress)
     printed = _printed(tests)
     for line in _lines(result):
         say(line, report, json_file)

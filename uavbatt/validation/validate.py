@@ -89,14 +89,15 @@ class Validation:
 def validate(
     dataset: DataSet,
     limits: Limits | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     method: Method = "iso",
     close_loop: bool = True,
 ) -> Validation:
     """Judge, fit with one occasion left out at a time, gate. Raises NotEnoughData without repeated runs.
 
     `method` says which claims decide: equivalence (`iso`) or the study's corridor (`paper`); both are reported.
-    `close_loop` off leaves out the analysis over ambient temperatures.
+    `close_loop` off leaves out the analysis over ambient temperatures. `progress` is called with the share of the
+    work that was just done; the shares add up to 1.
     """
     readings = read_once(dataset)
     ambient_C = readings.ambient_C
@@ -111,7 +112,8 @@ def validate(
     volts = corridors(readings)
     found = volts[ambient_C]
     said = findings(readings, ambient_C, found)
-    held = heldout.circuit(readings, progress)
+    done = _shares(progress, len(levels.occasions) + (temperatures.fits(readings) if close_loop else 0.0))
+    held = heldout.circuit(readings, done)
     rival = regression.held_out(readings)
     claims = _claims(readings, held, found, declared, levels, said, method)
     verdict = gate.overall(claims)
@@ -131,9 +133,14 @@ def validate(
         rival_claims=(tuple(model_claims(readings, rival, found, declared, method)),),
         drifts=_drifts(readings),
         surface_corridors=corridors(readings, SURFACE),
-        temperatures=temperatures.close_loop(readings, limits or Limits()) if close_loop else None,
+        temperatures=temperatures.close_loop(readings, limits or Limits(), done) if close_loop else None,
         method=method,
     )
+
+
+def _shares(progress: Callable[[float], None] | None, fits: float) -> Callable[[float], None]:
+    """Turn counts of fits into shares of all `fits`. The regression is left out: it takes no time beside them."""
+    return (lambda _: None) if progress is None else (lambda done: progress(done / fits))
 
 
 def model_claims(

@@ -126,7 +126,7 @@ def other_runs(dataset: DataSet, levels: Levels) -> list[Run]:
 
 def circuit(
     readings: Readings,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     effects: Effects = prior.BASE_EFFECTS,
     model: str = "circuit",
 ) -> HeldOut:
@@ -141,7 +141,7 @@ def circuit(
     for k, occasion in enumerate(levels.occasions):
         folds.append(predict(dataset, levels, occasion, others[k :: len(levels.occasions)], effects))
         if progress is not None:
-            progress(1)
+            progress(1.0)
     surface = readings.levels(levels.ambient_C, SURFACE)
     measured_C = _aligned(levels, surface)
     return HeldOut(

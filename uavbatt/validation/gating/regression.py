@@ -32,7 +32,7 @@ NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", 
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class RunTable:
     """Readings of many runs in one table: time under load [s] (negative at rest), T [°C], volts, series, sigma."""
 
     time_s: Array
@@ -75,11 +75,11 @@ def load_start_s(run: Run) -> float:
     return float(run.time_s[np.argmax(phase > 0)]) if rested else float(run.time_s[0]) + 1e-6
 
 
-def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> Rows:
+def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTable:
     """The readings of runs as one table."""
     slopes = [np.abs(np.gradient(r.voltage_V, r.time_s)) for r in runs]
     early = [np.where(r.time_s <= t, 0.0, s) for r, t, s in zip(runs, starts_s, slopes, strict=True)]
-    return Rows(
+    return RunTable(
         time_s=np.concatenate([r.time_s - t for r, t in zip(runs, starts_s, strict=True)]),
         ambient_C=np.concatenate([np.full(r.time_s.size, r.ambient_C) for r in runs]),
         voltage_V=np.concatenate([r.voltage_V for r in runs]),
@@ -88,7 +88,7 @@ def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> Rows:
     )
 
 
-def guess(rows: Rows, cells: int) -> tuple[Array, Array]:
+def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
     """(start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
     near = np.abs(rows.ambient_C - 25.0) <= np.min(np.abs(rows.ambient_C - 25.0)) + 0.25
     load = near & (rows.time_s >= 0.0)
@@ -103,7 +103,7 @@ def guess(rows: Rows, cells: int) -> tuple[Array, Array]:
     return np.array(start), np.array(sd)
 
 
-def fit(rows: Rows, cells: int) -> Regression:
+def fit(rows: RunTable, cells: int) -> Regression:
     """Most probable coefficients under wide priors; robust beyond three sigma."""
     start, sd = guess(rows, cells)
     others, n = int(rows.series.max()), len(NAMES)
@@ -127,7 +127,7 @@ def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
     return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
 
 
-def held_out(readings: Readings, progress: Callable[[int], None] | None = None) -> HeldOut:
+def held_out(readings: Readings, progress: Callable[[float], None] | None = None) -> HeldOut:
     """The regression model, each occasion (and its share of the one-time runs) predicted from the others."""
     dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
     number, others = series_of(readings, levels), other_runs(tests, levels)
@@ -152,7 +152,7 @@ def held_out(readings: Readings, progress: Callable[[int], None] | None = None) 
             model = found.voltage(t, np.full(t.size, run.ambient_C), block)
             singles.append(Single(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
         if progress is not None:
-            progress(1)
+            progress(1.0)
     runs = dataset.at(levels.ambient_C)
     return HeldOut(
         model="regression", ambient_C=levels.ambient_C, cells=dataset.cells_series, time_s=levels.time_s,

@@ -12,7 +12,7 @@ is a lenient test: what fails it has failed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,7 @@ COLD_C = -10.0
 FOLDS = 4
 RISE_S = (60.0, 180.0)
 SIGNIFICANT = 0.05
+START_FITS = 0.5  # one start of a variant takes about half as long as one fit of the circuit model
 TERMS = {(False, False): "isothermal", (False, True): "isothermal, steeper cold resistance",
          (True, False): "self-heating", (True, True): "self-heating, steeper cold resistance"}  # fmt: skip
 
@@ -90,8 +91,22 @@ class TemperatureLoop:
     left_out: tuple[str, ...]
 
 
-def close_loop(readings: Readings, limits: Limits) -> TemperatureLoop | None:
-    """The whole analysis; None when fewer than eight temperatures were tested once, or the current was measured."""
+def fits(readings: Readings) -> float:
+    """How much work `close_loop` is, in fits of the circuit model; 0 where it has nothing to do."""
+    tests = None if heldout.is_metered(readings.dataset) else one_time_tests(readings)[0]
+    if tests is None:
+        return 0.0
+    variants = [*_variants("cold", _cold(tests)), *_variants("all", tests)]
+    return len(heldout.repeats(readings).occasions) + START_FITS * sum(map(_fresh_starts, variants))
+
+
+def close_loop(
+    readings: Readings, limits: Limits, progress: Callable[[float], None] | None = None
+) -> TemperatureLoop | None:
+    """The whole analysis; None when fewer than eight temperatures were tested once, or the current was measured.
+
+    `progress` is called with the fits just done, which add up to `fits(readings)`.
+    """
     dataset = readings.dataset
     if heldout.is_metered(dataset):
         return None
@@ -100,7 +115,7 @@ def close_loop(readings: Readings, limits: Limits) -> TemperatureLoop | None:
         return None
     declared, known = limits.for_cells(dataset.cells_series), dataset.uncertainty
     effects = tuple(e for e in prior.BASE_EFFECTS if e != "self_heating")
-    held = heldout.circuit(readings, effects=effects, model="circuit without self-heating")
+    held = heldout.circuit(readings, progress, effects=effects, model="circuit without self-heating")
     surface = gate.surface_claim(held, declared, known)
     claims = (
         gate.voltage_claim(held, declared, dataset.cutoff_V, known),
@@ -109,7 +124,7 @@ def close_loop(readings: Readings, limits: Limits) -> TemperatureLoop | None:
         *(() if surface is None else (surface,)),
     )
     groups = _groups(tests)
-    outcomes = (*_outcomes("cold", _cold(tests), groups), *_outcomes("all", tests, groups))
+    outcomes = (*_outcomes("cold", _cold(tests), groups, progress), *_outcomes("all", tests, groups, progress))
     gains = _gains(outcomes, groups)
     by_ambient = {s.ambient_C: float(np.sqrt(np.mean((s.model_V - s.measured_V) ** 2))) for s in held.singles}
     rise = _rise(tests.time_s, tests.voltage_V)
@@ -168,18 +183,38 @@ def _rise(time_s: Array, voltage_V: Array) -> Array:
     return out
 
 
-def _outcomes(scope: str, tests: OneTimeTests, groups: Mapping[str, tuple[float, float]]) -> list[Outcome]:
+def _variants(scope: str, tests: OneTimeTests) -> list[Variant]:
+    """The models to compare, what a model contains before itself; none for fewer than three tests."""
     if tests.ambient_C.size < 3:
         return []
     several = len(set(tests.series.tolist())) > 1
-    out = []
-    for series in (False, True) if several else (False,):
-        smaller: tuple[cold_model.Fit, ...] = ()
-        for (heat, steep), name in TERMS.items():
-            if scope == "cold" or heat == steep:
-                outcome, found = _outcome(scope, Variant(name, heat, steep, series), tests, groups, smaller)
-                smaller = (*smaller, found)
-                out.append(outcome)
+    return [
+        Variant(name, heat, steep, series)
+        for series in ((False, True) if several else (False,))
+        for (heat, steep), name in TERMS.items()
+        if scope == "cold" or heat == steep
+    ]
+
+
+def _fresh_starts(variant: Variant) -> int:
+    """Starts of the optimiser besides those from the smaller models."""
+    return cold_model.FRESH // 2 if variant.self_heating or variant.steeper_cold else cold_model.FRESH
+
+
+def _outcomes(
+    scope: str,
+    tests: OneTimeTests,
+    groups: Mapping[str, tuple[float, float]],
+    progress: Callable[[float], None] | None,
+) -> list[Outcome]:
+    out, fitted = [], list[cold_model.Fit]()
+    for variant in _variants(scope, tests):
+        smaller = [f for f in fitted if f.variant.series == variant.series]
+        outcome, found = _outcome(scope, variant, tests, groups, smaller)
+        fitted.append(found)
+        out.append(outcome)
+        if progress is not None:
+            progress(START_FITS * _fresh_starts(variant))
     return out
 
 
@@ -188,11 +223,11 @@ def _outcome(
     variant: Variant,
     tests: OneTimeTests,
     groups: Mapping[str, tuple[float, float]],
-    smaller: tuple[cold_model.Fit, ...],
+    smaller: list[cold_model.Fit],
 ) -> tuple[Outcome, cold_model.Fit]:
     T, count = tests.ambient_C, int(tests.series.max()) + 1
     inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
-    found = cold_model.fit(variant, tests, count, inside, cold_model.FRESH // 2 if inside else cold_model.FRESH)
+    found = cold_model.fit(variant, tests, count, inside, _fresh_starts(variant))
     fitted, unseen = cold_model.residuals(found, tests), np.empty((T.size, tests.time_s.size))
     folds = FOLDS if T.size >= 2 * FOLDS else T.size
     for k in range(folds):

@@ -173,8 +173,7 @@ def slope(results: ArrayLike) -> Slope:
     left = float(((values - per_run * runs) ** 2).sum()) / (n - 2)
     error = math.sqrt(left / float(runs @ runs))
     p = float(2 * stats.t.sf(abs(per_run) / error, n - 2)) if error > 0 else (0.0 if per_run else 1.0)
-    i, j = np.triu_indices(n, 1)
-    return Slope(per_run, error, p, float(np.median((values[j] - values[i]) / (j - i))))
+    return Slope(per_run, error, p, float(stats.theilslopes(values).slope))
 
 
 def step_share(tables: Array, least: int = 2) -> Array:
