@@ -35,7 +35,7 @@ Clock = Callable[[], float]
 
 
 def content(board: Board, now_s: float) -> dict[str, Any]:
-    """What /now.json and every event carry."""
+    """Return the content of /now.json and of every event."""
     batteries = [report.as_line(now_s) for report in board.reports]
     first = batteries[0] if batteries else None
     return {
