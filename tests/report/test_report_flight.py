@@ -49,7 +49,7 @@ def test_an_ordinary_flight_shows_the_answer_the_figures_and_the_sources() -> No
     points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0), Checkpoint("120 s before", 120.0, NAN, NAN, NAN))
     outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.25, 0.9, points)
     html = render([step(float(t), warnings=("mind the cold",)) for t in range(600)], outcome, notes=("a note",))
-    assert "held 0.10 ± 0.04 of its charge" in html
+    assert "10 % of the charge was left at the end of the log (6 to 14 %" in html
     assert "ended by its battery 9 min 10 s after" in html
     assert "50 s too long, truth inside" in html
     assert "the forecast was refused" in html

@@ -82,6 +82,8 @@ def validate(
 
 def _lines(result: Validation) -> list[str]:
     """The verdict first, then what it rests on, then what the tests say about themselves."""
+    from uavbatt.report.validation_tables import plain_reason
+
     tests = result.dataset
     lines = [
         f"{tests.name}: {result.verdict.upper()} at {result.ambient_C:g} °C "
@@ -91,9 +93,9 @@ def _lines(result: Validation) -> list[str]:
     ]
     gating = [c for c in result.claims if c.gates]
     others = [c for c in result.claims if not c.gates]
-    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {c.reason}" for c in gating]
+    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}" for c in gating]
     lines += ["claims that inform and do not gate"]
-    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {c.reason}" for c in others[:12]]
+    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}" for c in others[:12]]
     if len(others) > 12:
         lines.append(f"  {'':>15}  ... and {len(others) - 12} more in the report")
     lines += ["", "findings about the tests"]

@@ -77,7 +77,7 @@ def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
     lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""
     first = f"{counted(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
     grown = [g.name for g, resistance, _ in ranked if _is_grown(resistance)]
-    health = "No pack or aircraft with flights enough shows a resistance that has certainly grown."
+    health = "No ageing found: no pack with enough flights shows a resistance that has certainly grown."
     if grown:
         health = f"Resistance has grown in: {', '.join(grown[:5])}" + (", …" if len(grown) > 5 else ".")
     said = [paragraph(first), paragraph(health)]

@@ -70,9 +70,9 @@ def _answer(flight: Flight, outcome: Outcome, resolved: Resolved, found: Sequenc
     refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
     if refused_s > 0.0:
         air = outcome.refused_in_air
-        share = f"{air:.0%}" if air > 0.0 else "none"
-        flying = f", {share} of the rows under load after the first minute" if math.isfinite(air) else ""
-        sentences.append(paragraph(f"A number was refused for {duration(refused_s)} in all{flying}; see below why."))
+        share = f"at {air:.0%} of the rows" if air > 0.0 else "at none of the rows"
+        flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
+        sentences.append(paragraph(f"No forecast was given for {duration(refused_s)} in all{flying}; see below why."))
     sentences.append(paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}", css="quiet"))
     return element("div", *sentences, css="answer")
 
@@ -80,8 +80,10 @@ def _answer(flight: Flight, outcome: Outcome, resolved: Resolved, found: Sequenc
 def _charge_words(outcome: Outcome) -> str:
     if not math.isfinite(outcome.end_soc):
         return "No state of charge could be given for this log."
-    spread = number(2.0 * outcome.end_soc_sd, 2)
-    return f"At the end of the log the battery held {number(outcome.end_soc, 2)} ± {spread} of its charge (±2 sd)."
+    left, spread = 100.0 * outcome.end_soc, 200.0 * outcome.end_soc_sd
+    low, high = (number(min(max(left + s * spread, 0.0), 100.0), 0) for s in (-1.0, 1.0))
+    said = f"{number(left, 0)} % of the charge was left at the end of the log"
+    return f"{said} ({low} to {high} %, two standard deviations)."
 
 
 def _end_words(outcome: Outcome, resolved: Resolved) -> str:
@@ -92,8 +94,8 @@ def _end_words(outcome: Outcome, resolved: Resolved) -> str:
             f"the voltage under load fell below {cutoff} ({resolved.cutoff_from})."
         )
     return (
-        f"The log does not reach the end of flight (voltage under load below {cutoff}, {resolved.cutoff_from}), "
-        "so that the forecasts cannot be checked against it."
+        f"The flight ended before its battery did (which ends below {cutoff} under load, {resolved.cutoff_from}), "
+        "so that the forecasts cannot be checked against the truth."
     )
 
 

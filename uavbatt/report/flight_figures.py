@@ -206,8 +206,8 @@ def _remaining(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
 
     cut = rows.hi_s[~np.isnan(rows.hi_s)].max(initial=0.0) / 60.0 > top_min
     truth = "The truth is the end of flight that the log itself shows" if math.isfinite(end_s) else ""
-    unknown = "" if math.isfinite(end_s) else "The log does not reach the end of flight: there is no truth to compare"
-    above = "; forecast or interval go beyond the top of the drawing in places" if cut else ""
+    unknown = "" if math.isfinite(end_s) else "The flight ended before its battery did: there is no truth to compare"
+    above = "; some values are off the chart" if cut else ""
     alt = f"Forecast of the remaining time with its 90 % interval. {truth}{unknown}."
     said = f"{truth}{unknown}{above}. Seconds until the voltage or the reserve ends the flight under the load to come."
     return figure(plot.panel(draw, alt, x=axis.label, y="remaining time (min)", height=290), title, said)

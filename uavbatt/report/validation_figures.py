@@ -11,7 +11,7 @@ import numpy as np
 from uavbatt.report import plot
 from uavbatt.report.page import Html, celsius, figure, number
 from uavbatt.report.validation_page import Array, Consistency
-from uavbatt.report.validation_tables import nearest
+from uavbatt.report.validation_tables import nearest, plain_reason
 from uavbatt.validation.gating.gate import Claim
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ def _over_instants(claim: Claim) -> Html:
     alt = f"{claim.claim} per instant with its interval against the limit of ±{limit:g} {unit}: {claim.verdict}."
     drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model less tests ({unit})")
     return figure(
-        drawn, f"{_sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}", _sentence(claim.reason) + "."
+        drawn,
+        f"{_sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}",
+        _sentence(plain_reason(claim)) + ".",
     )
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -29,6 +31,7 @@ from uavbatt.validation.judging.findings import Finding
 from uavbatt.validation.study.paper import Agreement
 from uavbatt.validation.validate import LevelPrecision
 
+PASSED = re.compile(r"the interval of the bias is inside ±(?P<limit>\S+) at all (?P<count>\d+)")
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
@@ -42,15 +45,38 @@ def claims_table(claims: Sequence[Claim]) -> Html:
 
 
 def nearest(claim: Claim) -> int:
-    """Index of the instant that uses the most of the limit (of the bias alone, where there is no one limit)."""
-    used = np.abs(claim.bias) + (np.nan_to_num(claim.half_width) if math.isfinite(claim.limit) else 0.0)
-    return int(np.nanargmax(used))
+    """Return the index of the instant that decides.
+
+    That is the one that uses the most of the limit, the half width of its interval counted in (the bias alone, where
+    there is no one limit). For a claim that failed it is the largest of the biases that are beyond the limit with
+    their whole interval, which the reason names.
+    """
+    size, half = np.abs(claim.bias), np.nan_to_num(claim.half_width)
+    beyond = size - half > claim.limit
+    if claim.verdict == "fail" and beyond.any():
+        return int(np.argmax(np.where(beyond, size, -1.0)))
+    return int(np.nanargmax(size + half if math.isfinite(claim.limit) else size))
+
+
+def plain_reason(claim: Claim) -> str:
+    """Return why a claim has its verdict, in words for the crew.
+
+    The certificate keeps the words of the statistics ("the interval of the bias is inside"); what is shown to people
+    names the error, the unit and what was counted.
+    """
+    return PASSED.sub(partial(_within, claim), claim.reason)
+
+
+def _within(claim: Claim, found: re.Match[str]) -> str:
+    limit, count = found["limit"], int(found["count"])
+    where = f" at all {count} checked instants" if count > 1 else ""
+    return f"the error is within ±{limit} {claim.unit}{where}, its uncertainty counted in"
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
     told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
-        return *told, DASH, DASH, DASH, c.reason
+        return *told, DASH, DASH, DASH, plain_reason(c)
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
@@ -58,7 +84,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    return *told, number(bias, decimals, unit, sign=True), interval, limit, c.reason
+    return *told, number(bias, decimals, unit, sign=True), interval, limit, plain_reason(c)
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:
