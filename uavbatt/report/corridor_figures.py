@@ -27,7 +27,7 @@ DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departur
 
 
 def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], list[Run]]:
-    """(runs of samples tested repeatedly, one-time runs) at the page's ambient temperature, raw or as judged."""
+    """Return (runs of samples tested repeatedly, one-time runs) at the gated temperature, raw or as judged."""
     runs = (page.found.readings.tests if as_read else page.found.dataset).at(page.found.ambient_C)
     counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
     return [r for r in runs if counts[r.sample] > 1], [r for r in runs if counts[r.sample] == 1]
@@ -66,7 +66,7 @@ def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
 
 
 def family(page: ValidationPage) -> Html:
-    """Figure 1: the discharge curves of every repeated run."""
+    """Draw Figure 1: the discharge curves of every repeated run."""
     many, single = repeated(page)
     alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {celsius(page.found.ambient_C)}."
 
@@ -98,7 +98,7 @@ def _edges(axes: Axes, at: Array, mean: Array, corridor: Corridor, scale: float 
 
 
 def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: int) -> Html:
-    """Figures 4 and 5: mean, corridor, runs and model, in the unit of the readings."""
+    """Draw Figures 4 and 5: mean, corridor, runs and model, in the unit of the readings."""
     minutes = found.at / 60.0
 
     def draw(axes: Axes) -> None:
@@ -120,7 +120,7 @@ def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: 
 
 
 def departures(page: ValidationPage, found: Corridor, model: Array | None) -> Html:
-    """Corridor, wider bands, runs and model as departures from the mean of the tests."""
+    """Draw corridor, wider bands, runs and model as departures from the mean of the tests."""
     minutes, scale = found.at / 60.0, 1000.0 if found.quantity == "voltage_V" else 1.0
 
     def draw(axes: Axes) -> None:
@@ -167,7 +167,7 @@ def _frame(axes: Axes, found: Corridor, scale: float) -> None:
 
 
 def in_time(page: ValidationPage) -> Html:
-    """The corridor of crossing times at fixed voltage: what a pilot has."""
+    """Draw the corridor of crossing times at fixed voltage: seconds are what a pilot has."""
     found = time_corridor(page.found.readings, page.found.ambient_C)
     title = "When a voltage is reached: the corridor in time"
     if found is None or not np.isfinite(found.C).any():
@@ -200,7 +200,7 @@ def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
 
 
 def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: str, study: int) -> Html:
-    """Figures 6 and 7: the mean curve at every ambient temperature."""
+    """Draw Figures 6 and 7: the mean curve at every ambient temperature."""
     name = "Voltage" if quantity == "voltage_V" else "Surface temperature"
     title = f"{name} over ambient temperature{_study(page, study)}"
     known = [c for c in corridors if np.isfinite(c.mean).any()]
@@ -236,7 +236,7 @@ def _spread(values: Sequence[float], count: int) -> list[float]:
 
 
 def crossings(page: ValidationPage) -> Html:
-    """Time to a fixed voltage over ambient temperature: where one-time series break."""
+    """Draw the time to a fixed voltage over ambient temperature, where one-time series break."""
     level_V = page.found.limits.crossing_V
     title = f"Time to {level_V:.4g} V over ambient temperature"
     runs = page.found.dataset.runs

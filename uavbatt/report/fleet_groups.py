@@ -1,4 +1,4 @@
-"""What the fleet page says of each pack or aircraft, and of the forecasts, gathered in one pass over the flights.
+"""Flights of a fleet gathered in one pass: each pack or aircraft over its life, and the errors of the forecasts.
 
 A group is a battery with a serial number, else an aircraft. Only numbers are kept of a flight, so that a page about
 very many flights stays small in memory.
@@ -34,7 +34,7 @@ class Change:
 
     @property
     def is_certain(self) -> bool:
-        """More than twice its own standard deviation, and big enough to matter."""
+        """True for a change of more than twice its own standard deviation that is big enough to matter."""
         return abs(self.difference) > max(2.0 * self.difference_sd, 0.05)
 
 
@@ -50,7 +50,7 @@ class Group:
     energy_Wh: float = 0.0
 
     def add(self, row: Row) -> None:
-        """One more flight."""
+        """Add one more flight."""
         start = datetime.fromisoformat(row.start_utc).timestamp() if row.start_utc else math.nan
         self.start_s.append(start)
         self.resistance.append((row.resistance_scale, row.resistance_scale_sd))
@@ -65,12 +65,12 @@ class Group:
 
     @property
     def is_dated(self) -> bool:
-        """Whether the flights can be put on a calendar: all dates known, and not all the same."""
+        """True when the flights can be put on a calendar: all dates known, and not all the same."""
         start_s = np.array(self.start_s)
         return bool(np.all(np.isfinite(start_s)) and np.ptp(start_s) > 3600.0)
 
     def in_time(self, values: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions and (scale, sd) by date, or by number where the dates are not known."""
+        """Return positions and (scale, sd) by date, or by number where the dates are not known."""
         pairs = np.array(values, np.float64).reshape(-1, 2)
         if not self.is_dated:
             return np.arange(1.0, len(pairs) + 1.0), pairs
@@ -79,7 +79,7 @@ class Group:
 
 
 def change(group: Group, values: Sequence[tuple[float, float]]) -> Change | None:
-    """First third of the flights against the last; None for too few flights."""
+    """Compare the first third of the flights with the last; None for too few flights."""
     _, pairs = group.in_time(values)
     if len(pairs) < ENOUGH_FLIGHTS:
         return None
@@ -98,7 +98,7 @@ def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class Overview:
-    """All that the page tells; filled by `gathered`."""
+    """Everything that the page tells; filled by `gathered`."""
 
     groups: dict[str, Group] = field(default_factory=dict)
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
@@ -118,7 +118,7 @@ class Overview:
 
 
 def gathered(rows: Iterable[Row]) -> Overview:
-    """One pass over the rows."""
+    """Gather the rows of a fleet in one pass."""
     found = Overview()
     for row in rows:
         if row.status != "ok":

@@ -45,7 +45,10 @@ SHOWN_AS = {
 def flight_report(
     flight: Flight, steps: Sequence[Step], resolved: Resolved, outcome: Outcome, battery: BatteryFile
 ) -> str:
-    """The whole page as HTML."""
+    """Return the whole page as HTML.
+
+    `steps` are the rows of the replay, `resolved` the pack's size and where it came from, `outcome` the figures.
+    """
     found = stretches(steps)
     name = PurePath(flight.source).name or flight.source
     return page(
@@ -113,7 +116,7 @@ def _error_words(c: Checkpoint) -> str:
 
 
 def _stretches(found: Sequence[Stretch]) -> Html:
-    """What the hatching and the shading stand for."""
+    """Tell what the hatching and the shading stand for."""
     if not found:
         return paragraph("No number was refused.", css="quiet")
     body = [

@@ -54,7 +54,7 @@ class TimeAxis:
 
 
 def figures(rows: Rows, stretches: Sequence[Stretch], outcome: Outcome, resolved: Resolved) -> list[Html]:
-    """Every panel for which the log has data; in place of the others a sentence."""
+    """Draw every panel for which the log has data; a sentence stands in place of the others."""
     axis = TimeAxis(rows, stretches, outcome)
     return [
         _remaining(rows, axis, outcome),

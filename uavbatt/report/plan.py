@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def plan_report(plan: Plan) -> str:
-    """The whole page as HTML."""
+    """Return the whole page as HTML."""
     return page(
         f"{plan.resolved.battery}: how long will it fly?",
         "uavbatt plan",

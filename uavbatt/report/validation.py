@@ -74,7 +74,7 @@ def _answer(v: ValidationPage) -> Html:
 
 
 def verdict_sentence(v: ValidationPage) -> str:
-    """What the verdict means for a flight."""
+    """Say in one sentence what the verdict means for a flight."""
     where, within = f"at {celsius(v.found.ambient_C)}", " and ".join(value for _, value in _limits(v)[:2])
     deciding = [c for c in v.found.claims if c.gates and c.verdict == v.found.verdict]
     why = f" ({deciding[0].claim}: {deciding[0].reason})" if deciding else ""

@@ -23,12 +23,12 @@ COLOURS = {"pass": plot.GREEN, "fail": plot.RED, "not enough data": plot.AMBER}
 
 
 def judged(claims: Sequence[Claim], ambient_C: float) -> list[Claim]:
-    """The claims at `ambient_C` that compare a bias and its interval with a limit."""
+    """List the claims at `ambient_C` [°C] that compare a bias and its interval with a limit."""
     return [c for c in claims if c.ambient_C == ambient_C and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
 
 
 def equivalence(claims: Sequence[Claim]) -> list[Html]:
-    """One drawing a quantity judged at many instants, one for all that are judged once (times)."""
+    """Draw each quantity that was judged at many instants, and all that are judged once (times) together."""
     many = [c for c in claims if c.at.size > 1]
     once = [c for c in claims if c.at.size == 1]
     return [*(_over_instants(c) for c in many), *([_single(once)] if once else [])]
@@ -62,7 +62,7 @@ def _over_instants(claim: Claim) -> Html:
 
 
 def over_ambient(claims: Sequence[Claim]) -> Html:
-    """The bias that comes nearest to the limit at each ambient temperature, with its interval where there is one."""
+    """Draw the bias nearest to the limit at each ambient temperature, with its interval where there is one."""
     shown = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
     if not shown:
         return Html("")
@@ -117,7 +117,7 @@ def _sentence(text: str) -> str:
 
 
 def mandel(levels: Sequence[Consistency], quantity: str) -> list[Html]:
-    """h and k of each sample, one stem an instant, grouped by sample as in ISO 5725-2."""
+    """Draw h and k of each sample, one stem an instant, grouped by sample as in ISO 5725-2."""
     mine = [c for c in levels if c.quantity == quantity]
     if not mine:
         return []

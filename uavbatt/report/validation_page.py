@@ -56,7 +56,7 @@ class ErrorChange:
 
 @dataclass(frozen=True, slots=True)
 class ValidationPage:
-    """What the page shows: `found`, and what is worked out from it for the page alone.
+    """A validation as the page shows it: `found`, and what is worked out from it for the page alone.
 
     `paper` is the study's method replayed, None where it cannot be applied.
     """
@@ -87,7 +87,7 @@ def page_of(
 
 
 def consistency(readings: Readings) -> tuple[Consistency, ...]:
-    """Mandel's h and k per instant at the gated temperature, for two samples or more with repeats."""
+    """Compute Mandel's h and k per instant at the gated temperature, for two samples or more with repeats."""
     found = []
     for quantity in (VOLTAGE, SURFACE):
         levels = readings.levels(readings.ambient_C, quantity)
@@ -104,7 +104,7 @@ def consistency(readings: Readings) -> tuple[Consistency, ...]:
 
 
 def gains(found: Validation) -> tuple[ErrorChange, ...]:
-    """The worth of each extension over ambient temperature on tests that the fit had not seen; none if not tried."""
+    """List the gain of each extension over temperature on tests that the fit had not seen; none if not tried."""
     if found.temperatures is None:
         return ()
     return tuple(
@@ -122,7 +122,7 @@ def gains(found: Validation) -> tuple[ErrorChange, ...]:
 
 
 def mean_prediction(held: HeldOut) -> ModelCurve:
-    """The mean prediction over the held-out occasions; an instant that none predicts is NaN."""
+    """Average the predictions over the held-out occasions; an instant that none predicts is NaN."""
     surface = None if held.model_C is None else _known_mean(held.model_C)
     return ModelCurve(held.model, held.time_s, _known_mean(held.model_V), surface)
 

@@ -39,7 +39,7 @@ SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
 def claims_table(claims: Sequence[Claim]) -> Html:
-    """One row a claim: the verdict, the bias that comes nearest to the limit, and why."""
+    """Make one row a claim: the verdict, the bias that decides, and why."""
     head = ("claim", "verdict", "decides", "bias nearest the limit", "its interval", "limit", "why")
     return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 6))
 
@@ -88,7 +88,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:
-    """The claims at other ambient temperatures: which verdict where, and the whole table for who wants it."""
+    """List the claims at other ambient temperatures by verdict, with the whole table for who wants it."""
     by_kind: dict[tuple[str, str], list[float]] = {}
     for c in claims:
         by_kind.setdefault((c.claim, c.verdict), []).append(c.ambient_C)
@@ -108,7 +108,7 @@ def _span(ambients_C: Sequence[float]) -> str:
 
 
 def findings_list(findings: Sequence[Finding]) -> Html:
-    """The findings in their order, each with what it rests on."""
+    """List the findings in their order, each with what it rests on."""
     if not findings:
         return paragraph("Nothing in the tests speaks against them.")
     items = [
@@ -125,7 +125,7 @@ def findings_list(findings: Sequence[Finding]) -> Html:
 
 
 def data_overview(dataset: DataSet) -> list[Html]:
-    """What was tested and read, and what of it is suspect."""
+    """Tell what was tested and read, and what of it is suspect."""
     body = []
     for sample in dict.fromkeys(r.sample for r in dataset.runs):
         runs = [r for r in dataset.runs if r.sample == sample]
@@ -153,7 +153,7 @@ def data_overview(dataset: DataSet) -> list[Html]:
 
 
 def precision_table(levels: Sequence[LevelPrecision], quantity: str) -> Html:
-    """s_r, s_L, s_R, r, R per level with 95 % intervals, and their relative uncertainties A_r, A_R."""
+    """Tabulate s_r, s_L, s_R, r, R per level with 95 % intervals, and their relative uncertainties A_r, A_R."""
     mine = [row for row in levels if row.quantity == quantity]
     if not mine:
         return paragraph("Not measured in repeated tests.", css="quiet")
@@ -196,7 +196,7 @@ def _percent(share: float) -> str:
 
 
 def budget_table(claim: Claim, budget: Budget) -> Html:
-    """Standard uncertainties per source and instant, and the half width that comes of them."""
+    """Tabulate standard uncertainties per source and instant, and the half width that comes of them."""
     scale, unit, decimals = SHOWN.get(budget.unit, (1.0, budget.unit, 3))
     d = decimals + 1
     in_time = claim.unit in ("V", "K")
@@ -220,14 +220,14 @@ def budget_table(claim: Claim, budget: Budget) -> Html:
 
 
 def agreement(tables: Sequence[Agreement]) -> list[Html]:
-    """The study's printed tables against the recomputation."""
+    """Compare the study's printed tables with the recomputation."""
     body = [(a.table, f"{a.agree} of {a.total}", a.counted) for a in tables]
     slips = bullets(s for a in tables for s in a.slips)
     return [table(("printed", "figures met", "counted"), body, text_columns=(0, 1, 2)), slips]
 
 
 def changes_table(changes: Sequence[ErrorChange]) -> Html:
-    """Errors before and after the model was extended."""
+    """Tabulate errors before and after the model was extended."""
     body = [
         (
             c.quantity,

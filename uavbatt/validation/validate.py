@@ -1,4 +1,4 @@
-"""The whole ISO 5725 stage on one data set: judge the tests, build the corridor, gate the models.
+"""The whole ISO 5725 stage on one data set judges the tests, builds the corridor and gates the models.
 
 Two models are gated on the same held-out occasions: the circuit model, which ships, and the regression model, its
 rival. Fast records are read at the whole minutes first (`Readings`), for the statistics as for the models.
@@ -93,11 +93,15 @@ def validate(
     method: Method = "iso",
     close_loop: bool = True,
 ) -> Validation:
-    """Judge, fit with one occasion left out at a time, gate. Raises NotEnoughData without repeated runs.
+    """Judge the tests, fit with one occasion left out at a time, and gate the model.
 
-    `method` says which claims decide: equivalence (`iso`) or the study's corridor (`paper`); both are reported.
-    `close_loop` off leaves out the analysis over ambient temperatures. `progress` is called with the share of the
-    work that was just done; the shares add up to 1.
+    dataset : repeated discharge tests, runs of one occasion under one run number
+    limits : declared limits for a 3S pack, scaled to the cells of the data set
+    progress : called with the share of the work that was just done; the shares add up to 1
+    method : "iso" lets equivalence decide, "paper" the study's corridor; both are reported
+    close_loop : False leaves out the analysis over ambient temperatures, which takes most of the time
+
+    Raises NotEnoughData below three occasions at one ambient temperature.
     """
     readings = read_once(dataset)
     ambient_C = readings.ambient_C
@@ -146,7 +150,10 @@ def _shares(progress: Callable[[float], None] | None, fits: float) -> Callable[[
 def model_claims(
     readings: Readings, held: HeldOut, found: Corridor, limits: Limits, method: Method = "iso"
 ) -> list[Claim]:
-    """The claims that a model can be judged by: voltage, corridor, times, surface temperature, other temperatures."""
+    """List the claims that a model can be judged by: voltage, corridor, times, surface and other temperatures.
+
+    `held` are its predictions of held-out runs, `found` the corridor of the voltage at the same ambient temperature.
+    """
     known, cutoff_V = readings.dataset.uncertainty, readings.dataset.cutoff_V
     equivalences = [
         gate.voltage_claim(held, limits, cutoff_V, known),
@@ -169,7 +176,7 @@ def _claims(
     said: tuple[Finding, ...],
     method: Method,
 ) -> list[Claim]:
-    """The circuit model's claims, with those about the tests before the single temperatures."""
+    """List the circuit model's claims, those about the tests before those at single temperatures."""
     dataset, claims = readings.dataset, model_claims(readings, held, found, limits, method)
     home = [c for c in claims if c.ambient_C == held.ambient_C]
     about_tests = [
@@ -206,7 +213,7 @@ def _drifts(readings: Readings) -> tuple[LevelDrift, ...]:
 
 
 def _statistics(held: HeldOut, table: tuple[LevelPrecision, ...]) -> dict[str, float]:
-    """The figures that the certificate carries."""
+    """Return the figures that the certificate carries, by name with unit."""
     volts = [row.precision for row in table if row.quantity == "voltage_V"]
     residual = held.residual_V()
     return {

@@ -67,12 +67,12 @@ class Budget:
 
 
 def coverage_factor(df: Array, instants: int) -> Array:
-    """One-sided t at 5 %, shared out over the instants."""
+    """Return the one-sided t factor at 5 %, shared out over the instants (Bonferroni), per instant."""
     return np.asarray(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df), dtype=float)
 
 
 def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
-    """(combined standard uncertainty, effective degrees of freedom) per instant."""
+    """Combine type A and type B uncertainty in squares; return (u, effective degrees of freedom) per instant."""
     u = np.asarray(np.hypot(u_A, u_B))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
@@ -80,7 +80,7 @@ def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
 
 
 def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:
-    """Add the rows in squares; `df_A` are the degrees of freedom of the scatter."""
+    """Add the rows of a budget in squares; `df_A` are the degrees of freedom of the scatter."""
 
     def root(kind: str) -> Array:
         squares = [r.u**2 for r in rows if r.kind == kind]
@@ -93,7 +93,7 @@ def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budge
 
 
 def scatter_rows(residual: Array) -> list[BudgetRow]:
-    """Scatter of the mean and drift over the runs, of residuals [occasion, instant] in run order.
+    """Estimate the scatter of the mean, and the drift over the runs, of residuals [occasion, instant] in run order.
 
     Drift: d = mean of the earlier less the later half of the occasions, rectangular between its ends: |d|/2/√3.
     """
@@ -111,7 +111,7 @@ def scatter_rows(residual: Array) -> list[BudgetRow]:
 
 
 def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[BudgetRow]:
-    """Calibration and resolution of the voltmeter at `voltage_V` [V]."""
+    """Estimate the calibration and resolution rows of the voltmeter at `voltage_V` [V]."""
     stated, step = known.voltage_calibration_V, known.voltage_resolution_V
     if stated is not None:
         calibration, how = np.full(voltage_V.size, stated), "stated by the data set"
@@ -127,7 +127,7 @@ def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[Budg
 
 
 def reading_half_width_s(held: HeldOut, known: Uncertainty) -> tuple[float, str]:
-    """(a, how): readings are off their instant by at most a [s]."""
+    """Return (a, how): readings are off their instant by at most a [s], and where that figure comes from."""
     if known.reading_time_s is not None:
         return known.reading_time_s, f"stated ±{known.reading_time_s:g} s, rectangular"
     if held.row_s >= HAND_READ_S:
@@ -136,7 +136,7 @@ def reading_half_width_s(held: HeldOut, known: Uncertainty) -> tuple[float, str]
 
 
 def loaded_slope(held: HeldOut) -> Array:
-    """|dV/dt| of the mean test [V/s]: second-order differences within rest and load, never across the step."""
+    """Return |dV/dt| of the mean test [V/s] by second-order differences, never across the start of the load."""
     mean_V = np.nanmean(held.measured_V, axis=(0, 1))
     out = np.zeros(mean_V.size)
     load = ~held.at_rest
@@ -146,7 +146,7 @@ def loaded_slope(held: HeldOut) -> Array:
 
 
 def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: Uncertainty) -> Budget:
-    """Budget of the voltage bias [V] at the instants with indices `at`."""
+    """Build the budget of the voltage bias [V] at the instants with indices `at`; `residual` [occasion, instant]."""
     half_s, how = reading_half_width_s(held, known)
     mean_V = np.nanmean(held.measured_V, axis=(0, 1))[at]
     moment = BudgetRow(
@@ -157,7 +157,7 @@ def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: 
 
 
 def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty) -> Budget:
-    """Budget of the bias of a crossing time [s]; `slope_Vps` there turns the voltmeter's rows into seconds."""
+    """Build the budget of the bias of a crossing time [s]; `slope_Vps` turns the voltmeter's rows into seconds."""
     half_s, how = reading_half_width_s(held, known)
     one = np.array([float(np.mean(levels_V))])
     divided = f"over {slope_Vps * 1e3:.3g} mV/s"
@@ -167,7 +167,7 @@ def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: fl
 
 
 def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget:
-    """Budget of the bias of the surface temperature [K]."""
+    """Build the budget of the bias of the surface temperature [K]."""
     stated = known.temperature_calibration_C
     u = ASSUMED_TEMPERATURE_C if stated is None else stated
     how = "stated by the data set" if stated is not None else f"assumed {u:g} K: none stated"

@@ -70,17 +70,17 @@ class HeldOut:
     singles: tuple[Single, ...] = ()
 
     def residual_V(self) -> Array:
-        """Model minus measured [occasion, level], the mean over the samples of an occasion."""
+        """Return model minus measured [V], [occasion, level], the mean over the samples of an occasion."""
         out: Array = np.nanmean(self.model_V - self.measured_V, axis=1)
         return out
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Which instants come before the load; unless told, the one at 0 s."""
+        """Marks of the instants before the load; unless told, the one at 0 s."""
         return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
 
     def runs(self) -> list[Curve]:
-        """The held-out runs: the full records where there are any, else the readings."""
+        """Return the held-out runs: the full records where there are any, else the readings."""
         if self.curves:
             return list(self.curves)
         grid = np.ndindex(self.measured_V.shape[:2])
@@ -88,7 +88,7 @@ class HeldOut:
 
 
 def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
-    """The mean of runs that were read at the same instants under one load."""
+    """Average runs that were read at the same instants under one load."""
     grid = min((r.time_s for r in runs), key=len)
     volts = np.array([np.interp(grid, r.time_s, r.voltage_V) for r in runs])
     surfaces = np.array([np.interp(grid, r.time_s, r.surface_C) for r in runs])
@@ -105,12 +105,12 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
 
 
 def is_metered(dataset: DataSet) -> bool:
-    """Whether the current of every run was measured."""
+    """True when the current of every run was measured."""
     return all(np.isfinite(r.current_A).all() for r in dataset.runs)
 
 
 def repeats(readings: Readings) -> Levels:
-    """The repeated runs, read at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
+    """Return the repeated runs at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
     levels = readings.levels(readings.ambient_C)
     if levels is None or len(levels.occasions) < 2:
         raise NotEnoughData(
@@ -120,7 +120,7 @@ def repeats(readings: Readings) -> Levels:
 
 
 def other_runs(dataset: DataSet, levels: Levels) -> list[Run]:
-    """The runs at other ambient temperatures than the repeated one."""
+    """List the runs at other ambient temperatures than the repeated one."""
     return [r for r in dataset.runs if r not in dataset.at(levels.ambient_C)]
 
 
@@ -130,8 +130,9 @@ def circuit(
     effects: Effects = prior.BASE_EFFECTS,
     model: str = "circuit",
 ) -> HeldOut:
-    """The circuit model with its effects, each occasion predicted from the others.
+    """Predict each occasion by the circuit model with its effects, fitted to the other occasions.
 
+    `effects` are the names of the effects that are on; `progress` is called with 1 after each fit.
     Raises NotEnoughData when nothing is left to fit once an occasion is out.
     """
     dataset, levels = readings.dataset, repeats(readings)
@@ -170,13 +171,13 @@ class _Fold:
 
 
 def smallest_step(runs: tuple[Run, ...]) -> float:
-    """Smallest difference between two readings of the voltage [V]: what the meter resolves, if nothing is stated."""
+    """Return the smallest step between two voltages [V]: what the meter resolves, if nothing is stated."""
     distinct = np.unique(np.round(np.concatenate([r.voltage_V for r in runs]), 6))
     return float(np.diff(distinct).min()) if distinct.size > 1 else 0.0
 
 
 def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
-    """Which instants of the levels come before the load: by the measured current, else the one at 0 s."""
+    """Mark the instants of the levels that come before the load: by the measured current, else the one at 0 s."""
     run = dataset.at(levels.ambient_C)[0]
     if not np.isfinite(run.current_A).all():
         return tuple(bool(t <= 0.0) for t in levels.time_s)

@@ -1,4 +1,4 @@
-"""Claims about the tests themselves: is their precision known well enough, and does it reach other samples?
+"""Claims about the tests themselves say whether their precision is known well enough and reaches other samples.
 
 Repeatability: s_r with its relative 95 % uncertainty A_r = 1.96/√(2ν) (ISO 5725-1) against a declared bound. Samples
 that depend on each other count as one. Drift over the runs is named in the reason.
@@ -43,7 +43,7 @@ class Dependence:
 
 
 def dependence(table: Array, seed: int = 5725) -> Dependence:
-    """Do the runs of `table[occasion, sample, level]` belong together in the order in which they are numbered?
+    """Test whether the runs of `table[occasion, sample, level]` belong together in the order of their numbers.
 
     Statistics: the sum over pairs of samples of the correlation of their residuals, and of identical readings; the
     smaller p of the two, doubled.
@@ -69,7 +69,7 @@ def dependence(table: Array, seed: int = 5725) -> Dependence:
 
 
 def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]) -> Claim:
-    """s_r known to within `precision_A_r`; drift is a warning."""
+    """Judge whether s_r is known to within `precision_A_r`; drift over the runs is a warning."""
     rows = [precision(levels.cells(i)) for i in range(levels.time_s.size)]
     shared = shared_table(levels).table
     linked = dependence(shared).dependent
@@ -89,7 +89,7 @@ def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]
 
 
 def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
-    """The bias for another sample; informs, does not gate (a pack of the same make ships without it)."""
+    """Judge the bias for another sample; it informs, does not gate (a pack of the same make ships without it)."""
     name = "reproducibility"
     shared = shared_table(levels).table
     k, linked = shared.shape[1], dependence(shared)

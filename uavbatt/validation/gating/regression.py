@@ -51,13 +51,13 @@ class Regression:
     cells: int
 
     def voltage(self, time_s: Array, ambient_C: Array, series: NDArray[np.intp] | int = 0) -> Array:
-        """Pack voltage [V] at `time_s` [s] under load; negative times are before the load."""
+        """Return the pack voltage [V] at `time_s` [s] under load; negative times are before the load."""
         nuisance = np.vstack([np.zeros((1, 2)), self.series])[series]
         return curve(self.coefficients, time_s, ambient_C, nuisance[..., 0], nuisance[..., 1], self.cells)
 
 
 def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Array, cells: int) -> Array:
-    """V(t, T) [V] of the coefficients x; the equations of the module."""
+    """Compute V(t, T) [V] of the coefficients x by the equations of the module; times [s], temperatures [°C]."""
     p0, p1, p2, a, ln_tau, q1, q2, ln_t0, c1, c2, d, ln_w, f, e0 = x
     theta, w, h = (ambient_C - 25.0) / 25.0, math.exp(ln_w), FLOOR_WIDTH_V * cells
     t = np.maximum(time_s, 0.0)
@@ -69,14 +69,14 @@ def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Ar
 
 
 def load_start_s(run: Run) -> float:
-    """When the load begins [s]: by the measured current, else just after the first reading."""
+    """Return when the load begins [s]: by the measured current, else just after the first reading."""
     phase = fast_records.phases(run.current_A)
     rested = phase[-1] > 0 and run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
     return float(run.time_s[np.argmax(phase > 0)]) if rested else float(run.time_s[0]) + 1e-6
 
 
 def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTable:
-    """The readings of runs as one table."""
+    """Put the readings of runs into one table."""
     slopes = [np.abs(np.gradient(r.voltage_V, r.time_s)) for r in runs]
     early = [np.where(r.time_s <= t, 0.0, s) for r, t, s in zip(runs, starts_s, slopes, strict=True)]
     return RunTable(
@@ -89,7 +89,7 @@ def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTab
 
 
 def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
-    """(start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
+    """Return (start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
     near = np.abs(rows.ambient_C - 25.0) <= np.min(np.abs(rows.ambient_C - 25.0)) + 0.25
     load = near & (rows.time_s >= 0.0)
     first, last = float(np.max(rows.voltage_V[load])), float(np.min(rows.voltage_V[load]))
@@ -104,7 +104,7 @@ def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
 
 
 def fit(rows: RunTable, cells: int) -> Regression:
-    """Most probable coefficients under wide priors; robust beyond three sigma."""
+    """Fit the most probable coefficients under wide priors; the loss is robust beyond three sigma."""
     start, sd = guess(rows, cells)
     others, n = int(rows.series.max()), len(NAMES)
     spread = np.concatenate([sd, np.tile([0.1 * cells, 0.2], others)])
@@ -122,13 +122,13 @@ def fit(rows: RunTable, cells: int) -> Regression:
 
 
 def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
-    """Number of a run's series: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
+    """Number the series of a run: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
     edges = sorted(b.high_C for b in readings.broken or ())
     return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
 
 
 def held_out(readings: Readings, progress: Callable[[float], None] | None = None) -> HeldOut:
-    """The regression model, each occasion (and its share of the one-time runs) predicted from the others."""
+    """Predict each occasion, and its share of the one-time runs, by a regression fitted to the others."""
     dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
     number, others = series_of(readings, levels), other_runs(tests, levels)
     starts = {(r.sample, r.run, r.ambient_C): load_start_s(r) for r in dataset.runs}

@@ -1,4 +1,4 @@
-"""Closing the loop on one-time tests over ambient temperature: what does an isothermal model leave, and what mends it?
+"""Closing the loop on one-time tests over ambient temperature shows what an isothermal model leaves, and what mends it.
 
 The isothermal model is gated first, at the temperature that has repeats, and its residual over temperature shown.
 Then the terms that could explain the residual are added one by one (`cold_model`): self-heating, a resistance that
@@ -58,7 +58,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """Does `after` predict unseen tests of `group` better than `before`? RMSE [V], one-sided p; `holds` by Holm."""
+    """The gain of `after` over `before` on unseen tests of `group`: RMSE [V], one-sided p; `holds` by Holm."""
 
     question: str
     scope: str
@@ -92,7 +92,7 @@ class TemperatureLoop:
 
 
 def fits(readings: Readings) -> float:
-    """How much work `close_loop` is, in fits of the circuit model; 0 where it has nothing to do."""
+    """Return how much work `close_loop` is, in fits of the circuit model; 0 where it has nothing to do."""
     tests = None if heldout.is_metered(readings.dataset) else one_time_tests(readings)[0]
     if tests is None:
         return 0.0
@@ -103,9 +103,10 @@ def fits(readings: Readings) -> float:
 def close_loop(
     readings: Readings, limits: Limits, progress: Callable[[float], None] | None = None
 ) -> TemperatureLoop | None:
-    """The whole analysis; None when fewer than eight temperatures were tested once, or the current was measured.
+    """Gate the isothermal model, add terms one by one, and judge each on tests that the fit has not seen.
 
-    `progress` is called with the fits just done, which add up to `fits(readings)`.
+    Returns None when fewer than eight temperatures were tested once, or the current was measured. `progress` is called
+    with the fits just done, which add up to `fits(readings)`.
     """
     dataset = readings.dataset
     if heldout.is_metered(dataset):
@@ -147,7 +148,7 @@ def close_loop(
 
 
 def one_time_tests(readings: Readings) -> tuple[OneTimeTests | None, tuple[str, ...]]:
-    """The one-time tests as a table, flagged readings left out and named; None when there are too few."""
+    """Put the one-time tests into a table, flagged readings left out and named; None when there are too few."""
     dataset, runs = readings.tests, readings.series
     if len(runs) < LEAST_TESTS or any(not np.array_equal(r.time_s, runs[0].time_s) for r in runs):
         return None, ()
@@ -307,7 +308,7 @@ def _gain(question: str, before: Outcome, after: Outcome, group: str, span: tupl
 def _conclusions(
     gains: tuple[Gain, ...], outcomes: tuple[Outcome, ...], tests: OneTimeTests, rise: Array
 ) -> tuple[str, ...]:
-    """One sentence per question: what holds on unseen tests and what does not."""
+    """Say in one sentence per question what holds on unseen tests and what does not."""
     said = []
     for g in gains:
         where = f"{g.question} ({g.group})"

@@ -63,16 +63,17 @@ class Precision:
 
 
 def precision(cells: Cells, method: Method = "anova") -> Precision:
-    """Precision from one sequence of results per sample; lengths may differ.
+    """Compute the precision from one sequence of results per sample; lengths may differ (ISO 5725-2).
 
-    `method` "anova" is ISO 5725-2; "reml" (restricted maximum likelihood) differs for unequal numbers of
-    results and at a between-cell variance of zero.
+    `method` "anova" is the standard's; "reml" (restricted maximum likelihood) differs for unequal numbers of
+    results and at a between-cell variance of zero. Everything is in the unit of the results.
+    Raises BadCells for what is no result, NotEnoughData when every sample has a single one.
     """
     return precision_of(summarise(cells), method)
 
 
 def precision_of(summary: Summary, method: Method = "anova") -> Precision:
-    """Precision from cell means, variances and numbers of results."""
+    """Compute the precision from cell means, variances and numbers of results. Raises NotEnoughData as `precision`."""
     if method not in ("anova", "reml"):
         raise ValueError(f"method {method!r}: expected 'anova' or 'reml'")
     if summary.within_df < 1:
@@ -124,7 +125,7 @@ def mean_count(summary: Summary) -> float:
 
 
 def relative_uncertainty_r(within_df: float) -> float:
-    """A_r = 1.96·√(1/(2ν)), ν = p(n-1) (ISO 5725-1)."""
+    """Compute A_r = 1.96·√(1/(2ν)), ν = p(n-1): the relative 95 % uncertainty of s_r (ISO 5725-1)."""
     return 1.96 * math.sqrt(1 / (2 * within_df))
 
 

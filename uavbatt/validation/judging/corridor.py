@@ -66,7 +66,7 @@ class Corridor:
     notes: tuple[str, ...]
 
     def inside(self, values: Array, half_width: Array | None = None) -> NDBool:
-        """Which of `values` lie within the mean ± `half_width` (default C)."""
+        """Mark the `values` that lie within the mean ± `half_width` (default C)."""
         width = self.C if half_width is None else half_width
         within: NDBool = np.abs(values - self.mean) <= width + 1e-9
         return within
@@ -94,7 +94,7 @@ class LeaveOneOut:
 
 
 def shared_table(levels: Levels) -> Shared:
-    """The occasions that all samples share, as a full table, and what was left out to get there.
+    """Cut repeated runs to the occasions that all samples share, and name what was left out to get there.
 
     A sample with less than half of the runs of the longest is left out rather than the occasions it lacks; samples
     that share no two occasions are put side by side in the order of their runs.
@@ -119,7 +119,7 @@ def shared_table(levels: Levels) -> Shared:
 
 
 def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed: int = 5725) -> Corridor | None:
-    """The corridor at one ambient temperature [°C], at fixed times; None if `quantity` was not measured there."""
+    """Build the corridor at one ambient temperature [°C], at fixed times; None if `quantity` was not measured there."""
     levels = readings.levels(ambient_C, quantity)
     if levels is None:
         return None
@@ -134,13 +134,13 @@ def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed
 
 
 def corridors(readings: Readings, quantity: str = VOLTAGE, seed: int = 5725) -> dict[float, Corridor]:
-    """The corridor of every ambient temperature at which `quantity` was measured."""
+    """Build the corridor of every ambient temperature at which `quantity` was measured."""
     found = ((t, corridor(readings, t, quantity, seed)) for t in readings.dataset.ambients_C)
     return {t: c for t, c in found if c is not None}
 
 
 def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
-    """Voltages [V] that every run falls through after the first reading: steps of 0.1 V for three cells."""
+    """List the voltages [V] that every run falls through after the first reading: steps of 0.1 V for three cells."""
     step = round(0.1 * dataset.cells_series / 3, 2)
     curves = np.concatenate([levels.curves(j) for j in range(len(levels.samples))])
     if not len(curves):
@@ -154,7 +154,7 @@ def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
 def time_corridor(
     readings: Readings, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
 ) -> Corridor | None:
-    """The corridor of crossing times [s] at fixed voltages; None without voltages that every run falls through."""
+    """Build the corridor of crossing times [s] at fixed voltages; None if no voltage is crossed by every run."""
     levels = readings.levels(ambient_C)
     if levels is None:
         return None
@@ -177,7 +177,11 @@ def time_corridor(
 def from_table(
     ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...] = (), seed: int = 5725
 ) -> Corridor:
-    """The corridor from `table[occasion, sample, level]` of repeats, three occasions or more."""
+    """Build the corridor from `table[occasion, sample, level]` of repeats, three occasions or more, at `at`.
+
+    `at` holds the instants [s] (or voltages [V] for crossing times) of the levels; `quantity` gives the
+    unit of the table.
+    """
     o, k, levels = table.shape
     parts = bands.components(table)
     with_samples = k >= 3
@@ -224,7 +228,7 @@ def _group_at(readings: Readings, ambient_C: float) -> QuasiReplicates | None:
 def from_quasi_replicates(
     ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...] = (), seed: int = 5725
 ) -> Corridor:
-    """The corridor about a line in temperature through one-time curves one degree apart."""
+    """Build the corridor about a line in temperature through one-time curves one degree apart."""
     m, levels = group.residuals.shape
     covariance = group.residuals.T @ group.residuals / (m - 2)
     t = group.ambients_C - group.ambients_C.mean()
@@ -262,7 +266,7 @@ def _unknown(ambient_C: float, quantity: str, at: Array, table: Array, notes: tu
 
 
 def leave_one_out(levels: Levels) -> LeaveOneOut | None:
-    """Each occasion against mean ± 2S of all the others; None with fewer than four shared occasions."""
+    """Judge each occasion by mean ± 2S of all the others; None with fewer than four shared occasions."""
     shared = shared_table(levels)
     table = shared.table
     o, k, size = table.shape

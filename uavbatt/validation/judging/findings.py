@@ -1,4 +1,4 @@
-"""What the tests say about themselves: findings computed from a data set, in words that a pilot understands.
+"""Findings: the tests judged by themselves, computed from the data set and said in words that a pilot understands.
 
 Nothing here knows the study's numbers; each function looks for one thing in any data set and returns what it finds,
 or nothing. `detail` carries the numbers and the test behind the words, `numbers` the same for programs.
@@ -31,7 +31,7 @@ HELD_WELL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that the tests say about themselves. `severity`: what it means for trust in the result."""
+    """A finding tells one thing about the tests; `severity` is what it means for trust in the result."""
 
     kind: str
     title: str
@@ -41,7 +41,7 @@ class Finding:
 
 
 def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tuple[Finding, ...]:
-    """Every finding, at `ambient_C` [°C] where it is about repeats; the most serious first.
+    """Judge the tests by themselves, at `ambient_C` [°C] where it is about repeats; the most serious comes first.
 
     `band` is the corridor of the voltage at that temperature, None where nothing was measured.
     """
@@ -180,7 +180,7 @@ def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
 
 
 def _drift(levels: Levels) -> Iterator[Finding]:
-    """Abbe's test on occasion means, Holm over the instants; the step over the instants that drift."""
+    """Test the occasion means for drift by Abbe, Holm over the instants, and find the step over those that drift."""
     shared = shared_table(levels)
     means = shared.table.mean(axis=1)
     if len(means) < 6:
@@ -262,7 +262,7 @@ def _coarse(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
 
 
 def _misprints(readings: Readings) -> Iterator[Finding]:
-    """Single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
+    """Find single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
     for group in quasi_replicates(readings.series, readings.broken):
         for i, t in enumerate(group.time_s):
             for index, side, G, limit in _beyond(group.residuals[:, i]):

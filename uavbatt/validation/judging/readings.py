@@ -34,7 +34,7 @@ class Readings:
     near_repeats: tuple[QuasiReplicates, ...]
 
     def levels(self, ambient_C: float, quantity: str = VOLTAGE) -> Levels | None:
-        """Occasion x sample x time table of the runs at `ambient_C` [°C]; None if `quantity` was not measured there."""
+        """Return the runs at `ambient_C` [°C], occasion x sample x time; None if `quantity` was not measured there."""
         return self.tables.get((ambient_C, quantity))
 
 

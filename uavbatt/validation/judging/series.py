@@ -49,18 +49,18 @@ class QuasiReplicates:
     left_out: tuple[str, ...]
 
     def line(self, ambient_C: float) -> Array:
-        """Voltage on the line at `ambient_C` [V]."""
+        """Return the voltage on the line at `ambient_C` [°C], in V per instant."""
         mean: Array = self.centre + self.slope * (ambient_C - self.ambients_C.mean())
         return mean
 
     def leverage(self, ambient_C: float) -> float:
-        """1/n of the line at `ambient_C`: 1/m + (T-T̄)²/Σ(T-T̄)²."""
+        """Return 1/n of the line at `ambient_C` [°C]: 1/m + (T-T̄)²/Σ(T-T̄)²."""
         t = self.ambients_C - self.ambients_C.mean()
         return 1 / len(t) + (ambient_C - float(self.ambients_C.mean())) ** 2 / float((t**2).sum())
 
 
 def single_series(dataset: DataSet) -> tuple[Run, ...]:
-    """Runs of the sample with the most ambient temperatures tested once, ascending in temperature."""
+    """List the runs of the sample with the most ambient temperatures tested once, ascending in temperature."""
     by_sample: dict[str, list[Run]] = {}
     for run in dataset.runs:
         twins = [r for r in dataset.at(run.ambient_C) if r.sample == run.sample]
@@ -71,7 +71,7 @@ def single_series(dataset: DataSet) -> tuple[Run, ...]:
 
 
 def knee_time(run: Run, dataset: DataSet) -> float:
-    """Mean time [s] of the first falls through eight voltages just above the cut-off; NaN if any is missing."""
+    """Return the mean time [s] of the first falls through eight voltages just above the cut-off, else NaN."""
     volts = dataset.cutoff_V + dataset.cells_series * KNEE_CELL_V
     return float(np.mean([crossing_time(run.time_s, run.voltage_V, float(v)) for v in volts]))
 
