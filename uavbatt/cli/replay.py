@@ -173,7 +173,7 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
 
 
 def _given(refused_in_air: float) -> str:
-    """How often a forecast was given while the aircraft flew, in words."""
+    """Say how often a forecast was given while the aircraft flew."""
     if not math.isfinite(refused_in_air):
         return "not seen in the air for more than a minute"
     if refused_in_air == 0.0:

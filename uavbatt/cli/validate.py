@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Method(StrEnum):
-    """How to judge."""
+    """The method of judging."""
 
     ISO = "iso"
     PAPER = "paper"

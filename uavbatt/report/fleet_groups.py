@@ -60,7 +60,7 @@ class Group:
 
     @property
     def flights(self) -> int:
-        """How many were flown."""
+        """Number of flights."""
         return len(self.start_s)
 
     @property
@@ -113,7 +113,7 @@ class Overview:
 
     @property
     def flights(self) -> int:
-        """How many could be flown."""
+        """Number of flights that could be flown."""
         return sum(g.flights for g in self.groups.values())
 
 

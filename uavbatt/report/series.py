@@ -65,12 +65,12 @@ class Stretch:
 
     @property
     def duration_s(self) -> float:
-        """How long it lasted [s]."""
+        """Duration [s]."""
         return self.end_s - self.begin_s
 
 
 def is_gap(time_s: Array) -> NDArray[np.bool_]:
-    """Which rows are followed by a gap."""
+    """Mark the rows that are followed by a gap."""
     steps = np.diff(time_s)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
     found: NDArray[np.bool_] = np.append(steps > max(GAP_STEPS * usual, GAP_S), False)

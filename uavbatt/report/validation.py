@@ -141,7 +141,7 @@ def _ambient(v: ValidationPage) -> list[Html]:
 
 
 def _changes(v: ValidationPage) -> list[Html]:
-    """What extending the model was worth; nothing where it was not tried."""
+    """Show the worth of extending the model; nothing where it was not tried."""
     said = bullets(_conclusions(v))
     return [changes_table(v.changes), details("In words", said)] if v.changes else [said]
 

@@ -40,7 +40,7 @@ HEAT = ("heat_capacity_JpKAh", "cooling_WpKAh")
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Which terms are on."""
+    """A model is named by the terms that are on."""
 
     name: str
     self_heating: bool

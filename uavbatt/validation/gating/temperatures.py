@@ -284,7 +284,7 @@ def _gains(outcomes: tuple[Outcome, ...], groups: Mapping[str, tuple[float, floa
 
 
 def _holm(gains: list[Gain]) -> tuple[Gain, ...]:
-    """Which gains hold at 5 % over all questions together (Holm)."""
+    """Mark the gains that hold at 5 % over all questions together (Holm)."""
     order = np.argsort([g.p_value for g in gains])
     holds, still = set(), True
     for rank, i in enumerate(order):
