@@ -13,11 +13,11 @@ from peers.columns import FloatArray
 from scoring.lines import ours
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Flown, Make
 from scoring.wrong_cases import GENERIC, Case, fitted
-from uavbatt.asked import FALLS_FASTER
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.prediction.last_wall import FALLS_FASTER
 from uavbatt.replay import Step, steps
 
 PERIOD_S = 5.0

@@ -105,6 +105,7 @@ def _run(
     from uavbatt.diagnosis.gate import verdicts
     from uavbatt.estimator import PackOptions
     from uavbatt.fitting import observed
+    from uavbatt.replay import engine_for
 
     tests = data.load(gate) if gate is not None else None
     sizes = {_flown_size(f, content, stated) for f in flights} | {_tested_size(d, content, stated) for d in datasets}
@@ -116,9 +117,10 @@ def _run(
     records += [_observed(f, series, capacity_Ah) for f in flights]
     pack = pack_for(content, series, capacity_Ah)._replace(cutoff_V=cutoff_V)
     with _Progress() as tell:
-        found = find(records, content, pack, without, tell)
+        engine = engine_for(is_long=True)
+        found = find(records, content, pack, without, tell, engine)
         options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
-        closed = close.judge(found, content, flights, options, tell)
+        closed = close.judge(found, content, flights, options, tell, engine)
     new = close.extended(content, found)
     if tests is not None:
         remark(f"gating with {gate} ...")

@@ -96,7 +96,7 @@ def _one(
     from uavbatt import output
     from uavbatt.cli.loads import stated_load
     from uavbatt.estimator import Estimator
-    from uavbatt.replay import outcome, steps
+    from uavbatt.replay import MANY_ROWS, engine_for, outcome, steps
     from uavbatt.statements import check
     from uavbatt.telemetry.recording import forecast_period_s
 
@@ -106,7 +106,8 @@ def _one(
     period_s = forecast_period_s(log)
     if math.isfinite(period_s):
         options = changed(options, forecast_period_s=period_s)
-    estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1], content)))
+    options = changed(options, load=stated_load(load[0], flight, load[1], content))
+    estimator = Estimator(content, options, engine_for(is_long=len(flight.samples) >= MANY_ROWS))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []

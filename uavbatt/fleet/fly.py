@@ -7,19 +7,17 @@ import math
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import PurePath
 
 import numpy as np
 
-from uavbatt import fast
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
 from uavbatt.records import NAN, Flight
-from uavbatt.replay import Outcome, Step, outcome, steps
+from uavbatt.replay import Outcome, Step, engine_for, outcome, steps
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
@@ -27,12 +25,12 @@ MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
 EMPTY_SOC = 0.05
 OPTIMISTIC_S = 60.0
 RESISTANCE_GROWN = 1.4
-SPARED_S = 0.1  # by compiled filter or forecasts in a flight of 20 minutes
+MANY_FLIGHTS = 20  # of 20 minutes: compiled code spares 0.2 s in each, and takes 1 s to be loaded
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """How every log of a run is flown."""
+    """One run of a fleet: how every log is flown."""
 
     battery: BatteryFile
     options: PackOptions
@@ -42,7 +40,6 @@ class Job:
 
 def fly(log: LogFile, job: Job) -> Row:
     """The row of one log; never raises for anything that a log can cause."""
-    _foresee(job.flights_each)
     try:
         return _flown(read_bytes(log.name, log.read()), log, job)
     except Unreadable as error:
@@ -54,13 +51,6 @@ def fly(log: LogFile, job: Job) -> Row:
     return bad(log, job, reason)
 
 
-@cache
-def _foresee(flights: int) -> None:
-    """Load compiled code before the first flight, where so many will repay it, and not when some of them have."""
-    for work in ("filter", "forecast"):
-        fast.pays(flights * SPARED_S, work)
-
-
 def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
     """The row of a log that could not be flown."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
@@ -68,7 +58,8 @@ def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
 
 
 def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
-    estimator = Estimator(job.battery, job.options)
+    engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
+    estimator = Estimator(job.battery, job.options, engine)
     run = list(steps(flight, estimator))
     pack = estimator.resolved
     if pack is None or estimator.belief is None:
