@@ -30,7 +30,7 @@ MANY_FLIGHTS = 20  # of 20 minutes: compiled code spares 0.2 s in each, and take
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run of a fleet: how every log is flown."""
+    """One job: every log of a run is replayed with these settings."""
 
     battery: BatteryFile
     options: PackOptions
@@ -138,7 +138,7 @@ def _warnings(flight: Flight, run: list[Step]) -> list[str]:
 
 
 def _reasons(row: Row, doubts: tuple[str, ...]) -> list[str]:
-    """Why a person should look at this flight; empty when it is like any other."""
+    """Return the reasons why a person should look at this flight; empty when it is like any other."""
     found = []
     if row.end_soc < EMPTY_SOC:
         found.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")
