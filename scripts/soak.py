@@ -17,7 +17,7 @@ from pathlib import Path
 
 from daemon_bench import Bench
 
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection, PackSection, RecordSection, StateSection
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat

@@ -18,7 +18,8 @@ from uavbatt import output
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
 from uavbatt.replay import outcome, steps
 from uavbatt.simulate import Mission, fly, write
@@ -140,7 +141,7 @@ def resolved(options: PackOptions, facts: PackFacts | None, volts: float = 16.2,
     if facts is not None:
         estimator.update_facts(facts)
     estimator.step(Sample(0.0, volts, 1.0))
-    return estimator.resolved
+    return estimator.pack_size
 
 
 SAID = PackFacts(cells_series=6, capacity_Ah=8.0, low_voltage_V=21.0, critical_voltage_V=20.0)
@@ -214,8 +215,8 @@ def test_another_capacity_starts_anew() -> None:
     estimator.update_facts(PackFacts(4, 3.0))
     assert estimator.belief is None
     estimate, _ = estimator.step(flown()[200])
-    assert estimate.status is Status.CONVERGING and estimator.resolved is not None
-    assert estimator.resolved.capacity_Ah == 3.0
+    assert estimate.status is Status.CONVERGING and estimator.pack_size is not None
+    assert estimator.pack_size.capacity_Ah == 3.0
 
 
 # --- what a reader must know beside the number -------------------------------------------------------------------
@@ -249,7 +250,7 @@ def test_rows_without_a_voltage_come_first() -> None:
     estimator = Estimator(battery_file.read("lipo-generic"), STATED)
     estimate, remaining = estimator.step(Sample(0.0, NAN, 5.0))
     assert estimate.status is remaining.status is Status.REFUSED and estimate.reason == "no voltage in this row"
-    assert estimator.resolved is None and estimator.belief is None
+    assert estimator.pack_size is None and estimator.belief is None
     assert estimator.step(Sample(1.0, 16.4, 1.0))[0].soc > 0.5
 
 

@@ -27,7 +27,8 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.battery.vehicle_file import write as write_vehicle
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.limits import OPTIONS, Resting, Seen, capacity_doubt, cells_doubt, check_stated, ending_doubt
 from uavbatt.live.web import content
 from uavbatt.prediction.load import ConstantLoad
@@ -210,7 +211,7 @@ def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -
     estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(forecast_period_s=30.0))
     estimator.update_facts(replace(FACTS, cells_series=cells, critical_voltage_V=3.5 * cells))
     rows = [estimator.step(sample) for sample in flown()]
-    pack = estimator.resolved
+    pack = estimator.pack_size
     assert pack is not None and (pack.cells, pack.cells_from, pack.cutoff_V) == (
         4,
         "first voltage",
@@ -233,7 +234,7 @@ def test_a_critical_voltage_for_another_count_than_the_callers_is_left_out() -> 
     estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, forecast_period_s=30.0))
     estimator.update_facts(replace(FACTS, cells_series=3, critical_voltage_V=10.5))  # 3 cells of 3.5 V: PX4
     estimate, _ = estimator.step(flown()[0])
-    assert estimator.resolved is not None and estimator.resolved.cutoff_V == pytest.approx(13.2)
+    assert estimator.pack_size is not None and estimator.pack_size.cutoff_V == pytest.approx(13.2)
     assert any("the vehicle states 3" in warning for warning in estimate.warnings)
 
 

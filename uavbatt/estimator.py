@@ -10,7 +10,7 @@
 of a row depends on a later one, and `step` is a window of one row.
 
 What the caller does not say of the pack (cells, capacity, cut-off) comes from the vehicle's own parameters
-(`update_facts`), then from the voltage and the battery file; where each came from stays readable in `resolved`.
+(`update_facts`), then from the voltage and the battery file; where each came from stays readable in `pack_size`.
 """
 
 from __future__ import annotations
@@ -28,33 +28,31 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.capacity_prior import capacities
 from uavbatt.battery.openloop import States, states
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, resting, size_of_pack
 from uavbatt.battery.state_space import Belief
+from uavbatt.battery.statements import Statements
+from uavbatt.estimation.assumed_load import assumed_power_W, unmetered_pack
 from uavbatt.estimation.filter import Filtered, SocFilter, Summary, estimate_of
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import Window, filter_window
+from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Doubt, Seen
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Question, answers
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.last_wall import FALLS_FASTER, LastWall, walled
 from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, certificate_remark, resolve, resting
-from uavbatt.statements import Statements, stated_power
 from uavbatt.telemetry.cleaning import Intake
 
-__all__ = ["PLAIN", "Engine", "Estimator", "PackOptions", "Past", "Resolved"]
+__all__ = ["PLAIN", "Engine", "Estimator", "Past"]
 
-NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
 ALARM_S = 120.0
 LONGEST_WINDOW = 4096
-# Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
-# power is right to a fifth. Around its mean the load wanders by a fifth for a minute at a time: as independent errors
-# of readings two seconds apart that is five times as much.
-ASSUMED_C_RATE, ASSUMED_CELL_V, ASSUMED_SD, STATED_SD = 2.5, 3.8, (0.5, 1.2), (0.2, 0.4)
 
 
 class Engine(NamedTuple):
@@ -96,22 +94,31 @@ class Past(NamedTuple):
 class Estimator:
     """State of charge and remaining time of one battery.
 
-    battery : the battery file; options : what the caller states of the pack; engine : how `run` works its windows.
+    battery : the battery file; options : what the caller states of the pack; settings : load to come,
+    reserve and period of the forecasts; engine : how `run` works its windows.
     `step` always takes measurements in by filterpy.
     """
 
-    def __init__(self, battery: BatteryFile, options: PackOptions | None = None, engine: Engine = PLAIN) -> None:
+    def __init__(
+        self,
+        battery: BatteryFile,
+        options: PackOptions | None = None,
+        settings: Settings | None = None,
+        engine: Engine = PLAIN,
+    ) -> None:
         self.battery = battery
         self.options = options or PackOptions()
-        self.resolved: Resolved | None = None
+        self.settings = settings or Settings()
+        self.pack_size: PackSize | None = None
         self._facts = PackFacts()
         self._filter: SocFilter | None = None
         self._forecaster: Forecaster | None = None
-        power_W = self.options.load.power_W if isinstance(self.options.load, ConstantLoad) else NAN
+        load = self.settings.load
+        power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
         self._intake = Intake(stated_power_W=power_W)
         self._swap = SwapWatch()
         self._statements, self._doubts = Statements(), tuple[Doubt, ...]()
-        self._resting, self._stated_W = resting(battery), stated_power(self.options.load)
+        self._resting, self._stated_W = resting(battery), stated_power(load)
         self._monitor, self._wall = Monitor(), LastWall()
         self._is_guessed = False  # the filter was begun for a current that nobody measured
         self._engine = engine
@@ -128,9 +135,10 @@ class Estimator:
         reserve_soc: float = 0.0,
         allow_uncertified: bool = False,
     ) -> Estimator:
-        """An estimator for a packaged battery by name or a battery file by path; see `battery.file.read`."""
-        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, reserve_soc=reserve_soc)
-        return cls(battery_file.read(battery, allow_uncertified=allow_uncertified), options)
+        """An estimator for a packaged battery by name or a battery file by path; see `battery_file.read`."""
+        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
+        content = battery_file.read(battery, allow_uncertified=allow_uncertified)
+        return cls(content, options, Settings(reserve_soc=reserve_soc))
 
     @property
     def belief(self) -> Belief | None:
@@ -145,17 +153,17 @@ class Estimator:
         if facts == self._facts:
             return
         self._facts = facts
-        if self.resolved is None:
+        if self.pack_size is None:
             return
-        self._resolve_again(self.resolved.cells)
+        self._size_again(self.pack_size.cells)
 
-    def _resolve_again(self, guessed_cells: int) -> None:
+    def _size_again(self, guessed_cells: int) -> None:
         """The pack's size by what is known now."""
-        assert self.resolved is not None
-        now = resolve(self.battery, self.options, self._facts, guessed_cells, seen=self._statements.seen)
-        if (now.cells, now.capacity_Ah) != (self.resolved.cells, self.resolved.capacity_Ah):
+        assert self.pack_size is not None
+        now = size_of_pack(self.battery, self.options, self._facts, guessed_cells, seen=self._statements.seen)
+        if (now.cells, now.capacity_Ah) != (self.pack_size.cells, self.pack_size.capacity_Ah):
             self._filter = self._forecaster = None
-        self.resolved = now
+        self.pack_size = now
         if self._filter is not None and self._forecaster is not None:
             self._filter.pack = self._forecaster.pack = self._pack(now)
 
@@ -165,13 +173,13 @@ class Estimator:
         return Past(self._forecaster.memory, self._intake) if self._forecaster is not None else None
 
     def restore(
-        self, belief: Belief, resolved: Resolved, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
+        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
     ) -> None:
         """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
-        self._facts, self.resolved = facts, resolved
+        self._facts, self.pack_size = facts, size
         if past is not None:
             self._intake = past.intake
-        soc_filter, forecaster = self._begin(resolved)
+        soc_filter, forecaster = self._begin(size)
         soc_filter.restore(belief, current_A)
         self._swap = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since is a silence
         if past is not None:
@@ -254,17 +262,15 @@ class Estimator:
 
     def _begun(self, coming: Sequence[Sample], filter_window: Window) -> list[Filtered]:
         """A new battery from the first of the coming samples on; returns the filter after each."""
-        assert self.resolved is not None
-        soc_filter, _ = self._begin(self.resolved)
+        assert self.pack_size is not None
+        soc_filter, _ = self._begin(self.pack_size)
         return soc_filter.run(coming, filter_window)
 
-    def _begin(self, resolved: Resolved) -> tuple[SocFilter, Forecaster]:
+    def _begin(self, size: PackSize) -> tuple[SocFilter, Forecaster]:
         """Forget the last battery: nothing that was believed of it holds."""
-        pack = self._pack(resolved)
+        pack = self._pack(size)
         self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=capacities(pack))
-        self._forecaster = Forecaster(
-            pack, Settings(self.options.load, self.options.reserve_soc, self.options.forecast_period_s)
-        )
+        self._forecaster = Forecaster(pack, self.settings)
         self._is_guessed = self._intake.guessed
         self._swap, self._monitor, self._wall = SwapWatch(), Monitor(), LastWall()
         return self._filter, self._forecaster
@@ -296,77 +302,51 @@ class Estimator:
 
     def _hold_against(self, raw: Sample, sample: Sample) -> None:
         """What is stated of the pack, held against a row, as it came and as the filter has it; see `statements`."""
-        self.resolved = self.resolved or self._resolved_by([sample])
-        if self.resolved is None:
+        self.pack_size = self.pack_size or self._size_by([sample])
+        if self.pack_size is None:
             return
-        before, self._statements = self._statements, self._statements.after(raw, sample, self.resolved)
-        seen, cells = self._statements.seen, self.resolved.cells
+        before, self._statements = self._statements, self._statements.after(raw, sample, self.pack_size)
+        seen, cells = self._statements.seen, self.pack_size.cells
         if seen is not before.seen:
-            if self.resolved.cells_from != "--cells" and self._statements.denies(cells, self._resting):
-                self._resolve_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
+            if self.pack_size.cells_from != "--cells" and self._statements.denies(cells, self._resting):
+                self._size_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
             elif math.isnan(before.seen.rested_V) and math.isfinite(seen.rested_V):
-                self._resolve_again(cells)  # a cut-off may lie above it
-        self._doubts = self._statements.doubts(self.resolved, self._resting, self._stated_W)
+                self._size_again(cells)  # a cut-off may lie above it
+        self._doubts = self._statements.doubts(self.pack_size, self._resting, self._stated_W)
 
     def _assumed_W(self, coming: Sequence[Sample]) -> float:
         """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""
         if self._intake.metered:
             return NAN
-        pack = self.resolved or self._resolved_by(coming)
-        return ASSUMED_C_RATE * pack.capacity_Ah * pack.cells * ASSUMED_CELL_V if pack is not None else NAN
+        size = self.pack_size or self._size_by(coming)
+        return assumed_power_W(size) if size is not None else NAN
 
     def _most_A(self, coming: Sequence[Sample]) -> float:
         """More than this no pack of the size gives; no limit before a voltage tells the pack."""
-        pack = self.resolved or self._resolved_by(coming)
-        return HIGHEST_C_RATE * pack.capacity_Ah if pack is not None else math.inf
+        size = self.pack_size or self._size_by(coming)
+        return HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
 
-    def _resolved_by(self, coming: Sequence[Sample]) -> Resolved | None:
+    def _size_by(self, coming: Sequence[Sample]) -> PackSize | None:
         """The pack by the first voltage that there is; None without one."""
         first_V = next((s.voltage_V for s in coming if math.isfinite(s.voltage_V)), NAN)
         if not math.isfinite(first_V):
             return None
         guessed = cells_from_voltage(first_V, self.battery.battery.cells_series)
-        return resolve(self.battery, self.options, self._facts, guessed, seen=Seen(first_V))
+        return size_of_pack(self.battery, self.options, self._facts, guessed, seen=Seen(first_V))
 
-    def _pack(self, resolved: Resolved) -> Pack:
-        pack = pack_of(self.battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+    def _pack(self, size: PackSize) -> Pack:
+        pack = pack_of(self.battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
         if self._intake.guessed:
-            # A current that is k times what we think is a capacity and an ohmic drop k times less: the filter doubts
-            # the capacity scale, which scales both, and the voltage's fall tells k as the flight goes on.
-            is_stated = math.isfinite(self._intake.stated_power_W)
-            level_sd, about_it_sd = STATED_SD if is_stated else ASSUMED_SD
-            pack = pack._replace(
-                resistance_scale_sd=math.hypot(pack.resistance_scale_sd, level_sd),
-                capacity_scale_sd=level_sd,
-                guess_sd=about_it_sd,
-            )
+            pack = unmetered_pack(pack, is_stated=math.isfinite(self._intake.stated_power_W))
         return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
 
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
-        """What a reader of the number must know beside it."""
-        assert self.resolved is not None
-        remark = certificate_remark(self.battery, self.resolved)
-        found = [remark] if remark else []
-        validated = self.battery.certificate.validated_ambient_C
-        core_C = known.core_temp_C
-        if validated and math.isfinite(core_C) and not min(validated) - 5.0 <= core_C <= max(validated) + 20.0:
-            found.append(f"pack at {core_C:.0f} °C is outside the validated range")
-        if not math.isfinite(sample.temp_C):
-            found.append("no usable pack temperature")
-        if self._facts.sag_compensated:
-            found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
-        if self._is_worn(known):
-            found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
-        doubted = dict.fromkeys((*self.resolved.notices, *(doubt.words for doubt in self._doubts)))
+        """All that a reader of the number must know beside it; each is said once."""
+        assert self.pack_size is not None and self._filter is not None
+        is_metered = not self._intake.guessed
+        found = remarks(self.battery, self.pack_size, sample, known, self._filter.pack, is_metered=is_metered)
+        doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._doubts)))
         return (*found, *doubted, *self._intake.notices)
-
-    def _is_worn(self, known: Summary) -> bool:
-        """More resistance than the packs of this type are spread by, and surely so."""
-        assert self._filter is not None
-        unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
-        if self._intake.guessed or not self.battery.is_measured:
-            return False  # nothing is known to compare with
-        return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd
 
 
 def _unknown(sample: Sample, reason: str) -> Estimate:

@@ -24,7 +24,8 @@ from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacit
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimator import PLAIN, Engine, Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, Settings

@@ -9,7 +9,8 @@ import numpy as np
 from peers.columns import FloatArray
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.replay import Step, steps

@@ -16,7 +16,7 @@ from peers.columns import FloatArray, column, drawn_Ah, drawn_Wh
 from scoring.data import M100, M100_CELLS, M100_CUTOFF_V, ended
 from scoring.lines import Lines, logged, ours, replayed
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.prediction.load import Load, RecentMean

@@ -16,7 +16,8 @@ from scoring.table import Table, figure, with_error
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry import read_log
 
@@ -72,9 +73,9 @@ def _name(path: Path) -> str:
 def _run(path: Path, battery: BatteryFile) -> tuple[list[Step], Outcome]:
     estimator = Estimator(battery, _options(path))
     run = list(steps(read_log(path), estimator))
-    if estimator.resolved is None:
+    if estimator.pack_size is None:
         raise ValueError(f"{path.name}: no voltage")
-    return run, outcome(run, estimator.resolved.cutoff_V)
+    return run, outcome(run, estimator.pack_size.cutoff_V)
 
 
 def _row(path: Path, battery: BatteryFile) -> tuple[tuple[str, ...], tuple[float, float]]:

@@ -14,7 +14,7 @@ from scoring.lines import logged, ours, replayed
 from scoring.table import DASH, Table, figure
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight

@@ -16,7 +16,8 @@ from scoring.wrong_cases import GENERIC, Case, fitted
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.prediction.last_wall import FALLS_FASTER
 from uavbatt.replay import Step, steps
 

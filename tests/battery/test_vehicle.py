@@ -17,7 +17,7 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate import Mission, fly, write

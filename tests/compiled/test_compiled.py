@@ -22,7 +22,8 @@ from uavbatt.compiled import cache as compiled_cache
 from uavbatt.estimation.filter import Filtered, SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.recursion import filter_window
-from uavbatt.estimator import PLAIN, Engine, Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.time_to_end import EndTimes
@@ -246,6 +247,7 @@ def test_in_flight_numba_is_never_imported() -> None:
     code = (
         "import sys, uavbatt.live.daemon, uavbatt.cli.live_process, uavbatt.live.tracked_battery\n"
         "from uavbatt.battery import battery_file\n"
+        "from uavbatt.battery.sizing import 
         "from uavbatt.estimator import Estimator, PackOptions\n"
         "from uavbatt.records import Sample\n"
         "options = PackOptions(cells=4, capacity_Ah=5.0, forecast_period_s=0.0)\n"

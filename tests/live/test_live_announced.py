@@ -9,7 +9,7 @@ import pytest
 from daemon_bench import OPTIONS, Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import announced
 from uavbatt.live.announced import Announcer
 from uavbatt.live.config import FeedSection

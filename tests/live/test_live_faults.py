@@ -20,7 +20,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt import output
 from uavbatt.battery import battery_file, model
 from uavbatt.battery.scaling import pack_of
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content

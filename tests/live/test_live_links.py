@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
 from uavbatt.errors import BadInput, UsageError
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import Config, FeedSection, HttpSection, LinkSection, checked
 from uavbatt.live.daemon import Daemon
 from uavbatt.live.web import serve

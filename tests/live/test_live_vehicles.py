@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import GROUND_ROWS, flight, true_soc
 
 from uavbatt.battery import battery_file
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import proxy
 from uavbatt.live.config import Config, LinkSection, RecordSection, StateSection
 from uavbatt.live.daemon import Daemon
@@ -112,7 +112,7 @@ def test_a_silent_vehicle_gives_way_to_one_that_speaks(tmp_path: Path) -> None:
     bench.station.sent.clear()
     fly(bench, 19.0, system=42, volts=15.9, sender="other")
     (report,) = bench.daemon.board.reports
-    resolved = bench.daemon.batteries.tracked[0].estimator.resolved
+    resolved = bench.daemon.batteries.tracked[0].estimator.pack_size
     assert report.system == 42 and resolved is not None and resolved.capacity_Ah == 9.0
     assert "heard systems 1, 42; following 42" in bench.daemon.board.notes
     assert {m.get_srcSystem() for m in bench.to_gcs()} == {42}

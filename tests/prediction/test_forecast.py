@@ -19,7 +19,8 @@ from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import SIZE, Belief, C
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import time_to_end
@@ -301,8 +302,8 @@ def judge(path: Path, battery: BatteryFile, options: PackOptions) -> tuple[int, 
             assert remaining.reason and math.isnan(remaining.remaining_s), path.name
         else:
             assert 0.0 <= remaining.remaining_lo_s <= remaining.remaining_s <= remaining.remaining_hi_s < math.inf
-        assert estimator.resolved is not None
-        flying = sample.current_A > estimator.resolved.capacity_Ah
+        assert estimator.pack_size is not None
+        flying = sample.current_A > estimator.pack_size.capacity_Ah
         since_s = min(since_s, sample.time_s) if flying else since_s
         if flying and sample.time_s > since_s + 60.0 and math.isfinite(sample.voltage_V):
             rows += 1

@@ -12,7 +12,8 @@ import pytest
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly

@@ -19,13 +19,15 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_current
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.candidates import QUANTITIES
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.heldout import left_out, open_loop
 from uavbatt.diagnosis.problem import Refit
-from uavbatt.estimator import PLAIN, Engine, Estimator, PackOptions
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.fitting.assemble import rounded
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.replay import steps
@@ -153,7 +155,7 @@ def remaining(
     pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
     true_V = (volts - pack.offset_V) / pack.gain_V
     load = LoggedLoad(time_s, np.maximum(true_V * true_current(pack, amps, volts), 0.0))
-    estimator = Estimator(file, replace(options, load=load, forecast_period_s=FORECAST_S), engine)
+    estimator = Estimator(file, options, Settings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
     for step in steps(replace(flight, samples=tuple(thin)), estimator):

@@ -17,7 +17,7 @@ import numpy as np
 from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import attribute, residual
 from uavbatt.diagnosis.attribute import Finding
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
@@ -64,13 +64,6 @@ def problem_of(
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
     return Problem(pack, evidence, base, nuisances(file), table_errors(file), states)
-
-
-def pack_for(file: BatteryFile, cells: int, capacity_Ah: float) -> Pack:
-    """The file scaled to the records' pack; its cut-off scales with the cells."""
-    share = cells / file.battery.cells_series
-    cutoff_V = file.battery.cutoff_V * share
-    return pack_of(file, cells, capacity_Ah, cutoff_V, (file.battery.low_V or file.battery.cutoff_V) * share)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:

@@ -12,10 +12,12 @@ from pathlib import PurePath
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Flight
 from uavbatt.replay import Outcome, Step, engine_for, outcome, steps
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
@@ -34,6 +36,7 @@ class Job:
 
     battery: BatteryFile
     options: PackOptions
+    settings: Settings = Settings()
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
 
@@ -59,9 +62,9 @@ def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
 
 def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
-    estimator = Estimator(job.battery, job.options, engine)
+    estimator = Estimator(job.battery, job.options, job.settings, engine)
     run = list(steps(flight, estimator))
-    pack = estimator.resolved
+    pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return bad(log, job, "expected at least one row with a voltage")
     found = outcome(run, pack.cutoff_V)

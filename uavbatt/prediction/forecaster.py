@@ -16,6 +16,8 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, C
+from uavbatt.errors import UsageError
+from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question, answer
@@ -43,11 +45,20 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the operator asks of a forecast."""
+    """The operator asks this of forecasts. Raises UsageError when a number cannot be.
+
+    load : how the load to come is known; reserve_soc : state of charge that ends the flight, 0..1;
+    forecast_period_s : seconds between two forecasts.
+    """
 
     load: Load = UnknownAircraft()
     reserve_soc: float = 0.0
-    period_s: float = 5.0
+    forecast_period_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        check_stated(reserve_soc=self.reserve_soc)
+        if not self.forecast_period_s >= 0.0:
+            raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
 class Forecast(NamedTuple):
@@ -142,7 +153,7 @@ class Forecaster:
         refusal, question = self._refusal(sample, estimate), None
         if not refusal and belief is None:
             refusal = "no belief about the pack yet"
-        elif not refusal and not sample.time_s - self._asked_s < self.settings.period_s:
+        elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
             assert belief is not None
             question = self.question(belief, sample.time_s, navigation)
             refusal = "" if question else "the end lies beyond six hours: the load is not that of a flight"
