@@ -32,7 +32,7 @@ from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, re
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.statements import Statements
 from uavbatt.estimation.assumed_load import assumed_power_W, unmetered_pack
-from uavbatt.estimation.filter import Filtered, SocFilter, Summary, estimate_of
+from uavbatt.estimation.filter import Filtered, SocFilter, Summary, estimate_of, unknown
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -40,18 +40,17 @@ from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Doubt, Seen
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.batch import SIDE_BY_SIDE, Question, answers
+from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
-from uavbatt.prediction.last_wall import FALLS_FASTER, LastWall, walled
+from uavbatt.prediction.last_wall import LastWall
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power
-from uavbatt.prediction.time_to_end import EndTimes
-from uavbatt.records import ALARM_RISK, NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.prediction.pending import Pending, finished
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.cleaning import Intake
 
 __all__ = ["PLAIN", "Engine", "Estimator", "Past"]
 
-ALARM_S = 120.0
 LONGEST_WINDOW = 4096
 
 
@@ -62,22 +61,11 @@ class Engine(NamedTuple):
     """
 
     filter_window: Window = filter_window  # the filter over the rows of a window
-    answers: Callable[[Sequence[Question]], list[EndTimes]] = answers  # the ends of forecasts
+    answers: Answers = answers  # the ends of forecasts
     states: States = states  # the model without correction, for `diagnosis`
 
 
 PLAIN = Engine()
-
-
-class Pending(NamedTuple):
-    """One row taken in: its estimate, and what is still to be worked out for its remaining time."""
-
-    sample: Sample
-    estimate: Estimate
-    forecaster: Forecaster | None
-    refusal: str
-    question: Question | None = None
-    wall_s: float = math.inf  # seconds until the measured voltage itself is at the cut-off
 
 
 class Past(NamedTuple):
@@ -135,18 +123,22 @@ class Estimator:
         reserve_soc: float = 0.0,
         allow_uncertified: bool = False,
     ) -> Estimator:
-        """An estimator for a packaged battery by name or a battery file by path; see `battery_file.read`."""
+        """Make an estimator for a packaged battery by name or a battery file by path (`battery_file.read`).
+
+        cells in series, capacity_Ah [Ah], cutoff_V [V of the pack] and reserve_soc (0..1) are what the caller states.
+        Raises UsageError for a number that cannot be, BadInput or Uncertified for a file that is not what it should be.
+        """
         options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
         content = battery_file.read(battery, allow_uncertified=allow_uncertified)
         return cls(content, options, Settings(reserve_soc=reserve_soc))
 
     @property
     def belief(self) -> Belief | None:
-        """The filter's belief after the last sample."""
+        """The filter's belief after the last sample; None before the first complete one."""
         return self._filter.belief if self._filter is not None else None
 
     def update_facts(self, facts: PackFacts) -> None:
-        """What the vehicle says of its pack, known from now on.
+        """Take in what the vehicle says of its pack, known from now on.
 
         New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
         """
@@ -169,7 +161,7 @@ class Estimator:
 
     @property
     def past(self) -> Past | None:
-        """What belongs to the belief when it is saved; None before the first sample."""
+        """The memory that is saved with the belief; None before the first sample."""
         return Past(self._forecaster.memory, self._intake) if self._forecaster is not None else None
 
     def restore(
@@ -215,9 +207,9 @@ class Estimator:
             waiting.append(pending)
             questions += pending.question is not None
             if questions == SIDE_BY_SIDE:
-                yield from _finished(waiting, engine)
+                yield from finished(waiting, engine.answers)
                 waiting, questions = [], 0
-        yield from _finished(waiting, engine)
+        yield from finished(waiting, engine.answers)
 
     def _pending(
         self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
@@ -254,10 +246,10 @@ class Estimator:
     def _why_not_begin(self, sample: Sample) -> Estimate | None:
         """The refused estimate of a row at which no filter may begin; None where one may."""
         if not math.isfinite(sample.voltage_V):
-            return _unknown(sample, "no voltage in this row")
+            return unknown(sample, "no voltage in this row")
         if self._doubts and self._doubts[0].is_certain:  # no filter begins at what no pack shows
             words = self._doubts[0].words
-            return replace(_unknown(sample, words), warnings=(words,))
+            return replace(unknown(sample, words), warnings=(words,))
         return None
 
     def _begun(self, coming: Sequence[Sample], filter_window: Window) -> list[Filtered]:
@@ -347,31 +339,3 @@ class Estimator:
         found = remarks(self.battery, self.pack_size, sample, known, self._filter.pack, is_metered=is_metered)
         doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._doubts)))
         return (*found, *doubted, *self._intake.notices)
-
-
-def _unknown(sample: Sample, reason: str) -> Estimate:
-    """The estimate after a row at which there is no filter."""
-    seen = (sample.current_A, sample.temp_C)
-    return Estimate(sample.time_s, NAN, NAN, NAN, *seen, NAN, NAN, NAN, Status.REFUSED, reason)
-
-
-def _finished(waiting: list[Pending], engine: Engine) -> Iterator[tuple[Estimate, Remaining]]:
-    """What is known after some rows, whose questions are answered side by side."""
-    ends = iter(engine.answers([row.question for row in waiting if row.question is not None]))
-    for row in waiting:
-        yield _finish(row, next(ends) if row.question is not None else None)
-
-
-def _finish(row: Pending, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
-    """What is known after a row; `ends` answers its question, if it had one."""
-    sample, found = row.sample, row.estimate
-    if row.forecaster is None:
-        return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, row.refusal)
-    answered = (row.question, ends) if row.question is not None and ends is not None else None
-    remaining = walled(row.forecaster.finish(sample, found, row.refusal, answered), row.wall_s)
-    if remaining.reason == FALLS_FASTER:
-        found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
-    if remaining.remaining_alarm_s <= ALARM_S:
-        alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
-        found = replace(found, warnings=(*found.warnings, alarm))
-    return found, remaining

@@ -22,9 +22,9 @@ from uavbatt import compiled
 from uavbatt.battery import battery_file
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question

@@ -18,14 +18,15 @@ from uavbatt.battery import battery_file, model, openloop
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.compiled import cache as compiled_cache
 from uavbatt.estimation.filter import Filtered, SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.recursion import filter_window
-from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
 from uavbatt.replay import engine_for, steps
@@ -123,7 +124,7 @@ def affected(name: str) -> Pack:
 # --- the forecast ------------------------------------------------------------------------------------------------
 
 
-def asked(samples: tuple[Sample, ...], options: PackOptions) -> Iterator[Question]:
+def asked(samples: tuple[Sample, ...], reserve_soc: float = 0.0) -> Iterator[Question]:
     """The questions of a flight."""
     found: list[Question] = []
 
@@ -131,7 +132,8 @@ def asked(samples: tuple[Sample, ...], options: PackOptions) -> Iterator[Questio
         found.extend(questions_asked)
         return questions.answers(questions_asked)
 
-    for _ in Estimator(battery_file.read("lipo-generic"), options, Engine(answers=noted)).run(samples):
+    settings = Settings(reserve_soc=reserve_soc, forecast_period_s=40.0)
+    for _ in Estimator(battery_file.read("lipo-generic"), OPTIONS, settings, Engine(answers=noted)).run(samples):
         yield from found
         found.clear()
 
@@ -144,23 +146,23 @@ def assert_same_ends(found: list[Question]) -> None:
             np.testing.assert_allclose(quick, plain, rtol=CLOSE, atol=CLOSE)
 
 
-OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0, forecast_period_s=40.0)
+OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0)
 
 
 @pytest.mark.parametrize("reserve_soc", [0.0, 0.3])
 def test_the_forecasts_of_a_simulated_flight(reserve_soc: float) -> None:
-    assert_same_ends(list(asked(flown()[::5], replace(OPTIONS, reserve_soc=reserve_soc))))
+    assert_same_ends(list(asked(flown()[::5], reserve_soc)))
 
 
 def test_forecasts_by_slow_rows() -> None:
-    found = list(asked(flown()[::120], OPTIONS))
+    found = list(asked(flown()[::120]))
     assert any(question.by_rows for question in found)
     assert_same_ends(found)
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_a_forecast_under_every_effect(name: str) -> None:
-    question = next(asked(flown()[::10], OPTIONS))
+    question = next(asked(flown()[::10]))
     pack = affected(name)._replace(cutoff_V=question.pack.cutoff_V, low_V=question.pack.low_V)
     assert_same_ends([question._replace(pack=pack)])
 
@@ -174,8 +176,8 @@ def test_a_replay_says_the_same_compiled(name: str) -> None:
     flight = replace(whole, samples=whole.samples[: len(whole.samples) // 2])
 
     def numbers(engine: Engine) -> list[list[float]]:
-        options = PackOptions(capacity_Ah=5.0, forecast_period_s=10.0)
-        estimator = Estimator(battery_file.read("lipo-generic"), options, engine)
+        options, settings = PackOptions(capacity_Ah=5.0), Settings(forecast_period_s=10.0)
+        estimator = Estimator(battery_file.read("lipo-generic"), options, settings, engine)
         run = list(steps(flight, estimator))
         values = [(*astuple(step.estimate), *astuple(step.remaining)) for step in run]
         return [[value for value in row if isinstance(value, float)] for row in values]
@@ -247,11 +249,12 @@ def test_in_flight_numba_is_never_imported() -> None:
     code = (
         "import sys, uavbatt.live.daemon, uavbatt.cli.live_process, uavbatt.live.tracked_battery\n"
         "from uavbatt.battery import battery_file\n"
-        "from uavbatt.battery.sizing import 
-        "from uavbatt.estimator import Estimator, PackOptions\n"
+        "from uavbatt.battery.sizing import PackOptions\n"
+        "from uavbatt.estimator import Estimator\n"
+        "from uavbatt.prediction.forecaster import Settings\n"
         "from uavbatt.records import Sample\n"
-        "options = PackOptions(cells=4, capacity_Ah=5.0, forecast_period_s=0.0)\n"
-        "e = Estimator(battery_file.read('lipo-generic'), options)\n"
+        "options, settings = PackOptions(cells=4, capacity_Ah=5.0), Settings(forecast_period_s=0.0)\n"
+        "e = Estimator(battery_file.read('lipo-generic'), options, settings)\n"
         "out = [e.step(Sample(float(k), 15.6 - 0.002 * k, 20.0, 25.0))[1] for k in range(60)]\n"
         "assert out[-1].remaining_s > 0.0\n"
         "assert not {'numba', 'llvmlite', 'uavbatt.compiled'} & set(sys.modules)\n"

@@ -31,7 +31,7 @@ from uavbatt.simulate import Mission, fly
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
-OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2, forecast_period_s=5.0)
+OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
 GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three minutes
 
 

@@ -24,6 +24,7 @@ from uavbatt.live.daemon import Daemon
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.web import content
 from uavbatt.mavlink.links import open_link
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -182,7 +183,9 @@ def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLin
     port, station, now_s = free_port(), FakeLink(), [1000.0]
     settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
     link = open_link(f"udpin:127.0.0.1:{port}")
-    daemon = Daemon(settings, battery_file.read("lipo-generic"), OPTIONS, link, [station], clock_s=lambda: now_s[0])
+    daemon = Daemon(
+        settings, battery_file.read("lipo-generic"), OPTIONS, Settings(), link, [station], clock_s=lambda: now_s[0]
+    )
     yield daemon, now_s, Source(port), Source(port), station
     daemon.close()
 

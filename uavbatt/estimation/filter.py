@@ -186,6 +186,12 @@ def estimate_of(sample: Sample, row: Filtered, warnings: tuple[str, ...] = ()) -
     )
 
 
+def unknown(sample: Sample, reason: str) -> Estimate:
+    """The refused estimate of a row at which there is no filter."""
+    seen = (sample.current_A, sample.temp_C)
+    return Estimate(sample.time_s, NAN, NAN, NAN, *seen, NAN, NAN, NAN, Status.REFUSED, reason)
+
+
 def known_only_to(soc_sd: float) -> str:
     """Say how little is known of the charge; beyond any charge that there is, the number would say nothing."""
     return f"state of charge known only to ±{soc_sd:.0%}" if soc_sd < 1.0 else "state of charge not known at all"

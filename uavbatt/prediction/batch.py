@@ -6,7 +6,7 @@ one on 128, so that a replay that asks ahead is several times faster, and gives 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -32,6 +32,9 @@ class Question(NamedTuple):
     dt_s: Array
     reserve_soc: float
     by_rows: bool
+
+
+Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
 def answer(q: Question) -> EndTimes:
