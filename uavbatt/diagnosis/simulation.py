@@ -21,7 +21,7 @@ from uavbatt.diagnosis.evidence import SHIFTS_S, Evidence
 
 
 class Own(NamedTuple):
-    """Values that each record has of its own, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
+    """Own values of each record, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
 
     soc: Array
     start_K: Array
