@@ -8,6 +8,7 @@ from pathlib import PurePath
 
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackSize
 from uavbatt.records import Flight, Status
 from uavbatt.replay import Checkpoint, Outcome, Step
 from uavbatt.report.flight_figures import figures
@@ -28,7 +29,6 @@ from uavbatt.report.page import (
     table,
 )
 from uavbatt.report.series import Stretch, rows, stretches, with_gaps
-from uavbatt.resolved import Resolved
 
 STATUS_WORDS = {
     "certified": "Certified: the model of this battery passed the gate on repeated tests of its own type.",
@@ -43,7 +43,7 @@ SHOWN_AS = {
 
 
 def flight_report(
-    flight: Flight, steps: Sequence[Step], resolved: Resolved, outcome: Outcome, battery: BatteryFile
+    flight: Flight, steps: Sequence[Step], resolved: PackSize, outcome: Outcome, battery: BatteryFile
 ) -> str:
     """Return the whole page as HTML.
 
@@ -63,7 +63,7 @@ def flight_report(
     )
 
 
-def _answer(flight: Flight, outcome: Outcome, resolved: Resolved, found: Sequence[Stretch]) -> Html:
+def _answer(flight: Flight, outcome: Outcome, resolved: PackSize, found: Sequence[Stretch]) -> Html:
     """The headline: what the pilot came for."""
     sentences = [paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
     if outcome.checkpoints:
@@ -89,7 +89,7 @@ def _charge_words(outcome: Outcome) -> str:
     return f"{said} ({low} to {high} %, two standard deviations)."
 
 
-def _end_words(outcome: Outcome, resolved: Resolved) -> str:
+def _end_words(outcome: Outcome, resolved: PackSize) -> str:
     cutoff = number(resolved.cutoff_V, 2, "V")
     if math.isfinite(outcome.end_of_flight_s):
         return (
@@ -152,7 +152,7 @@ def _hit(inside: bool) -> Html:
     return badge("pass", "inside") if inside else badge("fail", "outside")
 
 
-def _battery(resolved: Resolved, battery: BatteryFile) -> list[Html]:
+def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     certificate = battery.certificate
     validated = certificate.validated_ambient_C
     span = f"{min(validated):g} to {max(validated):g} °C" if validated else "none"

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uavbatt.battery.sizing import PackSize
 from uavbatt.records import Status
 from uavbatt.replay import Outcome
 from uavbatt.report import plot
 from uavbatt.report.page import Html, figure, number, paragraph
 from uavbatt.report.series import Array, Rows, Stretch, outer, thinned
-from uavbatt.resolved import Resolved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ class TimeAxis:
             axes.axvline(float(self.at(self.end_s)), color=plot.PINK, linewidth=1.2, linestyle=(0, (1, 1.5)))
 
 
-def figures(rows: Rows, stretches: Sequence[Stretch], outcome: Outcome, resolved: Resolved) -> list[Html]:
+def figures(rows: Rows, stretches: Sequence[Stretch], outcome: Outcome, resolved: PackSize) -> list[Html]:
     """Draw every panel for which the log has data; a sentence stands in place of the others."""
     axis = TimeAxis(rows, stretches, outcome)
     return [
@@ -85,7 +85,7 @@ def _band(axes: Axes, axis: TimeAxis, time_s: Array, low: Array, high: Array, co
     axes.fill_between(axis.at(t), lo, hi, color=colour, alpha=0.25, linewidth=0, label=name)
 
 
-def _voltage(rows: Rows, axis: TimeAxis, resolved: Resolved) -> Html:
+def _voltage(rows: Rows, axis: TimeAxis, resolved: PackSize) -> Html:
     title = "Voltage, measured and modelled"
     if not np.isfinite(rows.voltage_V).any():
         return _missing(title, "The log has no voltage.")
