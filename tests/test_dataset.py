@@ -175,5 +175,5 @@ def test_all_missing_keys_are_named_at_once(tmp_path: Path) -> None:
 def test_all_missing_columns_are_named_at_once(tmp_path: Path) -> None:
     dataset.write_template(tmp_path)
     (tmp_path / "discharge.csv").write_text("sample;run;ambient_c\nA;1;25\n")
-    with pytest.raises(BadInput, match="a column sample and one run .*semicolons.*all of them: sample,run"):
+    with pytest.raises(BadInput, match=r"a column sample and one run .*semicolons.*all of them: sample,run"):
         dataset.load(tmp_path)

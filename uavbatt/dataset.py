@@ -30,7 +30,7 @@ from uavbatt.limits import CAPACITY_AH, capacity_doubt
 
 TEMPLATE_FILES = ("battery.toml", "discharge.csv")
 QUANTITIES = ("voltage_V", "surface_C", "current_A")
-_T = TypeVar("_T")
+_T = TypeVar("_T", bound=msgspec.Struct)
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
@@ -197,7 +197,7 @@ def _decode(file: Traversable, shown: str, kind: type[_T]) -> _T:
         raise BadInput(shown, place, expected) from None
 
 
-def _check_complete(table: dict[str, Any], shown: str, kind: type[Any]) -> None:
+def _check_complete(table: dict[str, Any], shown: str, kind: type[msgspec.Struct]) -> None:
     """Raise BadInput that names every key that is missing."""
     absent = [field.name for field in msgspec.structs.fields(kind) if field.required and field.name not in table]
     if not absent:
