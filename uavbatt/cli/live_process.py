@@ -74,7 +74,7 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 
 
 def pack_options(pack: PackSection) -> PackOptions:
-    """What the configuration states of the pack, for the estimator."""
+    """Turn what the configuration states of the pack into the estimator's options."""
     from uavbatt.battery import vehicle_file
     from uavbatt.cli.loads import stated_load
     from uavbatt.estimator import PackOptions

@@ -44,7 +44,7 @@ def known(value: float | None, option: str) -> float:
 def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
-    """What the options state of the pack, for the estimator; UsageError when it cannot be."""
+    """Turn the options about the pack into the estimator's. Raises UsageError for what no pack can be."""
     from uavbatt.estimator import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
 

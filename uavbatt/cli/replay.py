@@ -113,7 +113,7 @@ def _one(
     from uavbatt.replay import outcome, steps
     from uavbatt.report import flight_text
     from uavbatt.statements import check
-    from uavbatt.telemetry.recording import forecast_period_s
+    from uavbatt.telemetry.formats.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
     flight = asked_flight(log, *chosen)
@@ -135,9 +135,10 @@ def _one(
             raise UsageError(f"{log}: expected at least one row with a voltage")
         found = outcome(run, resolved.cutoff_V)
         if report is not None:
-            from uavbatt.cli import flight_page
+            from uavbatt.report.flight import flight_report
+            from uavbatt.report.page import write_page
 
-            flight_page.write(report, flight, run, resolved, found, content)
+            write_page(report, flight_report(flight, run, resolved, found, content))
     for line in flight_text.lines(flight, resolved, found, run):
         say(line, *outputs)
     return flight_text.summary(flight, resolved, found, run, content)
