@@ -77,8 +77,8 @@ def _is_grown(found: Change | None) -> bool:
 def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
     failed = sum(found.failures.values())
     if failed and not found.flights:
-        said = f"None of {counted(failed, 'log')} could be flown: nothing is known of this fleet. The reasons stand below."
-        return element("div", paragraph(said), css="answer bad")
+        nothing = f"None of {counted(failed, 'log')} could be flown: nothing is known of this fleet. The reasons are below."
+        return element("div", paragraph(nothing), css="answer bad")
     hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
     lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""
     first = f"{counted(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
