@@ -31,6 +31,9 @@ def validate(
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Every number as JSON.")] = None,
     method: Annotated[Method, typer.Option("--method", help="iso gates; paper = the study as printed.")] = Method.ISO,
+    template: Annotated[
+        Path | None, typer.Option("--template", metavar="DIR", help="Write a data set to fill in, and nothing else.")
+    ] = None,
     limit_v: Annotated[float, typer.Option("--limit-v", min=0.001, help="Limit in volts for a 3S pack.")] = 0.15,
     limit_s: Annotated[float, typer.Option("--limit-s", min=0.1, help="Limit in seconds at 10.0 V.")] = 10.0,
 ) -> None:
@@ -40,6 +43,10 @@ def validate(
     """
     from uavbatt import dataset as data
 
+    if template is not None:
+        data.write_template(template)
+        say(f"written: {', '.join(str(template / name) for name in data.TEMPLATE_FILES)}")
+        return
     check_writable(report, json_file, makes=ship)
     if ship is not None and ship.exists() and not ship.is_dir():
         raise UsageError(f"--ship {ship}: expected a folder")
