@@ -19,8 +19,6 @@ from uavbatt.battery.model import Array, State
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
-# The model's own error of the OCV counts half there: the fit has seen rested starts too.
-RESTED_BIAS = 0.5
 # An electrode that reacts more sluggishly than the tested ones takes a voltage at once when the load comes, nearly the
 # same at every load (half of it at 0.3 C: Butler and Volmer), 0.05 V a cell at 0.6 of the exchange current.
 REACTION_SD_V, REACTION_HALF_RATE = 0.025, 0.3
@@ -67,13 +65,12 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     """
     idle = abs(c_rate) < start.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
-    model_sd_V = pack.bias_sd_V * (RESTED_BIAS if idle else 1.0)
-    read = start.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
+    read = start.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, pack.bias_sd_V)))
     for _ in range(ROUNDS):
         state = start.underway(pack.cell, read.soc, temp_C, c_rate)
         ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
         drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
-        bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
+        bias_sd_V = math.hypot(pack.bias_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
         read = start.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
     mean, covariance = start.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
