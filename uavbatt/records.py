@@ -1,4 +1,4 @@
-"""What flows through the house: frozen values, SI units, the unit in the name.
+"""Records that flow through the house: frozen values, SI units, the unit in the name.
 
 Sign convention: positive current discharges the battery. State of charge is 0..1, never percent.
 Unknown is NaN (`None` for flags); wire sentinels never get this far.
@@ -7,9 +7,12 @@ Unknown is NaN (`None` for flags); wire sentinels never get this far.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+
+from uavbatt.navigation import NOWHERE, Navigation
 
 NAN = math.nan
 
@@ -47,7 +50,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class PackFacts:
-    """What the vehicle itself says of its battery (parameters); NaN or None where it does not say."""
+    """The vehicle's own words about its battery (parameters); NaN or None where it does not say."""
 
     cells_series: int | None = None
     capacity_Ah: float = NAN
@@ -58,7 +61,7 @@ class PackFacts:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who flew and when, as far as a log says it; empty, None or NaN where it does not."""
+    """The identity of aircraft and flight, as far as a log tells it; empty, None or NaN where it does not."""
 
     system: int | None = None  # MAVLink's number of the vehicle; most are 1
     hardware: str = ""  # serial of the flight controller
@@ -81,6 +84,7 @@ class Flight:
     skipped_bytes: int = 0
     notes: tuple[str, ...] = ()
     identity: Identity = Identity()
+    navigation: tuple[Navigation, ...] = ()  # route and place whenever they change, ascending in time_s
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)
@@ -93,6 +97,11 @@ class Flight:
                 break
             known = facts
         return known
+
+    def navigation_at(self, time_s: float) -> Navigation:
+        """Return what is known of route and place at `time_s` [s]; `NOWHERE` before the first."""
+        count = bisect_right(self.navigation, time_s, key=lambda known: known.time_s)
+        return self.navigation[count - 1] if count else NOWHERE
 
 
 @dataclass(frozen=True, slots=True)

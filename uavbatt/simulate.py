@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from uavbatt.aside import written_aside
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
-from uavbatt.battery.build import Pack
 from uavbatt.battery.effects import EFFECTS, effect_named, unit_words
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
-from uavbatt.mavlink.dataflash_writer import write_dataflash
-from uavbatt.mavlink.tlog_writer import write_tlog
+from uavbatt.files import atomic_write
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
+from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
 IDLE_S, AFTER_END_S = 20.0, 20.0
 IDLE_SHARE = 0.03
@@ -32,7 +32,7 @@ LONGEST_S = 6 * 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """What is flown: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
+    """The flight to simulate: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
 
     power_W: float
     ambient_C: float = 20.0
@@ -101,7 +101,7 @@ def _delayed(samples: list[Sample], delay_s: float) -> list[Sample]:
 
 
 def _metered(installation: Installation, current_A: float, true_V: float) -> float:
-    """What the current sensor sees [A] of a true current: the inverse of `pack.true_current`."""
+    """Return the sensor's reading [A] of a true current: the inverse of `pack.true_current`."""
     seen_A = (current_A - installation.unmetered_W / true_V) * installation.gain_I + installation.offset_A
     return float(seen_A)
 
@@ -145,7 +145,7 @@ def write(path: Path, samples: list[Sample], pack: Pack) -> None:
     elif kind == ".bin":
         write_dataflash(path, samples, parameters)
     elif kind == ".csv":
-        with written_aside(path) as stream:
+        with atomic_write(path) as stream:
             stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
             for s in samples:
                 stream.write(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from uavbatt.battery.battery_file import Discrepancy, EffectEntry, ParameterTable
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.file import Discrepancy, EffectEntry, ParameterTable
 from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
 from uavbatt.fitting import prior
@@ -63,7 +63,7 @@ def effect_entries(
 
 
 def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source: str) -> Discrepancy:
-    """What the model leaves on these records: bias, RMSE, correlation time of voltage; RMSE of temperature.
+    """Measure what the model leaves on these records: bias, RMSE, correlation time of voltage; RMSE of temperature.
 
     The RMSE is that of the slow part: what is uncorrelated from row to row is the sensor's noise, not the model's.
     Rows count by how flat the voltage is there (`Stack.sigma_V`), since near the end volts apart are seconds apart.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.battery.file import Battery, BatteryFile, Certificate
+from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, solve
@@ -146,7 +146,7 @@ def _known(found: Fit) -> tuple[str, ...]:
 
 
 def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
-    """What the records cannot tell, in words."""
+    """Say in words which quantities the records cannot tell."""
     told_nothing = [
         s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
     ]

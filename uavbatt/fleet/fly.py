@@ -13,11 +13,11 @@ from pathlib import PurePath
 import numpy as np
 
 from uavbatt import fast
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UavbattError
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
-from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.records import NAN, Flight
 from uavbatt.replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
@@ -32,7 +32,7 @@ SPARED_S = 0.1  # by compiled filter or forecasts in a flight of 20 minutes
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """How every log of a run is flown."""
+    """One job: every log of a run is replayed with these settings."""
 
     battery: BatteryFile
     options: PackOptions
@@ -147,7 +147,7 @@ def _warnings(flight: Flight, run: list[Step]) -> list[str]:
 
 
 def _reasons(row: Row, doubts: tuple[str, ...]) -> list[str]:
-    """Why a person should look at this flight; empty when it is like any other."""
+    """Return the reasons why a person should look at this flight; empty when it is like any other."""
     found = []
     if row.end_soc < EMPTY_SOC:
         found.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")

@@ -15,21 +15,21 @@ from pathlib import Path
 from typing import Any
 
 from uavbatt import __version__
-from uavbatt.aside import written_aside
-from uavbatt.battery.file import content_hash
+from uavbatt.battery.battery_file import content_hash
 from uavbatt.errors import BadInput
+from uavbatt.files import atomic_write
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import JOURNAL, LogFile
 from uavbatt.fleet.row import LOST, Row, row_of
 
 
 def key(log: LogFile, job_key: str) -> str:
-    """What a finished row is kept under."""
+    """Return the key under which a finished row is kept."""
     return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}")
 
 
 def job_key(job: Job) -> str:
-    """What of a job bears on its rows."""
+    """Return a key of all that a job says and that changes its rows."""
     return _digest(f"{__version__}\0{content_hash(job.battery)}\0{job.options!r}\0{job.aircraft_pattern}")
 
 
@@ -106,7 +106,7 @@ class Journal:
     def _heal(self) -> None:
         """Write the file anew without its damaged rows."""
         self._file.seek(0)
-        with written_aside(self.path, "wb") as healed:
+        with atomic_write(self.path, "wb") as healed:
             for line in self._file:
                 if self._number(line) is None:
                     self.dropped += 1
@@ -122,7 +122,7 @@ class Journal:
         self._file.seek(0)
         if sum(1 for _ in self._file) <= 2 * len(self._places):
             return
-        with written_aside(self.path, "wb") as file:
+        with atomic_write(self.path, "wb") as file:
             for number in sorted(self._places):
                 self._file.seek(self._places[number])
                 file.write(self._file.readline())

@@ -1,0 +1,68 @@
+"""Limits of the page's connections: their number, and the time that one may be open without asking for anything.
+
+Whoever connects takes a descriptor of the process that flies, before any token is asked: so the table is small
+(MOST_CONNECTIONS), and a connection on which no request is under way for REQUEST_WITHIN_S is closed, also one that
+sends its header a byte at a time. In a full table the newcomer gets the place of the connection that has been without
+a request for longest, else of the oldest stream (a browser opens its stream again): idle connections, however many,
+keep nobody from the page.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+MOST_CONNECTIONS = 64
+MOST_WAITING = 256  # to be let in; the server takes in all of them at once
+REQUEST_WITHIN_S = 10.0
+LOOK_PERIOD_S = 1.0
+
+
+class Connection(H11Protocol):
+    """One connection to the page, with its place in the table of all."""
+
+    table: dict[Connection, float]  # when it came, or its last answer was whole [s, clock of the loop]
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a place, another's if none is free."""
+        if len(self.table) >= MOST_CONNECTIONS:
+            min(self.table, key=lambda other: (other.is_asking, self.table[other])).drop()
+        self.table[self] = self.loop.time()
+        super().connection_made(transport)
+        self.loop.call_later(LOOK_PERIOD_S, self._look)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Give the place back."""
+        self.table.pop(self, None)
+        super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        """From now on it is idle."""
+        if self in self.table:
+            self.table[self] = self.loop.time()
+        super().on_response_complete()
+
+    @property
+    def is_asking(self) -> bool:
+        """Return True if a request is whole and its answer is not."""
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def drop(self) -> None:
+        """Close at once; an answer that nobody fetches is not waited for."""
+        self.table.pop(self, None)
+        self.transport.abort()
+
+    def _look(self) -> None:
+        """Once a second, for as long as it has a place."""
+        if self not in self.table:
+            return
+        if not self.is_asking and self.loop.time() - self.table[self] >= REQUEST_WITHIN_S:
+            self.drop()
+            return
+        self.loop.call_later(LOOK_PERIOD_S, self._look)
+
+
+def protocol() -> type[asyncio.Protocol]:
+    """The protocol of one server, with a table of its own."""
+    return type("Connection", (Connection,), {"table": {}})

@@ -1,0 +1,84 @@
+"""Requests to the autopilot, when the operator allows them (`--request`): a rate, and the battery's parameters.
+
+SET_MESSAGE_INTERVAL for BATTERY_STATUS while it comes slower than half the wanted rate, with growing pauses;
+PARAM_REQUEST_READ for what is not known yet, a few times each, and again after a gap (the pack may be another); at once
+for what is said to have changed in flight (see `HeardParameters`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from uavbatt.mavlink import fields
+from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.telemetry.parameters import ardupilot_prefix
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
+PARAMETER_PAUSE_S = 0.1
+AGAIN_PAUSE_S = 1.0
+MOST_ASKED = 4
+
+
+def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
+    """The parameters that say what pack this is."""
+    names = []
+    for instance in sorted(instances) or [0]:
+        if is_px4:
+            names += [f"BAT{instance + 1}_{what}" for what in ("N_CELLS", "CAPACITY", "V_EMPTY")]
+        else:
+            names += [ardupilot_prefix(instance) + what for what in ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS")]
+    return names
+
+
+class Requests:
+    """Remembers what was asked and how often."""
+
+    def __init__(self, rate_Hz: float) -> None:
+        self._rate_Hz = rate_Hz
+        self._pause_s, self._rate_next_s, self._name_next_s = FIRST_PAUSE_S, float("-inf"), float("-inf")
+        self._asked: dict[str, int] = {}
+        self._again: dict[str, tuple[float, int, float]] = {}  # in doubt: the value, how often asked, when again [s]
+        self._rows, self._rows_since_s = 0, 0.0
+
+    def row(self) -> None:
+        """A BATTERY_STATUS has come."""
+        self._rows += 1
+
+    def begin_again(self) -> None:
+        """After a gap everything may be different."""
+        self._asked.clear()
+        self._pause_s, self._rate_next_s = FIRST_PAUSE_S, float("-inf")
+
+    def again(self, now_s: float, component: int, doubted: Mapping[str, float], out: Outgoing) -> list[bytes]:
+        """Requests for parameters whose change in flight is in doubt: at once, then every second a few times."""
+        made = []
+        for name, value in doubted.items():
+            was, times, next_s = self._again.get(name, (value, 0, now_s))
+            if was != value:
+                times, next_s = 0, now_s
+            if times < MOST_ASKED and now_s >= next_s:
+                self._again[name] = (value, times + 1, now_s + AGAIN_PAUSE_S)
+                made.append(out.parameter_request(component, name))
+        self._again = {name: asked for name, asked in self._again.items() if name in doubted}
+        return made
+
+    def frames(
+        self, now_s: float, component: int, known: Mapping[str, float], names: Iterable[str], out: Outgoing
+    ) -> list[bytes]:
+        """The requests that are due."""
+        made = []
+        if now_s >= self._rate_next_s:
+            elapsed_s = now_s - self._rows_since_s
+            if self._rows < 0.5 * self._rate_Hz * elapsed_s or self._rate_next_s == float("-inf"):
+                made.append(out.interval_request(component, fields.BATTERY_STATUS, self._rate_Hz))
+                self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            self._rows, self._rows_since_s, self._rate_next_s = 0, now_s, now_s + self._pause_s
+        if now_s >= self._name_next_s:
+            for name in names:
+                times = self._asked.get(name, 0)
+                if times < MOST_ASKED and (name not in known or times == 0):
+                    self._asked[name] = times + 1
+                    self._name_next_s = now_s + PARAMETER_PAUSE_S
+                    made.append(out.parameter_request(component, name))
+                    break
+        return made

@@ -1,0 +1,128 @@
+"""Cleaning of telemetry before the filter believes it; a value that goes from sample to sample.
+
+A voltage that leaps between two rows and a cell voltage that no cell has are damage until they are repeated. A
+temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
+no pack of the size gives, which would carry the model out of all numbers, is no reading. One that is missing for a
+moment is held; one that is never there is worked out from the power that the operator stated, or from one that is
+assumed, which the filter then doubts as much as it deserves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
+
+HELD_CURRENT_S = 5.0
+ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
+LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # a punch takes a fifth of the voltage, an empty pack's a quarter
+LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0
+CELL_SPREAD_TAU_S = 30.0
+NOTICED_CELL_SPREAD_V = 0.02
+
+
+class Intake(NamedTuple):
+    """Last plausible readings and what was noticed about the sensors; `after` gives the next one."""
+
+    stated_power_W: float = NAN
+    voltage_V: float = NAN
+    voltage_s: float = NAN
+    odd_V: float = NAN  # leapt from it, not believed yet
+    temp_C: float = NAN
+    temp_s: float = NAN
+    is_board_sensor: bool = False
+    current_A: float = NAN
+    current_s: float = NAN
+    metered: bool = False
+    first_s: float = NAN
+    guessed: bool = False  # the current is one that nobody measured
+    cell_spread_V: float = 0.0
+    spread_s: float = NAN
+
+    def after(self, sample: Sample, assumed_power_W: float = NAN, most_A: float = math.inf) -> tuple[Intake, Sample]:
+        """The next state, and the sample as the filter may have it.
+
+        A load is assumed where nothing tells any; a current above `most_A`, which the pack cannot give, tells none.
+        """
+        now, sample = self._with_voltage(sample)
+        now, temp_C = now._with_temperature(sample)
+        now, current_A = now._with_current(sample, assumed_power_W, most_A)
+        if temp_C is not sample.temp_C or current_A is not sample.current_A:
+            sample = replace(sample, temp_C=temp_C, current_A=current_A)
+        return now._with_cells(sample), sample
+
+    def moved(self, shift_s: float) -> Intake:
+        """The same memory on a clock that shows `shift_s` more."""
+        return self._replace(
+            voltage_s=self.voltage_s + shift_s,
+            temp_s=self.temp_s + shift_s,
+            current_s=self.current_s + shift_s,
+            first_s=self.first_s + shift_s,
+            spread_s=self.spread_s + shift_s,
+        )
+
+    def _with_voltage(self, sample: Sample) -> tuple[Intake, Sample]:
+        """A leap of the voltage is believed from the second row on: one row may be a damaged frame."""
+        if not math.isfinite(sample.voltage_V):
+            return self, sample
+        is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
+        if is_soon and not any(_is_near(was_V, sample.voltage_V) for was_V in (self.voltage_V, self.odd_V)):
+            return self._replace(odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
+        return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
+
+    def _with_temperature(self, sample: Sample) -> tuple[Intake, float]:
+        temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
+        if not math.isfinite(temp_C):
+            return self, NAN
+        is_board = self.is_board_sensor or (not math.isfinite(self.temp_C) and temp_C > BOARD_START_C)
+        now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
+        return now, NAN if is_board else temp_C
+
+    def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Intake, float]:
+        is_read = math.isfinite(sample.current_A)
+        if is_read and abs(sample.current_A) <= most_A:
+            read_A = sample.current_A
+            return self._replace(current_A=read_A, current_s=sample.time_s, metered=True, guessed=False), read_A
+        if sample.time_s - self.current_s <= HELD_CURRENT_S:
+            return self, self.current_A
+        if is_read:
+            return self._replace(metered=True), NAN
+        now = self if math.isfinite(self.first_s) else self._replace(first_s=sample.time_s)
+        is_absent = math.isfinite(self.stated_power_W) or sample.time_s - now.first_s >= ABSENT_S
+        power_W = self.stated_power_W if math.isfinite(self.stated_power_W) else assumed_power_W
+        if self.metered or not is_absent or not math.isfinite(power_W) or not sample.voltage_V > 0.0:
+            return now, NAN
+        return now._replace(guessed=True), 0.0 if sample.armed is False else power_W / sample.voltage_V
+
+    def _with_cells(self, sample: Sample) -> Intake:
+        """Memory of how far the weakest cell is below the mean [V]."""
+        cells = [v for v in sample.cell_voltages_V if math.isfinite(v) and v > 0.0]
+        if len(cells) < 2 or not all(LOWEST_CELL_V < v < HIGHEST_CELL_V for v in cells):
+            return self
+        spread_V = sum(cells) / len(cells) - min(cells)
+        if not math.isfinite(self.spread_s):
+            return self._replace(cell_spread_V=spread_V, spread_s=sample.time_s)
+        keep = math.exp(-max(sample.time_s - self.spread_s, 0.0) / CELL_SPREAD_TAU_S)
+        blended_V = keep * self.cell_spread_V + (1.0 - keep) * spread_V
+        return self._replace(cell_spread_V=blended_V, spread_s=sample.time_s)
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Notices about the sensors for whoever reads the estimate."""
+        found = []
+        if self.is_board_sensor:
+            found.append(f"the temperature started above {BOARD_START_C:.0f} °C: a board's, not the pack's, not used")
+        if self.guessed and math.isfinite(self.stated_power_W):
+            found.append("no current sensor: current worked out from the stated power")
+        elif self.guessed:
+            found.append("no current sensor: a middling load is assumed, known to a factor; --load WATTS tells better")
+        if self.cell_spread_V > NOTICED_CELL_SPREAD_V:
+            found.append(f"the weakest cell is {1000 * self.cell_spread_V:.0f} mV below the mean and ends the flight")
+        return tuple(found)
+
+
+def _is_near(was_V: float, now_V: float) -> bool:
+    return abs(now_V - was_V) <= LEAP_SHARE * was_V

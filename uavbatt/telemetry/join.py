@@ -1,0 +1,118 @@
+"""Several batteries of one aircraft as the one pack that they are to the motors.
+
+In parallel their currents add up and their voltage is one; in series their voltages add up and their current is one.
+Rows are those of the first battery, each with the others' latest, so that a row hangs on nothing that comes later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
+
+from uavbatt.errors import UsageError
+from uavbatt.records import NAN, Flight, PackFacts, Sample
+from uavbatt.telemetry.read import read_log
+
+PAIRED_S, PAIRED_ROWS = 2.0, 1.5  # a reading of another battery older than both is none
+ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
+
+
+class Wiring(StrEnum):
+    """The wiring of an aircraft's batteries."""
+
+    PARALLEL = "parallel"
+    SERIES = "series"
+
+
+def read_joined(path: str | Path, wiring: Wiring) -> Flight:
+    """All batteries of a log as one pack. Raises UsageError for a log of one battery, else as `read_log`."""
+    first = read_log(path)
+    if len(first.instances) < 2:
+        raise UsageError(f"{path}: one battery: there is nothing to join in {wiring}")
+    return joined([read_log(path, instance) for instance in first.instances], wiring)
+
+
+def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:
+    """The batteries `flights` of one log as one pack; UsageError for voltages that cannot be in parallel."""
+    typical_V = [_typical_V(flight) for flight in flights]
+    if wiring is Wiring.PARALLEL and max(typical_V) > (1.0 + ALIKE) * min(typical_V):
+        shown = " and ".join(f"{v:.1f} V" for v in typical_V)
+        raise UsageError(f"{flights[0].source}: batteries of {shown} are not in parallel")
+    lead, others = flights[0], [flight.samples for flight in flights[1:]]
+    positions = [0] * len(others)
+    patience_s = max(PAIRED_S, PAIRED_ROWS * _row_s(lead.samples))
+    rows = []
+    for sample in lead.samples:
+        together = [sample]
+        for k, samples in enumerate(others):
+            while positions[k] < len(samples) and samples[positions[k]].time_s <= sample.time_s:
+                positions[k] += 1
+            latest = samples[positions[k] - 1] if positions[k] else Sample(-math.inf, NAN)
+            fresh = sample.time_s - latest.time_s <= patience_s
+            together.append(latest if fresh else Sample(sample.time_s, NAN))
+        rows.append(_row(together, wiring))
+    named = ", ".join(str(flight.instance) for flight in flights)
+    changes = sorted({time_s for flight in flights for time_s, _ in flight.facts})
+    return replace(
+        lead,
+        samples=tuple(rows),
+        facts=tuple((t, _facts([flight.facts_at(t) for flight in flights], wiring)) for t in changes),
+        notes=(*lead.notes, f"batteries {named} joined in {wiring}"),
+    )
+
+
+def _row(rows: Sequence[Sample], wiring: Wiring) -> Sample:
+    """One row of the joined pack; what one battery does not tell it does not know, the voltage in parallel apart."""
+    volts, amps = [r.voltage_V for r in rows], [r.current_A for r in rows]
+    cells = [r.cell_voltages_V for r in rows]
+    if wiring is Wiring.PARALLEL:
+        voltage_V, current_A, consumed_Ah = _mean(volts), sum(amps), sum(r.consumed_Ah for r in rows)
+        cell_voltages_V = min((c for c in cells if c), key=min, default=())
+    else:
+        voltage_V, current_A, consumed_Ah = sum(volts), _mean(amps), _mean([r.consumed_Ah for r in rows])
+        cell_voltages_V = tuple(v for c in cells for v in c) if all(cells) else ()
+    return replace(
+        rows[0],
+        voltage_V=voltage_V,
+        current_A=current_A,
+        temp_C=_mean([r.temp_C for r in rows]),
+        consumed_Ah=consumed_Ah,
+        reported_soc=_mean([r.reported_soc for r in rows]),
+        cell_voltages_V=cell_voltages_V,
+    )
+
+
+def _facts(facts: Sequence[PackFacts], wiring: Wiring) -> PackFacts:
+    """Join the vehicle's words about each battery into words about the joined pack."""
+    capacities = [f.capacity_Ah for f in facts]
+    said = [f.sag_compensated for f in facts if f.sag_compensated is not None]
+    sag_compensated = any(said) if said else None
+    if wiring is Wiring.PARALLEL:
+        return replace(facts[0], capacity_Ah=sum(capacities), sag_compensated=sag_compensated)
+    cells = [f.cells_series for f in facts]
+    return PackFacts(
+        cells_series=sum(c for c in cells if c) if all(cells) else None,
+        capacity_Ah=min(capacities) if all(map(math.isfinite, capacities)) else NAN,
+        low_voltage_V=sum(f.low_voltage_V for f in facts),
+        critical_voltage_V=sum(f.critical_voltage_V for f in facts),
+        sag_compensated=sag_compensated,
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [v for v in values if math.isfinite(v)]
+    return sum(known) / len(known) if known else NAN
+
+
+def _typical_V(flight: Flight) -> float:
+    known = sorted(s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V))
+    return known[len(known) // 2] if known else NAN
+
+
+def _row_s(samples: Sequence[Sample]) -> float:
+    gaps = sorted(b.time_s - a.time_s for a, b in pairwise(samples))
+    return gaps[len(gaps) // 2] if gaps else 0.0
