@@ -38,7 +38,7 @@ from uavbatt.telemetry.cleaning import Intake
 
 __all__ = ["Estimator", "PackOptions", "Past", "Resolved"]
 
-NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
+NOTICED_WEAR, WEAR_IS_SURE = 0.15, 3.0
 SURE_LOOKS = 5  # of the last wall, a second apart
 NO_FALL = (math.inf,) * SURE_LOOKS
 # Without a current sensor: hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated
@@ -282,8 +282,7 @@ class Estimator:
 
     def _is_worn(self, known: Summary) -> bool:
         """More resistance than the packs of this type are spread by, and surely so."""
-        assert self._filter is not None
-        unusual = max(NOTICED_WEAR, self._filter.pack.resistance_scale_sd)
+        unusual = math.hypot(NOTICED_WEAR, self.battery.parameters.resistance_scale_sd)
         if self._intake.guessed or not self.battery.is_measured:
             return False  # nothing is known to compare with
         return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd

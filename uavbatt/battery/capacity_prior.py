@@ -20,12 +20,12 @@ MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
 NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
-OVERLAP = 0.6  # sd of a member as a share of the distance to the next
+OVERLAP = 0.35  # sd of a member as a share of the distance to the next
 # A capacity stated ten times too large, and what lies between.
 ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
-# Shares, means and sds of ln(capacity / stated): packs as good as new, packs in service, and those of which something
-# stated is wrong.
-PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
+# Shares, means and sds of ln(capacity / stated) beside what the file's own packs are spread by: packs as good as new,
+# packs in service, and those of which something stated is wrong.
+PRIOR = ((0.68, 0.0, 0.0), (0.25, -0.14, 0.09), (0.07, -0.30, 0.35))
 
 
 class Capacities(NamedTuple):

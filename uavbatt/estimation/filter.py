@@ -244,7 +244,7 @@ class SocFilter:
         doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
         after = self._kept_possible(self._condition(at, innovation, observation, doubted))
         P = 0.5 * (after.P + np.swapaxes(after.P, 1, 2))
-        log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0])
+        log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
         self._at = Moments(after.x, P, log_weight)
         weight, soc = at.weight, float(self._at.weight @ after.x[:, C.SOC])
         return Shown(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
