@@ -63,15 +63,17 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     """
     idle = abs(c_rate) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
-    read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, pack.bias_sd_V)))
+    model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
+    read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
         state = initial_state.underway(pack.cell, read.soc, temp_C, c_rate)
         ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
         drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
-        bias_sd_V = math.hypot(pack.bias_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
+        bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
         read = initial_state.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
-    mean, covariance = initial_state.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
+    emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
+    mean, covariance = initial_state.joint(pack.cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
     return First(initial_state.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
