@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
-from uavbatt.fitting import assemble, observed, solve
+from uavbatt.fitting import assemble, observed, solve, wander
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import Fit
 from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
@@ -65,9 +66,12 @@ def fit_battery(
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
+    shown = solve.replay(stack, found)
     left = assemble.discrepancy(
-        stack, solve.replay(stack, found), held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights"
+        stack, shown, held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights"
     )
+    typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
+    left = msgspec.structs.replace(left, wander=wander.learned(stack, shown, list(typical)))
     file = BatteryFile(
         battery=Battery(
             name=size.name,
