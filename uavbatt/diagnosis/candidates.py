@@ -59,23 +59,42 @@ class Freed:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One or several effects refitted together; `free_start` gives every record its own starting charge."""
+    """One or several effects refitted together: for each its name and how many of the freed quantities are its own.
+
+    `free_start` lets the records start with charges of their own around a shift that they share.
+    """
 
     names: tuple[str, ...]
     freed: tuple[Freed, ...]
+    sizes: tuple[int, ...] = ()
     free_start: bool = False
-    last: int = 0  # quantities of the effect that was added last
-    resized: bool = False  # the effect added last is in the battery file already, with another size
+    resized: tuple[str, ...] = ()  # effects that the battery file has already, with another size
 
     @property
     def name(self) -> str:
         """The effect that was added last."""
         return self.names[-1] if self.names else "none"
 
+    @property
+    def last(self) -> int:
+        """Quantities of the effect that was added last."""
+        return self.sizes[-1] if self.sizes else 0
+
+    def places(self, name: str) -> slice:
+        """Where the quantities of an effect stand among the freed."""
+        k = self.names.index(name)
+        first = sum(self.sizes[:k])
+        return slice(first, first + self.sizes[k])
+
     def plus(self, other: Candidate) -> Candidate:
         """Both together."""
-        free_start = self.free_start or other.free_start
-        return Candidate(self.names + other.names, self.freed + other.freed, free_start, other.last, other.resized)
+        return Candidate(
+            self.names + other.names,
+            self.freed + other.freed,
+            self.sizes + other.sizes,
+            self.free_start or other.free_start,
+            self.resized + other.resized,
+        )
 
 
 NOTHING = Candidate((), ())
@@ -98,6 +117,7 @@ def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
         _nuisance("fade", capacity_sd),
         _nuisance("growth", resistance_sd),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
+        *(_nuisance("sensor_lag_s", sd) for e in file.effects if (sd := e.standard_error.get("sensor_lag_s", 0.0)) > 0),
     )
 
 
@@ -125,16 +145,14 @@ def candidates(
             continue
         if effect.name in NEEDS_TEMPERATURE and not has_temperature:
             continue
-        if effect.name == "initial_charge":  # each flight was charged by itself
-            found.append(Candidate((effect.name,), (), free_start=True))
-            continue
         free = [q for q in effect.quantities if q.prior_sd > 0.0]
         free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
-        resized = effect.name in listed and effect.name != "temperature_lag"
-        found.append(Candidate((effect.name,), freed, last=len(freed), resized=resized))
+        resized = (effect.name,) if effect.name in listed and effect.name != "temperature_lag" else ()
+        own_start = effect.name == "initial_charge"  # each flight was charged by itself
+        found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
     return found
 
 

@@ -22,8 +22,9 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.candidates import QUANTITIES
 from uavbatt.diagnosis.diagnosis import Diagnosis
-from uavbatt.diagnosis.heldout import left_out, open_loop
+from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.problem import Refit
+from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fitting.assemble import rounded
 from uavbatt.prediction.load import LoggedLoad
@@ -175,7 +176,7 @@ def judge(
 ) -> Closed:
     """Error before and after on every record, each left out in turn."""
     problem, fit = found.problem, found.after
-    values = left_out(problem, fit)
+    values = left_out_values(problem, fit)
     by_name = dict(zip(problem.evidence.names, values, strict=True))
     pairs: dict[str, tuple[list[float], list[bool]]] = {"before": ([], []), "after": ([], [])}
     for flight in flights:

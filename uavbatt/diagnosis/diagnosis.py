@@ -1,38 +1,35 @@
 """From records and a battery file to a verdict: is an effect missing, which, how large, how sure.
 
-One effect at a time. A further one is sought only while the residual is larger than what the battery's model leaves on
-effect-free data; then the pairs are weighed as pairs, since two effects together can look like a third. What
-still stands above that floor, or a value that differs from record to record, ends as `undeclared_effect`; such a
-value is named as a suspect and does not enter the model.
+Everything is decided in one unit, the chi-square of records left out against the whitened error of the battery's own
+model, errors that the file states allowed for (`worth`). The start of charge is settled first; then single effects
+and pairs are searched. What is left is doubted when it is more than the file's model leaves, also with every error of
+the file at its most probable value; then, or when a value differs from record to record, the verdict is
+`undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same in all records.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.diagnosis import attribute, residual
-from uavbatt.diagnosis.attribute import Finding
-from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
-from uavbatt.diagnosis.classes import EffectClass, class_of
-from uavbatt.diagnosis.evidence import IDLE_NOISE_A, NOT_HELD_OUT, idle_A, prepare
-from uavbatt.diagnosis.heldout import helps
+from uavbatt.diagnosis import residual
+from uavbatt.diagnosis.candidates import NOTHING, base_values, candidates, nuisances
+from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
+from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
+from uavbatt.diagnosis.search import Finding, search
 from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
-ABOVE_FLOOR = 1.35  # size of a residual against the discrepancy of the file
-STRUCTURED = 1.12  # see residual.structure; effect-free flights show 0.96 to 1.07
-LEAST_FLOOR_K = 0.4
-MOST_EFFECTS = 3
+LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 
@@ -49,9 +46,9 @@ class Diagnosis:
     residual_before: list[Residual]
     residual_after: list[Residual]
     floor_V: float
-    floor_K: float
     left: Shape
-    findings: tuple[Finding, ...] = field(default=())
+    findings: tuple[Finding, ...] = ()
+    hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
 
 def problem_of(records: list[Observed], file: BatteryFile, pack: Pack) -> Problem:
@@ -96,20 +93,21 @@ def diagnose(
         without=without,
     )
     nothing = refit(problem, [NOTHING])[0]
-    floor_V, floor_K = floors(file, problem)
-    best, findings = _search(problem, options, nothing, (floor_V, floor_K), tell)
+    in_part = problem.evidence.charged_in_part.any()
+    if in_part:  # the start is a finding already
+        options = [o for o in options if o.name != "initial_charge"]
+    best, findings, singles = search(problem, options, nothing, tell)
     tell("residual")
-    useless = bool(best.candidate.names) and not helps(problem, nothing, best)
-    if useless:
-        best = nothing
-    after = residual.residuals(problem.evidence, at_best(problem, best))
-    left = residual.shape(after)
-    hangs = residual.structure(problem.evidence, best.residual)
-    reasons = _doubts(findings, after, (floor_V, floor_K), (left, hangs), {e.name for e in file.effects})
-    if useless:
-        reasons += ("what was found does not help to predict a record that was left out: the battery file stays",)
+    steady = all(f.steady for f in findings)
+    left = left_per_number(problem, best)
+    reasons = _doubts(problem, findings, best, left, {e.name for e in file.effects})
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
+    if in_part and "initial_charge" not in without:
+        found = (start_class(problem, nothing), *found)
+    if not steady:  # a value that differs from record to record makes a suspect, and cannot stand in a battery file
+        best = nothing
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
+    after = residual.residuals(problem.evidence, at_best(problem, best))
     return Diagnosis(
         verdict=verdict,
         classes=found,
@@ -119,125 +117,61 @@ def diagnose(
         after=best,
         residual_before=residual.residuals(problem.evidence, at_best(problem, nothing)),
         residual_after=after,
-        floor_V=floor_V,
-        floor_K=floor_K,
-        left=left,
+        floor_V=floor_V(file, problem),
+        left=residual.shape(after),
         findings=tuple(findings),
+        hidden=hidden(singles) if not findings else (),
     )
 
 
-def floors(file: BatteryFile, problem: Problem) -> tuple[float, float]:
-    """Size of residual that the battery's own model leaves: voltage of this pack [V], temperature [K]."""
-    left = file.discrepancy
-    strict = 1.0 if left.held_out else NOT_HELD_OUT
+def floor_V(file: BatteryFile, problem: Problem) -> float:
+    """Size of residual that the battery's own model leaves on this pack [V]."""
     share = problem.pack.installation.cells / file.battery.cells_series
-    least_V = 0.005 * problem.pack.installation.cells
-    return max(left.voltage_rmse_V * share, least_V), max(left.temperature_rmse_K * strict, LEAST_FLOOR_K)
+    return float(file.discrepancy.voltage_rmse_V * share)
 
 
-def _search(
-    problem: Problem,
-    options: list[Candidate],
-    nothing: Refit,
-    floor: tuple[float, float],
-    tell: Callable[[str], None],
-) -> tuple[Refit, list[Finding]]:
-    """Add effects while the residual stands above the floor and each earns its place."""
-    tell(f"{len(options)} candidate effects")
-    explains = _explaining(problem, floor)
-    step = attribute.find(problem, [nothing], options, explains)
-    if step is None:
-        return nothing, []
-    alone = step.constancy is None or step.constancy.steady
-    resized = all(m.candidate.resized for m in step.members)
-    if (resized or not alone) and explains(nothing):  # no more is left than the file says: nothing to be explained
-        return nothing, []
-    findings = [step]
-    best = step.members[0]
-    while len(findings) < MOST_EFFECTS and not explains(best):
-        tell(f"a further effect beside {', '.join(best.candidate.names)}")
-        further = attribute.find(problem, _rivals(findings[-1]), options, explains)
-        explained = nothing.total - best.total
-        if further is None or further.gain < max(attribute.FURTHER_GAIN, attribute.FURTHER_SHARE * explained):
-            break
-        if further.constancy is not None and not further.constancy.steady:
-            break
-        best, alone = further.members[0], True
-        findings = _reweighed(problem, best, options, explains) or [further]
-    # a value that differs from record to record makes a suspect, and cannot stand in a battery file
-    return (best, findings) if alone else (nothing, [step])
+class Left(NamedTuple):
+    """Chi-square per number that the best model leaves, the file's errors at their most probable."""
+
+    voltage: float
+    temperature: float  # NaN: not measured
 
 
-def _rivals(finding: Finding) -> list[Refit]:
-    """The best models of the round, beyond the class: with a second effect a worse first may turn out better."""
-    kept: list[Refit] = []
-    for fit in finding.fits:
-        if not any(attribute.related(fit.candidate.names[-1:], k.candidate.names[-1:]) for k in kept):
-            kept.append(fit)
-    return kept[: attribute.RIVALS]
-
-
-def _reweighed(
-    problem: Problem, best: Refit, options: list[Candidate], explains: Callable[[Refit], bool]
-) -> list[Finding]:
-    """For every effect of the model: which others could stand in its place, the rest kept; most evidence first."""
-    by_name = {o.name: o for o in options}
-    found = []
-    for name in best.candidate.names:
-        others = NOTHING
-        for kept in best.candidate.names:
-            if kept != name:
-                others = others.plus(by_name[kept])
-        rest = refit(problem, [others])[0]
-        again = attribute.find(problem, [rest], options, explains)
-        if again is not None:
-            found.append(again)
-    return sorted(found, key=lambda f: -f.gain)
-
-
-def _explaining(problem: Problem, floor: tuple[float, float]) -> Callable[[Refit], bool]:
-    """The test whether a model leaves no more than the floor: size of voltage and temperature, and their shape."""
-
-    def explains(fit: Refit) -> bool:
-        if residual.structure(problem.evidence, fit.residual) > STRUCTURED:
-            return False
-        left = residual.residuals(problem.evidence, at_best(problem, fit))
-        small_V = residual.size_V(left) <= ABOVE_FLOOR * floor[0]
-        return small_V and not residual.size_K(left) > ABOVE_FLOOR * floor[1]  # NaN: not measured
-
-    return explains
+def left_per_number(problem: Problem, best: Refit) -> Left:
+    """What is left of voltage and temperature beyond the file's stated errors."""
+    fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
+    squares, numbers = np.zeros(2), np.zeros(2)
+    for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
+        first, size = volts.rows.size, temps.rows.size if temps is not None else 0
+        squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
+        numbers += [first, size]
+    return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
 def _doubts(
-    findings: list[Finding],
-    after: list[Residual],
-    floor: tuple[float, float],
-    shape: tuple[Shape, float],
-    listed: set[str],
+    problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str]
 ) -> tuple[str, ...]:
     """Why the model after all is not believed to be complete; empty when it is."""
     doubts = []
-    (floor_V, floor_K), (left, hangs) = floor, shape
-    size_V, size_K = residual.size_V(after), residual.size_K(after)
-    if size_V > ABOVE_FLOOR * floor_V:
+    if left.voltage > LEFT:
+        after = residual.residuals(problem.evidence, at_best(problem, best))
+        shape = residual.shape(after)
         doubts.append(
-            f"the voltage residual is still {1000 * size_V:.0f} mV where the battery's model leaves "
-            f"{1000 * floor_V:.0f} mV; it goes with {left.variable} ({left.share:.0%} of it) and lasts about "
-            f"{left.time_scale_s:.0f} s"
+            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {left.voltage:.1f} times what this "
+            f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
+            f"about {shape.time_scale_s:.0f} s"
         )
-    elif hangs > STRUCTURED:
+    if left.temperature > LEFT:
+        after = residual.residuals(problem.evidence, at_best(problem, best))
         doubts.append(
-            f"the voltage residual of {1000 * size_V:.0f} mV still hangs together from row to row ({hangs:.2f}, 1 is "
-            f"chance); it goes with {left.variable} and lasts about {left.time_scale_s:.0f} s"
+            f"the temperature residual is still {residual.size_K(after):.1f} K, {left.temperature:.1f} times what this "
+            "battery's model leaves (chi-square)"
         )
-    if size_K > ABOVE_FLOOR * floor_K:
-        doubts.append(f"the temperature residual is still {size_K:.1f} K where the model leaves {floor_K:.1f} K")
     for finding in findings:
-        steady = finding.constancy
-        if steady is not None and not steady.steady:
-            name = finding.members[0].candidate.name
-            doubts.append(f"{name} is not the same in all records (they differ by {steady.spread:.0%} of it)")
+        if finding.constancy is not None and not finding.steady:
+            doubts.append(
+                f"{finding.name} is not the same in all records (they differ by {finding.constancy.spread:.0%} of it)"
+            )
         if {m.candidate.name for m in finding.members} <= listed - {"temperature_lag"}:
-            name = finding.members[0].candidate.name
-            doubts.append(f"no new effect explains it, only another size of {name}, which the file already has")
+            doubts.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
     return tuple(doubts)
