@@ -83,8 +83,9 @@ def sealed(file: BatteryFile) -> BatteryFile:
 
 
 def write(file: BatteryFile, path: Path) -> Path:
-    """Seal and write the file, whole or not at all; returns the path."""
+    """Seal and write the file, whole or not at all; returns the path. BadInput when `read` would refuse what is in it."""
     content = _without_none(msgspec.to_builtins(sealed(file)))
+    _check_values(_decoded(tomli_w.dumps(content).encode(), str(path)), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as stream:
         tomli_w.dump(content, stream)
@@ -98,15 +99,19 @@ def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> Batter
     verdict is `fail`; `allow_uncertified` lets it through, and its status is `edited` then.
     """
     text, origin = _text(str(name_or_path))
-    try:
-        file = msgspec.toml.decode(text, type=BatteryFile)
-    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
-        raise misread(origin, error, "a battery file (see README, `battery file`)") from None
+    file = _decoded(text, origin)
     _check_values(file, origin)
     problem = _why_uncertified(file)
     if problem and not allow_uncertified:
         raise Uncertified(f"{origin}: {problem}; --allow-uncertified reads it all the same")
     return _let_through(file) if problem else file
+
+
+def _decoded(text: bytes, origin: str) -> BatteryFile:
+    try:
+        return msgspec.toml.decode(text, type=BatteryFile)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        raise misread(origin, error, "a battery file (see README, `battery file`)") from None
 
 
 def _why_uncertified(file: BatteryFile) -> str:

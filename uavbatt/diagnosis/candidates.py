@@ -22,7 +22,8 @@ from uavbatt.battery.pack import Installation
 QUANTITIES = tuple(q for effect in EFFECTS.values() for q in effect.quantities)
 INDEX = {q.name: i for i, q in enumerate(QUANTITIES)}
 UNITS = {q.name: q.unit for q in QUANTITIES}
-ALWAYS = ("temperature_lag", "polarisation", "slow_diffusion", "temperature_resistance")
+ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion", "temperature_resistance")
+PACKS_OWN = ("temperature_lag", "charge_transfer")  # how the sensor is mounted, how the pack has aged: news, if changed
 ONE_WAY = ("fade", "growth")  # packs age in one direction
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
@@ -104,6 +105,7 @@ NOTHING = Candidate((), ())
 # records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
+STATED = ("sensor_lag_s", "activation_K")  # as the file states them; errors of the others go with the resistance's
 
 
 def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
@@ -117,7 +119,12 @@ def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
         _nuisance("fade", capacity_sd),
         _nuisance("growth", resistance_sd),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
-        *(_nuisance("sensor_lag_s", sd) for e in file.effects if (sd := e.standard_error.get("sensor_lag_s", 0.0)) > 0),
+        *(
+            _nuisance(name, sd)
+            for entry in file.effects
+            for name in STATED
+            if (sd := entry.standard_error.get(name, 0.0)) > 0.0
+        ),
     )
 
 
@@ -150,7 +157,7 @@ def candidates(
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
-        resized = (effect.name,) if effect.name in listed and effect.name != "temperature_lag" else ()
+        resized = (effect.name,) if effect.name in listed and effect.name not in PACKS_OWN else ()
         own_start = effect.name == "initial_charge"  # each flight was charged by itself
         found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
     return found

@@ -19,7 +19,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.diagnosis import residual
-from uavbatt.diagnosis.candidates import NOTHING, base_values, candidates, nuisances
+from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
@@ -168,10 +168,9 @@ def _doubts(
             "battery's model leaves (chi-square)"
         )
     for finding in findings:
-        if finding.constancy is not None and not finding.steady:
-            doubts.append(
-                f"{finding.name} is not the same in all records (they differ by {finding.constancy.spread:.0%} of it)"
-            )
-        if {m.candidate.name for m in finding.members} <= listed - {"temperature_lag"}:
+        its = finding.worth.constancy
+        if its is not None and not finding.steady:
+            doubts.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
+        if {m.candidate.name for m in finding.members} <= listed - set(PACKS_OWN):
             doubts.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
     return tuple(doubts)

@@ -15,11 +15,12 @@ from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL, related, seated, weights
-from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, constancy, left_out_chi2, worth
+from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 6.0  # see scripts/diagnose_cases_chance.py: the most that chance gave on effect-free flights is half of it
 UNSTEADY = 0.35  # spread between records, relative to the value
-SEEDS, SEED_SHARE = 6, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
+RESIZED = 0.5  # how likely another size of what the file has is, against something that it lacks
+SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
 SECOND_SHARE = 0.04  # of what the first explains: a size that is not quite linear leaves as much
 FIRST_TURNS, FURTHER_TURNS = 14, 8
 
@@ -30,7 +31,6 @@ class Finding:
 
     members: tuple[Refit, ...]
     worth: Worth
-    constancy: Constancy | None
     outside: tuple[str, ...]  # who else earned a place, in order
     probability: float  # that the cause is among the members, were it one of the candidates
 
@@ -42,7 +42,7 @@ class Finding:
     @property
     def steady(self) -> bool:
         """Whether the records agree on its value."""
-        return _steady(self.constancy)
+        return _steady(self.worth.constancy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,23 +95,19 @@ def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int)
 def finding(problem: Problem, tried: Trial) -> Finding:
     """The class of those that earned their place and cannot be told from the best."""
     fits = [tried.fits[i] for i in tried.earned]
-    constancies = [constancy(f, f.candidate.name) for f in fits]
+    steady = [_steady(tried.worths[i].constancy) for i in tried.earned]
     likely = weights(problem, fits)
-    if any(_steady(c) for c in constancies):  # what differs from record to record is no rival to what does not
-        likely = np.where([_steady(c) for c in constancies], likely, 0.0)
+    if any(steady):  # what differs from record to record is no rival to what does not
+        likely = np.where(steady, likely, 0.0)
     likely = likely * np.where([f.candidate.name in f.candidate.resized for f in fits], RESIZED, 1.0)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
     members = [order[k] for k in seated([fits[i].candidate.name for i in order])]
     return Finding(
         members=tuple(fits[i] for i in members),
-        worth=worth(fits[members[0]], tried.before),
-        constancy=constancies[members[0]],
+        worth=tried.worths[tried.earned[members[0]]],
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
         probability=float(np.sum(likely[members]) / np.sum(likely)),
     )
-
-
-RESIZED = 0.5  # how likely another size of what the file has is, against something that it lacks
 
 
 def _steady(found: Constancy | None) -> bool:
@@ -138,6 +134,7 @@ def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best:
         one, other = fit.candidate.names
         if at_bound(fit) or float(np.sum(left_out_chi2(fit))) > least:
             continue
-        if all(worth(fit, alone[a], b).value > EARNED for a, b in ((one, other), (other, one))):
+        beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
+        if all(w.value > EARNED and _steady(w.constancy) for w in beside):
             return fit
     return None
