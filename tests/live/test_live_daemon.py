@@ -56,9 +56,7 @@ def test_silence_is_stale_everywhere_after_three_seconds() -> None:
 
 
 def test_only_three_messages_travel_towards_the_autopilot() -> None:
-    bench = Bench(
-        link=LinkSection(endpoint="x", gcs=["y"], request=True), feed=FeedSection(kinds=("named", "battery"))
-    )
+    bench = Bench(link=LinkSection(endpoint="x", gcs=["y"], request=True), feed=FeedSection(kinds=("named", "battery")))
     bench.fly(30.0)
     sent = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
     assert {m.get_type() for m in sent} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}

@@ -83,7 +83,10 @@ def sealed(file: BatteryFile) -> BatteryFile:
 
 
 def write(file: BatteryFile, path: Path) -> Path:
-    """Seal and write the file, whole or not at all; returns the path. BadInput when `read` would refuse what is in it."""
+    """Seal and write the file, whole or not at all; returns the path.
+
+    Raises BadInput, and writes nothing, when `read` would refuse what is in it.
+    """
     content = _without_none(msgspec.to_builtins(sealed(file)))
     _check_values(_decoded(tomli_w.dumps(content).encode(), str(path)), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)

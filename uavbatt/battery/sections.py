@@ -75,7 +75,7 @@ class EffectEntry(Record, frozen=True):
 class Wander(Record, frozen=True):
     """[discrepancy.wander]: how what the model leaves hangs together, learned from effect-free records.
 
-    Under load the voltage wanders by `voltage_sd_V` at the charges `soc`, forgetting itself in `voltage_time_s`, and has
+    Under load the voltage wanders by `voltage_sd_V` at the charges `soc`, forgetting itself in `voltage_time_s`, with
     white noise on top; at rest before take-off it is off by `rest_sd_V` throughout. Volts are the pack's.
     """
 

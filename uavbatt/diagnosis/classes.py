@@ -90,10 +90,9 @@ def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
     twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion"}
     if slow:
         twins["polarisation"] = "slow_diffusion"
-    for name, twin in twins.items():
-        if name in members and twin not in members:
-            members = (*members, twin)
-    return members[: LARGEST_CLASS]
+    first, others = members[0], members[1:]
+    named = (first, twins.get(first, first), *others, *(twins.get(name, name) for name in others))
+    return tuple(dict.fromkeys(named))[:LARGEST_CLASS]
 
 
 def intervals(fit: Refit) -> dict[str, Interval]:

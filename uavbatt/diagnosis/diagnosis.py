@@ -19,6 +19,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.diagnosis import residual
+from uavbatt.diagnosis.blocks import Block, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
@@ -48,6 +49,7 @@ class Diagnosis:
     floor_V: float
     left: Shape
     findings: tuple[Finding, ...] = ()
+    blocks: tuple[Block, ...] = ()  # where in the records the evidence lies
     hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
 
@@ -120,6 +122,7 @@ def diagnose(
         floor_V=floor_V(file, problem),
         left=residual.shape(after),
         findings=tuple(findings),
+        blocks=evidence_by_block(problem, nothing, best) if best is not nothing else (),
         hidden=hidden(singles) if not findings else (),
     )
 
@@ -148,9 +151,7 @@ def left_per_number(problem: Problem, best: Refit) -> Left:
     return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def _doubts(
-    problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str]
-) -> tuple[str, ...]:
+def _doubts(problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str]) -> tuple[str, ...]:
     """Why the model after all is not believed to be complete; empty when it is."""
     doubts = []
     if left.voltage > LEFT:

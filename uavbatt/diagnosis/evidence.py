@@ -130,9 +130,7 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
     start_soc, start_sd, in_part = _starts(stack, ocv_soc)
     return Evidence(
         stack=stack,
-        volts=tuple(
-            _voltage_whitener(stack, j, start_soc[j], known, noise_V(r, ohm)) for j, r in enumerate(records)
-        ),
+        volts=tuple(_voltage_whitener(stack, j, start_soc[j], known, noise_V(r, ohm)) for j, r in enumerate(records)),
         temps=tuple(_temperature_whitener(stack, j, known) for j in numbers),
         shifted_A=_shifted(records, stack),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),

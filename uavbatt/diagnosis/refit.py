@@ -1,7 +1,8 @@
 """Nonlinear refit of many candidates at once: Levenberg-Marquardt, all simulations of an iteration in one pass.
 
-Per candidate the unknowns are its quantities u, shared by all records, and per record three nuisances v in units of their prior sd: starting charge, starting temperature,
-ambient. A nuisance touches its own record only, so one nudge serves all records, and the normal equations
+Per candidate the unknowns are its quantities u, shared by all records, and per record three nuisances v in units of
+their prior sd: starting charge, starting temperature, ambient. A nuisance touches its own record only, so one nudge
+serves all records, and the normal equations
 
     [sum_r A_uu   A_uv ] [du]   [g_u]
     [A_vu         A_vv ] [dv] = [g_v]
@@ -24,7 +25,7 @@ from uavbatt.diagnosis.simulation import Own, Shown, simulate
 NUDGE = 2e-3
 NUISANCES = 3
 START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
-FREE_START_SD = 0.05  # of a record around the shift that all share
+FREE_START_SD = 0.02  # of a record around the shift that all share
 ITERATIONS = 12
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
 HELD = 1e4

@@ -11,17 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL, related, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
-EARNED = 6.0  # see scripts/diagnose_cases_chance.py: the most that chance gave on effect-free flights is half of it
+EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EARNED_BESIDE = 12.0  # each of two: a large effect that is not quite the one named leaves half as much
 UNSTEADY = 0.35  # spread between records, relative to the value
-RESIZED = 0.5  # how likely another size of what the file has is, against something that it lacks
+RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
 SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
-SECOND_SHARE = 0.04  # of what the first explains: a size that is not quite linear leaves as much
+TRIED = 6  # pairs that are weighed against each other
 FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 
@@ -99,7 +101,7 @@ def finding(problem: Problem, tried: Trial) -> Finding:
     likely = weights(problem, fits)
     if any(steady):  # what differs from record to record is no rival to what does not
         likely = np.where(steady, likely, 0.0)
-    likely = likely * np.where([f.candidate.name in f.candidate.resized for f in fits], RESIZED, 1.0)
+    likely = likely * _usual(fits)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
     members = [order[k] for k in seated([fits[i].candidate.name for i in order])]
     return Finding(
@@ -129,12 +131,19 @@ def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best:
                 starts.append(seed)
     fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
     alone = {f.candidate.name: f for f in singles.fits}
-    least = float(np.sum(left_out_chi2(best))) - max(EARNED, SECOND_SHARE * most)
+    least = float(np.sum(left_out_chi2(best))) - EARNED_BESIDE
+    earned = []
     for fit in fits:
         one, other = fit.candidate.names
         if at_bound(fit) or float(np.sum(left_out_chi2(fit))) > least:
             continue
         beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
-        if all(w.value > EARNED and _steady(w.constancy) for w in beside):
-            return fit
-    return None
+        if all(w.value > EARNED_BESIDE and _steady(w.constancy) for w in beside):
+            earned.append(fit)
+    if not earned:
+        return None
+    return earned[int(np.argmax(weights(problem, earned[:TRIED]) * _usual(earned[:TRIED])))]
+
+
+def _usual(fits: list[Refit]) -> Array:
+    return np.array([RESIZED ** len(f.candidate.resized) for f in fits])

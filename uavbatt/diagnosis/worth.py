@@ -22,15 +22,19 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
+DOUBTS = 3.0  # standard errors, those of the file considered: a smaller change has no spread worth telling
 WEAK = 0.05  # information that stands for the prior where the other records tell nothing of a quantity
 
 
 @dataclass(frozen=True, slots=True)
 class Constancy:
-    """Whether the records agree on an effect's first quantity (Cochran's Q, as a spread)."""
+    """Whether the records agree on an effect's first quantity (Cochran's Q, as a spread).
+
+    The spread is the sd between records, relative to the change or to what errors of the file make of nothing.
+    """
 
     values: Array  # each record's own
-    spread: float  # between-record sd, relative to the change
+    spread: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,9 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
     """What an effect of the refit is worth over `before`, which lacks it; the one added last if not named."""
     name = name or fit.candidate.name
     gains = left_out_chi2(before) - left_out_chi2(fit)
+    if name == "initial_charge":  # what the records' own starts save says nothing of a start that they share
+        k = fit.quantities[fit.candidate.places(name)][0]
+        gains = np.minimum(gains, fit.u[:, k] ** 2 * fit.information[:, k, k])
     return Worth(gains, known_share(fit, name), constancy(fit, name))
 
 
@@ -121,5 +128,6 @@ def constancy(fit: Refit, name: str) -> Constancy | None:
     q = float(np.sum(weight * (own_u - mean) ** 2))
     between = max(q - (len(own_u) - 1), 0.0) / max(np.sum(weight) - np.sum(weight**2) / np.sum(weight), 1e-12)
     apart, common = freed.value(np.array([mean + np.sqrt(between), mean]))
-    change = common if freed.log else common - freed.start
-    return Constancy(freed.value(own_u), float(abs(apart - common) / max(abs(change), 1e-12)))
+    change = abs(common if freed.log else common - freed.start)
+    doubt = fit.errors()[fit.candidate.places(name)][0]
+    return Constancy(freed.value(own_u), float(abs(apart - common) / max(change, DOUBTS * doubt)))

@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from uavbatt.battery.battery_file import Wander
@@ -40,7 +41,7 @@ class Misfit(NamedTuple):
     time_s: Array
     soc: Array
     slope: Array
-    known: Array
+    known: NDArray[np.bool_]
 
 
 def likelihood(misfit: Misfit, log_sd: Array, log_time: Array, log_noise: Array) -> Array:
