@@ -151,7 +151,7 @@ def test_the_extended_file_holds_the_effect_and_predicts_better_what_was_left_ou
     entry = next(e for e in new.effects if e.name in diagnosis.classes[0].members)
     assert entry.parameters
     assert new.certificate.status == "fitted"
-    left = close.left_out(diagnosis.problem, diagnosis.after)
+    left = close.left_out_values(diagnosis.problem, diagnosis.after)
     empty = [np.zeros(0)] * len(records)
     before_V, _ = close.open_loop(diagnosis.problem, diagnosis.before, empty)
     after_V, _ = close.open_loop(diagnosis.problem, diagnosis.after, left)

@@ -134,15 +134,25 @@ def floor_V(file: BatteryFile, problem: Problem) -> float:
 
 
 class Left(NamedTuple):
-    """Chi-square per number that the best model leaves, the file's errors at their most probable."""
+    """Chi-square per number that a model leaves."""
 
     voltage: float
     temperature: float  # NaN: not measured
 
 
 def left_per_number(problem: Problem, best: Refit) -> Left:
-    """What is left of voltage and temperature beyond the file's stated errors."""
+    """What is left of voltage and temperature once the file's stated errors are at their most probable.
+
+    What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
+    """
     fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
+    left = per_number(problem, fit)
+    numbers = sum(v.rows.size for v in problem.evidence.volts)
+    return left._replace(voltage=left.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
+
+
+def per_number(problem: Problem, fit: Refit) -> Left:
+    """Chi-square per number of voltage and of temperature."""
     squares, numbers = np.zeros(2), np.zeros(2)
     for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
         first, size = volts.rows.size, temps.rows.size if temps is not None else 0

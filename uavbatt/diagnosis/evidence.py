@@ -199,7 +199,9 @@ def _voltage_whitener(stack: Stack, j: int, start_soc: float, known: Wander, noi
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
     drawn = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
-    wandering_V = np.exp(np.interp(start_soc - drawn, known.soc, np.log(np.maximum(known.voltage_sd_V, 1e-6))))
+    # Learned on packs that took off full, what stands at a full charge may be of the charge or of the take-off.
+    log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
+    wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
     sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), known.rest_sd_V)
     kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.voltage_time_s)
     kernel = np.where(loaded[:, None] & loaded, kept, 1.0) * sd[:, None] * sd

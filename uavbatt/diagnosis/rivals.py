@@ -18,16 +18,17 @@ from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import slopes_on_file
 
 LARGEST_CLASS = 3
+SAME = 1.0  # chi-square between two models that no record could tell apart
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
 RIVAL = 0.135  # the least weight, of that of the best: two such sigmas
 # Effects of one family are hardly told apart: two of them together only cancel each other, and a class seats one of
-# each family before it seats a second.
+# each family before it seats a second that is not quite the same.
 FAMILIES = (
     {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
     {"current_offset", "unmetered_load"},
     {"voltage_gain", "voltage_offset"},
     {"polarisation", "slow_diffusion", "hysteresis"},
-    {"resistance_growth", "harness_resistance"},
+    {"resistance_growth", "charge_transfer", "harness_resistance"},
     {"temperature_offset", "temperature_lag"},
 )
 
@@ -63,8 +64,18 @@ def _at_rest(evidence: Evidence, width: int) -> Array:
     return out
 
 
-def seated(names: Sequence[str]) -> list[int]:
-    """Places of the names that a class has room for, likeliest first: one of each family, then twins."""
-    first = [i for i, name in enumerate(names) if not related((name,), names[:i])]
-    others = [i for i in range(len(names)) if i not in first]
-    return (first + others)[:LARGEST_CLASS]
+def same(one: Refit, other: Refit) -> bool:
+    """Whether two refits leave the same: one effect by two names, as a gain below one and a faded pack are."""
+    return float(np.sum((one.residual - other.residual) ** 2)) < SAME
+
+
+def seated(fits: Sequence[Refit]) -> list[int]:
+    """Places of the refits that a class has room for, likeliest first.
+
+    What is the same as the best comes first, then one of each family, then the rest.
+    """
+    names = [f.candidate.name for f in fits]
+    twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
+    first = [i for i, name in enumerate(names) if i not in twins and not related((name,), names[:i])]
+    others = [i for i in range(len(fits)) if i not in twins and i not in first]
+    return (twins + first + others)[:LARGEST_CLASS]

@@ -33,7 +33,7 @@ class Finding:
 
     members: tuple[Refit, ...]
     worth: Worth
-    outside: tuple[str, ...]  # who else earned a place, in order
+    outside: tuple[str, ...]  # the other rivals, in order
     probability: float  # that the cause is among the members, were it one of the candidates
 
     @property
@@ -56,10 +56,15 @@ class Trial:
     worths: tuple[Worth, ...]
 
     @property
-    def earned(self) -> list[int]:
-        """Places of those that earned theirs, likeliest first."""
+    def earned(self) -> bool:
+        """Whether one of them earned its place."""
+        return any(w.value > EARNED and not at_bound(f) for f, w in zip(self.fits, self.worths, strict=True))
+
+    @property
+    def rivals(self) -> list[int]:
+        """Places of those that could be the cause if there is one, by chi-square: they need half the worth only."""
         places = range(len(self.fits))
-        return [i for i in places if self.worths[i].value > EARNED and not at_bound(self.fits[i])]
+        return [i for i in places if self.worths[i].value > 0.5 * EARNED and not at_bound(self.fits[i])]
 
 
 def search(
@@ -95,18 +100,18 @@ def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int)
 
 
 def finding(problem: Problem, tried: Trial) -> Finding:
-    """The class of those that earned their place and cannot be told from the best."""
-    fits = [tried.fits[i] for i in tried.earned]
-    steady = [_steady(tried.worths[i].constancy) for i in tried.earned]
+    """The class of the rivals that cannot be told from the best."""
+    fits = [tried.fits[i] for i in tried.rivals]
+    steady = [_steady(tried.worths[i].constancy) for i in tried.rivals]
     likely = weights(problem, fits)
     if any(steady):  # what differs from record to record is no rival to what does not
         likely = np.where(steady, likely, 0.0)
     likely = likely * _usual(fits)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
-    members = [order[k] for k in seated([fits[i].candidate.name for i in order])]
+    members = [order[k] for k in seated([fits[i] for i in order])]
     return Finding(
         members=tuple(fits[i] for i in members),
-        worth=tried.worths[tried.earned[members[0]]],
+        worth=tried.worths[tried.rivals[members[0]]],
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
         probability=float(np.sum(likely[members]) / np.sum(likely)),
     )

@@ -22,7 +22,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
-DOUBTS = 3.0  # standard errors, those of the file considered: a smaller change has no spread worth telling
+DOUBTS = 6.0  # standard errors, those of the file considered: a spread of two of them is no inconstancy
 WEAK = 0.05  # information that stands for the prior where the other records tell nothing of a quantity
 
 
@@ -42,13 +42,14 @@ class Worth:
     """Evidence for the effect that a refit added last, over the model without it."""
 
     gains: Array  # chi-square saved on each record by the values that the others give
+    most: float  # what the refit saves where nothing is left out: what only steadies the rest is not the effect's
     known: float  # share of the estimate's variance that is not the file's own errors
     constancy: Constancy | None  # None where each record has its own value anyway
 
     @property
     def value(self) -> float:
         """Chi-square saved on records left out that errors of the file could not feign."""
-        return float(np.sum(self.gains)) * self.known
+        return min(float(np.sum(self.gains)), self.most) * self.known
 
 
 def at_bound(fit: Refit) -> bool:
@@ -67,7 +68,7 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
     if name == "initial_charge":  # what the records' own starts save says nothing of a start that they share
         k = fit.quantities[fit.candidate.places(name)][0]
         gains = np.minimum(gains, fit.u[:, k] ** 2 * fit.information[:, k, k])
-    return Worth(gains, known_share(fit, name), constancy(fit, name))
+    return Worth(gains, before.total - fit.total, known_share(fit, name), constancy(fit, name))
 
 
 def known_share(fit: Refit, name: str) -> float:
