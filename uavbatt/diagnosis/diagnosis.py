@@ -10,7 +10,7 @@ the file at its most probable value; then, or when a value differs from record t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
-from uavbatt.diagnosis.search import Finding, search
+from uavbatt.diagnosis.search import Finding, Trial, search
 from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
@@ -87,24 +87,17 @@ def diagnose(
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack)
-    options = candidates(
-        file,
-        problem.base,
-        has_temperature=problem.evidence.has_temperature,
-        idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
-        without=without,
-    )
-    nothing = refit(problem, [NOTHING])[0]
-    in_part = problem.evidence.charged_in_part.any()
-    if in_part:  # the start is a finding already
-        options = [o for o in options if o.name != "initial_charge"]
-    best, findings, singles = search(problem, options, nothing, tell)
+    searched = _searched(problem, file, without, tell)
+    if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
+        full = replace(problem, evidence=problem.evidence.believed_full)
+        searched = min(searched, _searched(full, file, without, tell), key=lambda s: s.best.total)
+    problem, nothing, best, findings, singles = searched
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
     reasons = _doubts(problem, findings, best, left, {e.name for e in file.effects})
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
-    if in_part and "initial_charge" not in without:
+    if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
     if not steady:  # a value that differs from record to record makes a suspect, and cannot stand in a battery file
         best = nothing
@@ -125,6 +118,27 @@ def diagnose(
         blocks=evidence_by_block(problem, nothing, best) if best is not nothing else (),
         hidden=hidden(singles) if not findings else (),
     )
+
+
+class _Searched(NamedTuple):
+    problem: Problem
+    nothing: Refit
+    best: Refit
+    findings: list[Finding]
+    singles: Trial
+
+
+def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
+    """The search on records whose starts are settled; one that is known to be in part is no candidate any more."""
+    options = candidates(
+        file,
+        problem.base,
+        has_temperature=problem.evidence.has_temperature,
+        idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
+        without=(*without, "initial_charge") if problem.evidence.charged_in_part.any() else without,
+    )
+    nothing = refit(problem, [NOTHING])[0]
+    return _Searched(problem, nothing, *search(problem, options, nothing, tell))
 
 
 def floor_V(file: BatteryFile, problem: Problem) -> float:

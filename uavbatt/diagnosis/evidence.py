@@ -13,7 +13,7 @@ The rest before take-off is a block of its own, off by one constant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -33,6 +33,7 @@ SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LEAST_RECORDS = 2
 LEAST_CHANGE = 0.04  # of the current, relative, over the records
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
+FULL_SD = 0.008
 IDLE_NOISE_A = 0.15
 FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
@@ -68,6 +69,17 @@ class Evidence:
     def names(self) -> tuple[str, ...]:
         """Names of the records."""
         return self.stack.names
+
+    @property
+    def believed_full(self) -> Evidence:
+        """The same records, the rested ones believed to have started full whatever their voltage says."""
+        full = self.charged_in_part
+        return replace(
+            self,
+            start_soc=np.where(full, 1.0, self.start_soc),
+            start_sd=np.where(full, FULL_SD, self.start_sd),
+            charged_in_part=np.zeros_like(full),
+        )
 
     @property
     def has_temperature(self) -> bool:
@@ -178,7 +190,7 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
     guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), 0.05, 1.0)
     full = stack.rested & (guess > CLEARLY_NOT_FULL)
     centre = np.where(full, 1.0, guess)
-    return centre, np.where(full, 0.008, np.where(stack.rested, 0.03, 0.06)), stack.rested & ~full
+    return centre, np.where(full, FULL_SD, np.where(stack.rested, 0.03, 0.06)), stack.rested & ~full
 
 
 def noise_V(record: Observed, ohm: float) -> float:

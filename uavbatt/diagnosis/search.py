@@ -19,7 +19,8 @@ from uavbatt.diagnosis.rivals import RIVAL, related, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
-EARNED_BESIDE = 12.0  # each of two: a large effect that is not quite the one named leaves half as much
+EARNED_BESIDE = 24.0  # each of two, and beside a start in part: what is not quite the one named leaves most of that
+RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
 SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
@@ -56,15 +57,15 @@ class Trial:
     worths: tuple[Worth, ...]
 
     @property
-    def earned(self) -> bool:
-        """Whether one of them earned its place."""
-        return any(w.value > EARNED and not at_bound(f) for f, w in zip(self.fits, self.worths, strict=True))
+    def most(self) -> float:
+        """What the worthiest of them is worth."""
+        return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
 
     @property
     def rivals(self) -> list[int]:
-        """Places of those that could be the cause if there is one, by chi-square: they need half the worth only."""
-        places = range(len(self.fits))
-        return [i for i in places if self.worths[i].value > 0.5 * EARNED and not at_bound(self.fits[i])]
+        """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
+        places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
+        return [i for i in places if self.worths[i].value > least and not at_bound(self.fits[i])]
 
 
 def search(
@@ -73,7 +74,8 @@ def search(
     """The best model with what was found, most evidence first, and the trial of the single effects."""
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
-    if not singles.earned:
+    alone = not problem.evidence.charged_in_part.any()  # else the start is an effect already
+    if singles.most < (EARNED if alone else EARNED_BESIDE):
         return nothing, [], singles
     first = finding(problem, singles)
     best = first.members[0]
