@@ -36,6 +36,11 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
         notes += ("No temperature was measured: effects that show in it only are not among the candidates.",)
     if old.status == "edited":
         notes += (f"The {old.caveat}.",)
+    if found.hidden:
+        bounds = "; ".join(
+            f"{h.name} {h.lo:.3g} to {h.hi:.3g} {h.unit if h.unit != '1' else ''}".rstrip() for h in found.hidden
+        )
+        notes += (f"No more than this could hide in these records (95 %): {bounds}.",)
     return DiagnosisPage(
         battery=old.battery.name,
         verdict=found.verdict,
@@ -47,6 +52,7 @@ def inputs(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile)
         tracks=tracks,
         changes=difference(old, new),
         notes=notes,
+        blocks=tuple((b.name, b.saved) for b in found.blocks),
     )
 
 

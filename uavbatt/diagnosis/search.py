@@ -74,8 +74,8 @@ def search(
     """The best model with what was found, most evidence first, and the trial of the single effects."""
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
-    alone = not problem.evidence.charged_in_part.any()  # else the start is an effect already
-    if singles.most < (EARNED if alone else EARNED_BESIDE):
+    beside = problem.evidence.charged_in_part.any()  # the start is an effect already
+    if singles.most < (EARNED_BESIDE if beside else EARNED):
         return nothing, [], singles
     first = finding(problem, singles)
     best = first.members[0]

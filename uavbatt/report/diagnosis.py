@@ -74,6 +74,7 @@ class DiagnosisPage:
     tracks: tuple[Track, ...]
     changes: tuple[str, ...]  # lines of the battery file that differ, with + and -
     notes: tuple[str, ...] = ()
+    blocks: tuple[tuple[str, float], ...] = ()  # part of the flights, chi-square that what was found saves there
 
 
 def write(path: Path, inputs: DiagnosisPage) -> None:
@@ -90,6 +91,7 @@ def diagnosis_report(d: DiagnosisPage) -> str:
         "uavbatt diagnose",
         element("div", paragraph(strong(answer)), *map(_suspect, d.suspects), css=f"answer {mood}"),
         *([section("Doubts", bullets(d.doubts))] if d.doubts else []),
+        *([section("Where the evidence lies", evidence_figure(d.blocks))] if d.blocks else []),
         section("Error before and after", _errors(d)),
         section("Residuals, measured minus modelled", *_residuals(d)),
         section("Change of the battery file", *_changes(d)),
@@ -115,6 +117,21 @@ def _suspect(s: Suspect) -> Html:
         bullets(f"{c[0].upper()}{c[1:]} ({n})." for n, _, c in s.members),
         table(("if it is so", "quantity", "value", "95 % interval", "unit"), rows, text_columns=(0, 1, 4)),
     )
+
+
+def evidence_figure(blocks: tuple[tuple[str, float], ...]) -> Html:
+    """Bars of chi-square saved in each part of the flights; below zero the data of that part speak against it."""
+    names, saved = [name for name, _ in blocks], np.array([value for _, value in blocks])
+
+    def draw(axes: Axes) -> None:
+        colours = [plot.BLUE if value >= 0.0 else plot.RED for value in saved]
+        axes.barh(range(len(names)), saved, color=colours, height=0.6)
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.axvline(0.0, color=plot.INK, linewidth=0.7)
+
+    told = ", ".join(f"{name} {value:.0f}" for name, value in blocks)
+    return figure(plot.panel(draw, f"Evidence by part of the flights: {told}", x="chi-square saved", y=""), "Evidence")
 
 
 def _decimals(value: float) -> int:
