@@ -55,10 +55,10 @@ class Closed:
 
 
 def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
-    """Effect -> quantity -> value for values [freed] of a refit."""
+    """Effect -> quantity -> value for values [freed] of a refit; none for a start, which each flight has of its own."""
     known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
     return {
-        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known}
+        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known and name != "initial_charge"}
         for name in fit.candidate.names
     }
 
