@@ -129,13 +129,15 @@ class _Searched(NamedTuple):
 
 
 def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
-    """The search on records whose starts are settled; one that is known to be in part is no candidate any more."""
+    """The search on records whose starts are settled; what cannot be, or is known already, is no candidate."""
+    known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
+    alone = ("weak_cell",) if problem.pack.installation.cells == 1 else ()
     options = candidates(
         file,
         problem.base,
         has_temperature=problem.evidence.has_temperature,
         idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
-        without=(*without, "initial_charge") if problem.evidence.charged_in_part.any() else without,
+        without=(*without, *known, *alone),
     )
     nothing = refit(problem, [NOTHING])[0]
     return _Searched(problem, nothing, *search(problem, options, nothing, tell))
