@@ -18,8 +18,9 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.candidates import NOTHING, candidates
-from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, pack_for, per_number, problem_of
+from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, problem_of
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.search import EARNED, FIRST_TURNS, trial
@@ -27,7 +28,7 @@ from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.telemetry import read_log
 
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
-CELLS, CAPACITY_AH = 4, 5.016
+CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 Right = Callable[[Observed], Observed]
 
 
@@ -73,12 +74,13 @@ CASES: tuple[tuple[str, Right], ...] = (
 def main() -> int:
     """Print the table."""
     battery = battery_file.read(Path(sys.argv[1]))
+    pack = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
     print("| flights | chi-square per number, V | temperature | most that any candidate is worth | left |")
     print("|---|---|---|---|---|")
     for name, put_right in CASES:
         logs = [read_log(p) for p in sorted((TRUTH / name).glob("*.tlog"))]
         records = [put_right(from_flight(f, CELLS, CAPACITY_AH)) for f in logs]
-        problem = problem_of(records, battery, pack_for(battery, CELLS, CAPACITY_AH))
+        problem = problem_of(records, battery, pack)
         idle = idle_A(problem.evidence) + IDLE_NOISE_A
         options = candidates(battery, problem.base, has_temperature=True, idle_A=idle, without=())
         nothing = refit(problem, [NOTHING])[0]

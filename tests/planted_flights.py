@@ -9,7 +9,7 @@ import numpy as np
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import cell_parameters
-from uavbatt.diagnosis.diagnosis import pack_for
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.fitting.observed import Observed
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
@@ -21,7 +21,7 @@ FILE = msgspec.structs.replace(
         GENERIC.parameters, resistance_scale_sd=0.06, capacity_scale_sd=0.02, standard_error={}
     ),
 )
-PACK = pack_for(FILE, CELLS, CAPACITY_AH)._replace(cutoff_V=CUTOFF_V)
+PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 MISSIONS = ((25.0, 150.0, 1), (8.0, 170.0, 2), (35.0, 185.0, 3), (17.0, 140.0, 4))
 SOC = np.linspace(-0.05, 1.05, 221)
 

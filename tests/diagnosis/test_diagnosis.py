@@ -13,6 +13,7 @@ from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
+from uavbatt.replay import engine_for
 
 
 def flights(**effect: float) -> list[Observed]:
@@ -20,7 +21,7 @@ def flights(**effect: float) -> list[Observed]:
 
 
 def found(records: list[Observed], *without: str) -> Diagnosis:
-    return diagnose(records, FILE, PACK, without)
+    return diagnose(records, FILE, PACK, without, engine=engine_for(is_long=True))
 
 
 @pytest.fixture(scope="module")

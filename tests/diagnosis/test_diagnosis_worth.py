@@ -10,8 +10,9 @@ import pytest
 from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 
 from uavbatt.battery.battery_file import Wander
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.diagnosis.rivals import FAMILIES
 from uavbatt.fitting.observed import Observed
 
@@ -21,7 +22,7 @@ CLOSE = Wander(
     temperature_sd_K=0.2, temperature_time_s=600.0, temperature_noise_K=0.05,
 )  # fmt: skip
 KNOWN = msgspec.structs.replace(FILE, discrepancy=msgspec.structs.replace(FILE.discrepancy, wander=CLOSE))
-PACK = pack_for(KNOWN, CELLS, CAPACITY_AH)._replace(cutoff_V=CUTOFF_V)
+PACK = pack_from(KNOWN, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 
 
 @cache

@@ -15,9 +15,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.blocks import Block, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, base_values, candidates, nuisances
@@ -27,6 +28,7 @@ from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
 from uavbatt.diagnosis.search import Finding, Trial, search
+from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
@@ -53,19 +55,14 @@ class Diagnosis:
     hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
 
-def problem_of(records: list[Observed], file: BatteryFile, pack: Pack) -> Problem:
-    """Records and battery file, ready for refits. Raises NotEnoughData with the reason."""
+def problem_of(
+    records: list[Observed], file: BatteryFile, pack: Pack, states: openloop.States = openloop.states
+) -> Problem:
+    """Make records and battery file ready for refits; `states` simulates. Raises NotEnoughData with the reason."""
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
-    return Problem(pack, evidence, base, nuisances(file), table_errors(file))
-
-
-def pack_for(file: BatteryFile, cells: int, capacity_Ah: float) -> Pack:
-    """The file scaled to the records' pack; its cut-off scales with the cells."""
-    share = cells / file.battery.cells_series
-    cutoff_V = file.battery.cutoff_V * share
-    return pack_of(file, cells, capacity_Ah, cutoff_V, (file.battery.low_V or file.battery.cutoff_V) * share)
+    return Problem(pack, evidence, base, nuisances(file), table_errors(file), states)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -82,11 +79,16 @@ def diagnose(
     pack: Pack,
     without: tuple[str, ...] = (),
     progress: Callable[[str], None] | None = None,
+    engine: Engine = PLAIN,
 ) -> Diagnosis:
-    """Diagnose records of one pack. Raises NotEnoughData."""
+    """Diagnose records of one pack.
+
+    without : effects that are no candidates; progress : told each step; engine : simulates many columns
+    (`compiled.engine()` is some three times faster). Raises NotEnoughData with the reason.
+    """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
-    problem = problem_of(records, file, pack)
+    problem = problem_of(records, file, pack, engine.states)
     searched = _searched(problem, file, without, tell)
     if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
         full = replace(problem, evidence=problem.evidence.believed_full)
