@@ -27,6 +27,7 @@ from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import Summary
 from uavbatt.limits import HIGHEST_C_RATE, Doubt, Seen
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import answer
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
 from uavbatt.prediction.last_wall import Fall
@@ -137,9 +138,12 @@ class Estimator:
         if past is not None:
             self._forecaster.recall(past.forecaster)
 
-    def step(self, sample: Sample) -> tuple[Estimate, Remaining]:
-        """One sample in, what is known after it out. Raises UsageError when the pack's size is nowhere stated."""
-        asked = self.ask(sample)
+    def step(self, sample: Sample, navigation: Navigation = NOWHERE) -> tuple[Estimate, Remaining]:
+        """One sample in, what is known after it out; `navigation` says what is known of route and place at that time.
+
+        Raises UsageError when the pack's size is nowhere stated.
+        """
+        asked = self.ask(sample, navigation)
         return say(asked, answer(asked.question) if asked.question is not None else None)
 
     def look_ahead(self, samples: Sequence[Sample]) -> None:
@@ -151,7 +155,7 @@ class Estimator:
         if self._filter is not None:
             self._filter.look_ahead([cleaned for _, cleaned in self._coming])
 
-    def ask(self, sample: Sample) -> Asked:
+    def ask(self, sample: Sample, navigation: Navigation = NOWHERE) -> Asked:
         """One sample in; what there is to work out before more can be said. Depends on no answer: see `Forecaster`."""
         was_guessed, raw = self._intake.guessed, sample
         if self._coming:
@@ -186,7 +190,7 @@ class Estimator:
             estimate = replace(estimate, current_A=NAN, power_W=NAN)
             if estimate.status is Status.OK:
                 estimate = replace(estimate, status=Status.CONVERGING, reason="no current sensor: the load is assumed")
-        refusal, question = self._forecaster.ask(sample, estimate, belief)
+        refusal, question = self._forecaster.ask(sample, estimate, belief, navigation)
         return Asked(sample, estimate, self._forecaster, refusal, question, self._wall_s(sample, belief))
 
     def _wall_s(self, sample: Sample, belief: Belief | None) -> float:

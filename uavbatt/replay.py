@@ -40,7 +40,7 @@ def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
         waiting: list[Asked] = []
         questions = 0
         for sample in samples:
-            asked = estimator.ask(sample)
+            asked = estimator.ask(sample, flight.navigation_at(sample.time_s))
             waiting.append(asked)
             questions += asked.question is not None
             if questions == SIDE_BY_SIDE:

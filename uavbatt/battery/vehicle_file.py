@@ -13,6 +13,7 @@ from typing import Annotated
 import msgspec
 import tomli_w
 
+from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import atomic_write
 
@@ -49,12 +50,16 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     phases: Phases
     traces: Annotated[list[Trace], msgspec.Meta(max_length=MOST_TRACES)]
     source: str = ""
+    powers: Powers | None = None  # over airspeed and climb; None where no flight told them
 
 
 def write(file: VehicleFile, path: Path) -> Path:
     """Write the file, whole or not at all; returns the path."""
+    content = msgspec.to_builtins(file)
+    if file.powers is None:
+        del content["powers"]  # TOML has no null
     with atomic_write(path, "wb") as stream:
-        tomli_w.dump(msgspec.to_builtins(file), stream)
+        tomli_w.dump(content, stream)
     return path
 
 

@@ -19,7 +19,7 @@ from uavbatt.records import Flight
 BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
-TURNS, NOISE, NOISE_MEMORY_S = 6, 0.1, 10.0
+TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 
 
@@ -70,9 +70,10 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
     """The shape of all flights and the hover of each in turns; the misfit and the powers."""
     columns = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
-    weights = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) / NOISE**2 for rows in told]
-    hovers_W = np.ones(len(told))
+    shares_of_one = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
+    hovers_W, noise = np.ones(len(told)), NOISE
     for _ in range(TURNS):
+        weights = [share / noise**2 for share in shares_of_one]
         hovers_W = np.array(
             [w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2) for r, c, w in zip(told, columns, weights)]
         )
@@ -80,8 +81,10 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
         seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W)])
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
         shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
+        noise = max(float(np.sqrt(np.average((seen - design @ shares) ** 2, weights=weight))), LEAST_NOISE)
     left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W)]
-    misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2))
+    entropy = 2.0 * float(np.sum(np.concatenate(shares_of_one))) * math.log(noise)
+    misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
     return misfit, Powers(
         hover_W=_rounded(np.mean(hovers_W), 1),
         induced_ms=induced_ms,

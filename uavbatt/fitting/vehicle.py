@@ -12,6 +12,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.fitting.powers import powers
 from uavbatt.records import Flight
 
 GRID_S = 10.0
@@ -35,6 +36,7 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
         ),
         traces=traces,
         source=f"{len(traces)} flights",
+        powers=powers(flights),
     )
 
 
