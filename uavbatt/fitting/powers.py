@@ -13,6 +13,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import PRIOR_SD, TERMS, UNKNOWN, Powers, terms
+from uavbatt.navigation import Position
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.records import Flight
 
@@ -20,6 +21,7 @@ BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
 TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
+STEADY_MS2 = 0.3
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 
 
@@ -46,13 +48,14 @@ def powers(flights: list[Flight]) -> Powers | None:
 def flown_rows(flight: Flight) -> Rows | None:
     """Return one flight in blocks; None when too little of it is known."""
     progress, rows = Progress(), []
-    before_s = math.nan
+    before_s, before = math.nan, None
     for sample in flight.samples:
         navigation = flight.navigation_at(sample.time_s)
+        steady, before = _is_steady(before, navigation.position), navigation.position
         progress = progress.after(sample.time_s, navigation)
         flown, power_W = progress.flown(sample.time_s, navigation), sample.voltage_V * sample.current_A
         length_s, before_s = sample.time_s - before_s, sample.time_s
-        if flown is not None and math.isfinite(power_W) and 0.0 < length_s <= LONGEST_ROW_S:
+        if flown is not None and steady and math.isfinite(power_W) and 0.0 < length_s <= LONGEST_ROW_S:
             rows.append((sample.time_s, power_W, *map(float, flown), length_s))
     table = np.array(rows)
     if not len(table):
@@ -64,6 +67,14 @@ def flown_rows(flight: Flight) -> Rows | None:
     length_s = np.bincount(block, table[:, -1])
     means = [np.bincount(block, table[:, k] * table[:, -1]) / length_s for k in range(1, 6)]
     return Rows(*means, length_s)
+
+
+def _is_steady(before: Position | None, now: Position | None) -> bool:
+    """Whether the aircraft keeps its velocity: in a corner the power belongs to the turn and not to the airspeed."""
+    if before is None or now is None or not now.time_s > before.time_s:
+        return now is None or now is before
+    change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
+    return change_ms <= STEADY_MS2 * (now.time_s - before.time_s)
 
 
 def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -15,6 +15,7 @@ from uavbatt.prediction.route_ahead import Ahead, Piece
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of
 LOWEST_POWER_W = 1.0
+GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,13 @@ def piece_terms(pieces: tuple[Piece, ...], induced_ms: float) -> Array:
     """Return the terms of the powers for each piece."""
     columns = np.array([piece[1:5] for piece in pieces], float).reshape(-1, 4)
     return terms(*columns.T, induced_ms)
+
+
+def roughness(load: RouteLoad, wind_ms: float) -> Array:
+    """Return the relative sd of the power within each piece: the rows' own, and gusts where the airspeed weighs."""
+    pieces, watts = load.ahead.pieces, load.piece_W
+    faster = replace(load, ahead=Ahead(load.ahead.begin, tuple(p._replace(airspeed_ms=p.airspeed_ms + 1.0) for p in pieces)))
+    return np.hypot(load.powers.row_sd, (faster.piece_W / watts - 1.0) * GUSTS * wind_ms)
 
 
 def farness(pieces: tuple[Piece, ...]) -> Array:

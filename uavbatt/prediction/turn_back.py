@@ -18,13 +18,13 @@ from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
 from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, walked
 from uavbatt.prediction.route_ahead import Ahead, Piece, Way
-from uavbatt.prediction.route_load import RouteLoad, factors, farness
+from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
 from uavbatt.prediction.route_path import way_home
 
-LOOKS, CROWDED = 20, 1.5  # instants, closer together the sooner they come
+LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
 CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
 FASTEST_CLIMB_MS = 0.3
-ROUGH = 1.5  # times the row noise: the highest of the powers in a row on a way home, judged by their means
+ROUGH = 2.0  # sds: the highest of some twenty powers in a row, each judged by its mean over seconds
 
 
 class TurnBack(NamedTuple):
@@ -41,6 +41,7 @@ class Homewards(NamedTuple):
     length_s: Array  # [steps, looks]
     power_W: Array
     far: Array
+    rough: Array  # relative sd of the power within the step
 
 
 def turned(
@@ -67,7 +68,7 @@ def turned(
     least_V, normals = np.full(at_turn.bias_V.shape, np.inf), sampling.wander().bias[::-1]
     for k, length_s in enumerate(home.length_s):
         power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
-        above_V = above_cutoff_V(at_turn, power_W * (1.0 + ROUGH * load.powers.row_sd))
+        above_V = above_cutoff_V(at_turn, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
         least_V = np.where(length_s[:, None] > 0.0, np.minimum(least_V, above_V), least_V)
         at_turn = walked(at_turn, power_W, length_s[:, None] * stretch, normals[k])
     return TurnBack(look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0))
@@ -99,15 +100,16 @@ def _at(values: Array, edges_s: Array, time_s: float) -> Array:
 def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
     """The way home from where each instant finds the aircraft."""
     ways = [_steps(home_pieces(flown, way, settings, float(time_s))) for time_s in look_s]
-    most = max(map(len, ways))
-    lengths_s, powers_W, far = np.zeros((3, most, look_s.size))
-    for column, pieces in enumerate(ways):
-        rows = slice(len(pieces))
-        lengths_s[rows, column] = [piece.length_s for piece in pieces]
-        there = replace(load, ahead=Ahead(flown.begin, pieces))
-        powers_W[rows, column], far[rows, column] = there.piece_W, farness(pieces)
-        powers_W[len(pieces) :, column] = powers_W[len(pieces) - 1, column]
-    return Homewards(lengths_s, powers_W, far)
+    every = tuple(piece for pieces in ways for piece in pieces)
+    there = replace(load, ahead=Ahead(flown.begin, every))
+    told = np.stack(
+        [[piece.length_s for piece in every], there.piece_W, farness(every), roughness(there, math.hypot(*way.wind))]
+    )
+    table, ends = np.zeros((4, max(map(len, ways)), look_s.size)), np.cumsum([len(pieces) for pieces in ways])
+    for column, (end, pieces) in enumerate(zip(ends, ways, strict=True)):
+        table[:, : len(pieces), column] = told[:, end - len(pieces) : end]
+        table[1:, len(pieces) :, column] = told[1:, end - 1 : end]  # a step of no length draws nothing
+    return Homewards(*table)
 
 
 def home_pieces(flown: Ahead, way: Way, settings: ReturnSettings, time_s: float) -> tuple[Piece, ...]:
