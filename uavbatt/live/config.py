@@ -40,6 +40,7 @@ class LinkSection(Section, frozen=True):
     own_component: Component = 193
     request: bool = False
     request_rate_Hz: Rate = 10.0
+    request_mission: bool = False
     signing_key_file: str = ""
 
 

@@ -34,7 +34,7 @@ class Listener:
 
     def __init__(self, config: Config, key: bytes | None) -> None:
         self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
-        self.reader = LiveReader(config.link.system, config.link.component)
+        self.reader = LiveReader(config.link.system, config.link.component, config.link.own_component)
         self._is_good = checksum()
         self._verifier = Verifier(key) if key is not None else None
         self._frames: dict[object, framing.Frames] = {}
@@ -63,7 +63,7 @@ class Listener:
                 yield Frame(frame, header, sender)
 
     def notes(self) -> list[str]:
-        """What the operator should know of the link."""
+        """Notes for the operator about the link."""
         vehicle = self.reader.followed
         source = (vehicle.system, vehicle.component) if vehicle is not None else None
         found = self.reader.notes()

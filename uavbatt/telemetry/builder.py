@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from uavbatt.navigation import Navigation
 from uavbatt.records import NAN, Identity, Sample
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ MAX_CURRENT_A = 2000.0
 
 @dataclass(slots=True)
 class LogBuilder:
-    """What was read so far; mutable, and never leaves the reader of one file."""
+    """The builder collects what was read so far; mutable, it never leaves the reader of one file."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
     columns: dict[int, Rows] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
@@ -40,6 +41,7 @@ class LogBuilder:
     counts: Counter[str] = field(default_factory=Counter)
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
+    navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock
     _raw_s: float = NAN
@@ -47,7 +49,7 @@ class LogBuilder:
 
     @property
     def offset_s(self) -> float:
-        """What is added to the log's own clock at present [s]; NaN before the first reading."""
+        """Return the offset that is added to the log's own clock at present [s]; NaN before the first reading."""
         return self._offset_s
 
     def time_s(self, raw_s: float) -> float:

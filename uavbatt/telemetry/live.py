@@ -15,20 +15,23 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import PackFacts
 from uavbatt.telemetry.formats.tlog_frames import decoder
+from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 from uavbatt.telemetry.vehicle import BATTERY_IDS, Row, Vehicle, battery_fields
 
 __all__ = ["LiveReader", "Row", "Taken", "checksum"]
 
 SILENT_S = 10.0
 MOST_VEHICLES = 16
-WANTED = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
+_TOLD_BY = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
+WANTED = _TOLD_BY | OF_AUTOPILOT | OF_OTHERS
 AUTOPILOT_COMPONENT = 1
 
 
 class Taken(NamedTuple):
-    """What came of a frame: the rows that it completes, and whether it is the followed vehicle's (to be recorded)."""
+    """The result of a frame: the rows that it completes, and True if it is the followed vehicle's (to be recorded)."""
 
     rows: list[Row]
     is_ours: bool
@@ -38,7 +41,7 @@ NOTHING = Taken([], False)
 
 
 def checksum() -> Callable[[bytes], bool]:
-    """Whether a whole frame's checksum is good; a message that this dialect does not know counts as good."""
+    """Return True if a whole frame's checksum is good; a message that this dialect does not know counts as good."""
     from pymavlink.dialects.v20 import ardupilotmega
     from pymavlink.generator.mavcrc import x25crc
 
@@ -58,8 +61,10 @@ def checksum() -> Callable[[bytes], bool]:
 class LiveReader:
     """Frames in order of reception; follows one vehicle, and says whom it heard."""
 
-    def __init__(self, system: int | None = None, component: int | None = None) -> None:
-        self._asked = (system, component)
+    def __init__(
+        self, system: int | None = None, component: int | None = None, own_component: int | None = None
+    ) -> None:
+        self._asked, self._own_component = (system, component), own_component
         self._decode = decoder()
         self._vehicles: dict[tuple[int, int], Vehicle] = {}
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
@@ -81,7 +86,7 @@ class LiveReader:
 
     @property
     def is_found(self) -> bool:
-        """Whether there is a vehicle."""
+        """Return True if a vehicle has been found."""
         return self.followed is not None
 
     @property
@@ -96,8 +101,13 @@ class LiveReader:
 
     @property
     def is_px4(self) -> bool:
-        """Whether the followed autopilot is PX4."""
+        """Return True if the followed autopilot is PX4."""
         return self.followed is not None and self.followed.is_px4
+
+    @property
+    def navigation(self) -> Navigation:
+        """What is known of the vehicle's route and place."""
+        return self.followed.route.now if self.followed is not None else NOWHERE
 
     @property
     def battery_ids(self) -> set[int]:
@@ -131,20 +141,20 @@ class LiveReader:
         Before a vehicle is followed they wait for it. What the vehicle itself says goes before.
         """
         if self.followed is not None:
-            self.followed.parameters.resume(parameters)
+            self.followed.resume(parameters)
         else:
             self._resumed = dict(parameters)
 
     def facts(self, instance: int) -> PackFacts:
-        """What the vehicle has said so far of one battery."""
+        """Return the vehicle's words so far about one battery."""
         return self.followed.facts(instance) if self.followed is not None else PackFacts()
 
     def conflict(self, instance: int) -> str:
-        """What the senders of a battery disagree on; empty while they agree."""
+        """Name what the senders of a battery disagree on; empty while they agree."""
         return self.followed.senders.conflict(instance, self._now_s) if self.followed is not None else ""
 
     def notes(self) -> list[str]:
-        """What the operator should know of who is heard and who is believed."""
+        """Notes for the operator about who is heard and who is believed."""
         found, vehicle = [], self.followed
         if len(self._heard) > 1 or (self._heard and vehicle is None):
             whom = f"following {vehicle.system}" if vehicle is not None else f"waiting for {self._wanted}"
@@ -167,10 +177,11 @@ class LiveReader:
             if not message:
                 self.rejected += 1
                 return NOTHING
-            self._hear(header, message)
+            if header.message_id in _TOLD_BY:
+                self._hear(header, message)
         vehicle = self._vehicles.get((header.system, header.component))
         if vehicle is None:
-            return self._of_a_part(header, stamp_s)
+            return self._of_a_part(header, stamp_s, message, frame)
         time_s = vehicle.passes(stamp_s)
         battery = battery_fields(header.message_id, message) if header.message_id in BATTERY_IDS else None
         if battery is not None:
@@ -181,16 +192,21 @@ class LiveReader:
         if battery is not None or self.followed is None:
             self._follow(vehicle, stamp_s)
         vehicle.heard_s = stamp_s
-        return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s)
+        return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
 
     @property
     def _wanted(self) -> str:
         parts = zip(("system", "component"), self._asked, strict=True)
         return " ".join(f"{what} {number}" for what, number in parts if number is not None)
 
-    def _of_a_part(self, header: framing.Header, stamp_s: float) -> Taken:
-        """A frame that makes no row: of a part of the followed vehicle, or of nobody."""
-        if self.followed is None or header.system != self.followed.system:
+    def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> Taken:
+        """A frame that makes no row: of a part of the followed vehicle, of a station writing a mission, or of none."""
+        if self.followed is None:
+            return NOTHING
+        is_to_us = message is not None and header.message_id in OF_OTHERS
+        if is_to_us and self.followed.take_other(header.message_id, message, frame):
+            return Taken([], True)
+        if header.system != self.followed.system:
             return NOTHING
         self.followed.passes(stamp_s)
         return Taken([], True)
@@ -211,7 +227,7 @@ class LiveReader:
         if len(self._vehicles) >= MOST_VEHICLES:
             others = [s for s, vehicle in self._vehicles.items() if vehicle is not self.followed]
             del self._vehicles[min(others, key=lambda s: self._vehicles[s].heard_s)]
-        self._vehicles[source] = Vehicle(*source)
+        self._vehicles[source] = Vehicle(*source, self._own_component)
 
     def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
         """Follow this vehicle if it is the first, or if the one that is followed gives way to it."""
@@ -223,6 +239,6 @@ class LiveReader:
                 return
             if old.speaks:
                 self._resumed = {}  # they were another's
-        vehicle.parameters.resume(self._resumed)
+        vehicle.resume(self._resumed)
         self.followed = vehicle
         self.changes += 1

@@ -54,6 +54,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None) -> Fligh
         skipped_bytes=log.skipped_bytes,
         notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
         identity=completed(log.identity, log.parameters, chosen),
+        navigation=log.navigation,
     )
 
 
@@ -140,7 +141,7 @@ def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
 
 
 def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
-    """What reads logs of a kind; only that is imported."""
+    """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
         from uavbatt.telemetry.formats.dataflash_binary import read as read_binary
 

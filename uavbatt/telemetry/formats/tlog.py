@@ -21,6 +21,7 @@ from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct,
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.tlog_frames import Frames, frames
+from uavbatt.telemetry.formats.tlog_route import LAYOUTS, Clock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
 from uavbatt.telemetry.recording import is_recording
@@ -47,7 +48,9 @@ def read(data: bytes | memoryview) -> LogBuilder:
     if math.isnan(found.first_s):
         return log
     source = _autopilot(found, log)
-    own = found.at(found.source == source)
+    of_source = found.at(found.source == source)
+    # the clock goes by the frames of the battery: one more message that is read shall move no row
+    own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
     if source != _NOBODY:
         log.identity = _identity(own, source, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
@@ -55,6 +58,8 @@ def read(data: bytes | memoryview) -> LogBuilder:
     beats = _beats(own)
     _add_parameters(own, time_s, beats, log)
     _add_rows(own, time_s, beats, log)
+    if source != _NOBODY:
+        log.navigation = navigation(found, of_source, source, Clock(own.start, own.time_s, time_s), log.parameters)
     return log
 
 
@@ -84,7 +89,7 @@ def _named(source: int) -> str:
 
 
 def _identity(own: Frames, source: int, first_s: float) -> Identity:
-    """Who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
+    """Read who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
     beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
     make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
     said = own.of(fields.AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)

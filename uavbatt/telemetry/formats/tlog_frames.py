@@ -26,6 +26,9 @@ from uavbatt.telemetry.formats.checksum import checksums
 SEEDS = {
     fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
     fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178,
+    # route and place: GLOBAL_POSITION_INT, VFR_HUD, WIND, WIND_COV, HOME_POSITION, EXTENDED_SYS_STATE, MISSION_...
+    33: 104, 74: 20, 168: 1, 231: 105, 242: 104, 245: 130,
+    38: 9, 39: 254, 42: 28, 44: 221, 45: 232, 46: 11, 47: 153, 73: 38,
 }  # fmt: skip
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
@@ -207,7 +210,7 @@ def _wanted(data: Bytes, start: Places) -> tuple[Places, _Heads, Mask]:
 
 
 def _is_sound(data: Bytes, heads: _Heads, seed: NDArray[np.int64]) -> Mask:
-    """Whether the checksums are right."""
+    """Return True if the checksums are right."""
     after = heads.payload + heads.length
     sent = data[after].astype(np.int64) | data[after + 1].astype(np.int64) << 8
     found = checksums(data, heads.start + _STAMP + 1, after - heads.start - _STAMP - 1, seed)
@@ -251,7 +254,7 @@ def _judge(data: Bytes, start: Places, stop: Places, wanted: Mask, sound: Mask) 
 
 
 def _is_stamp_torn(data: Bytes, start: int, next_mark: int) -> bool:
-    """Whether damage reaches into the stamp before a frame that is whole itself: it is days from the next one's."""
+    """Return True if the stamp before a whole frame is damaged: it is days from the next one's."""
     if start == 0 or next_mark >= len(data):
         return False
     this_us, next_us = (int.from_bytes(data[at : at + _STAMP].tobytes(), "big") for at in (start, next_mark - _STAMP))
