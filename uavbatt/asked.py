@@ -21,6 +21,7 @@ CONTRADICTED_S = 120.0
 FALLS_FASTER = (
     "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low"
 )
+TURN_BACK = "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %"
 AT_CUTOFF = "the pack is at its cut-off"
 NO_END = "no end in sight: the charge believed and the load do not fit"
 
@@ -48,6 +49,8 @@ def say(asked: Asked, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
     if remaining.remaining_alarm_s <= ALARM_S:
         alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
         estimate = replace(estimate, warnings=(*estimate.warnings, alarm))
+    if remaining.route is not None and remaining.route.turn_back_lo_s <= 0.0:
+        estimate = replace(estimate, warnings=(*estimate.warnings, TURN_BACK))
     return estimate, remaining
 
 
