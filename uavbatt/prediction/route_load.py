@@ -41,7 +41,11 @@ class RouteLoad:
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""
-        return swinging(self.steady(np.full(steps, dt_s)), self.noise)
+        return self.scenarios_over(np.full(steps, dt_s))
+
+    def scenarios_over(self, dt_s: Array) -> Scenarios:
+        """The same over steps of `dt_s` [steps]."""
+        return swinging(self.steady(dt_s), self.noise)
 
     @property
     def noise(self) -> Swings:

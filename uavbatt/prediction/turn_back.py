@@ -64,7 +64,7 @@ def turned(
     look_s = longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED
     levels, fast, stretch = factors(load)[:, scenario]
     home = _homewards(flown, look_s, load, way, settings)
-    at_turn = _flown_on(going, flown_W, dt_s, look_s)
+    at_turn = flown_on(going, flown_W, dt_s, look_s)
     least_V, normals = np.full(at_turn.bias_V.shape, np.inf), sampling.wander().bias[::-1]
     for k, length_s in enumerate(home.length_s):
         power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
@@ -74,8 +74,8 @@ def turned(
     return TurnBack(look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0))
 
 
-def _flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
-    """The draws at each instant [looks, draws] of the way that would be flown on."""
+def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
+    """Return the draws at each instant [looks, draws] of a way with this power in steps of `dt_s` [steps]."""
     edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
     drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
     normals, states, biases, k = sampling.wander().bias, [], [], 0
