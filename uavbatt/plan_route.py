@@ -15,8 +15,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackSize, certificate_remark
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Resolved
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan import EMPTY_SOC, TABLE_C, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
@@ -28,7 +28,6 @@ from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import Point, path
 from uavbatt.prediction.turn_back import flown_on, home_pieces
 from uavbatt.records import Route
-from uavbatt.resolved import certificate_remark
 
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
@@ -87,7 +86,7 @@ class Fit:
 class MissionPlan:
     """What was asked and what came of it."""
 
-    resolved: Resolved
+    resolved: PackSize
     planned: Planned
     start_soc: float
     here: Fit
@@ -99,7 +98,7 @@ class MissionPlan:
 
 def made(
     battery: BatteryFile,
-    resolved: Resolved,
+    resolved: PackSize,
     planned: Planned,
     ambient_C: float,
     start_soc: float = 1.0,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import Resolved
+from uavbatt.battery.sizing import PackSize
 from uavbatt.files import atomic_write
 from uavbatt.records import Flight
 from uavbatt.replay import Outcome, Step
@@ -16,7 +16,7 @@ def write(
     path: str | Path,
     flight: Flight,
     run: Sequence[Step],
-    resolved: Resolved,
+    resolved: PackSize,
     outcome: Outcome,
     battery: BatteryFile,
 ) -> None:

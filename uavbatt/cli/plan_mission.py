@@ -12,7 +12,7 @@ from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.estimator import Resolved
+    from uavbatt.battery.sizing import PackSize
     from uavbatt.plan_route import Fit, MissionPlan
 
 MOST_LEGS = 40  # lines on a terminal
@@ -23,7 +23,7 @@ def plan_mission(
     vehicle: Path,
     wind: str | None,
     content: BatteryFile,
-    resolved: Resolved,
+    resolved: PackSize,
     conditions: tuple[float, float, float],
     outputs: tuple[Path | None, Path | None],
 ) -> None:

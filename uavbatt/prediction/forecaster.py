@@ -16,6 +16,8 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, C
+from uavbatt.errors import UsageError
+from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, answer
@@ -46,11 +48,20 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the operator asks of a forecast."""
+    """The operator asks this of forecasts. Raises UsageError when a number cannot be.
+
+    load : how the load to come is known; reserve_soc : state of charge that ends the flight, 0..1;
+    forecast_period_s : seconds between two forecasts.
+    """
 
     load: Load = UnknownAircraft()
     reserve_soc: float = 0.0
-    period_s: float = 5.0
+    forecast_period_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        check_stated(reserve_soc=self.reserve_soc)
+        if not self.forecast_period_s >= 0.0:
+            raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
 class Forecast(NamedTuple):
@@ -104,7 +115,7 @@ class Forecaster:
         self._took_off_s, self._flown_s, self._flown_J = NAN, 0.0, 0.0
         self._asked_s = NAN
         self._last: Forecast | None = None
-        self._navigation, self._progress = NOWHERE, Progress()
+        self._progress = Progress()  # on the route
 
     @property
     def memory(self) -> Memory:
@@ -132,24 +143,24 @@ class Forecaster:
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
     ) -> Remaining:
         """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
-        refusal, question = self.ask(sample, estimate, belief, navigation)
-        return self.say(sample, estimate, refusal, question and (question, answer(question)))
+        refusal, question = self.update(sample, estimate, belief, navigation)
+        return self.finish(sample, estimate, refusal, question and (question, answer(question)))
 
-    def ask(
+    def update(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
     ) -> tuple[str, Question | None]:
-        """What there is to work out after `sample`, taken into the memory: a refusal, a question, or neither.
+        """Take a sample into the memory; returns why there can be no forecast, the forecast to simulate, or neither.
 
-        Nothing of it depends on an answer, so that a replay may ask many times and answer all at once.
+        belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come.
+        Nothing of it depends on an answer, so that a replay may ask many questions and simulate them side by side.
         """
-        self._navigation = navigation
-        self._remember(sample)
+        self._remember(sample, navigation)
         refusal, question = self._refusal(sample, estimate), None
         if not refusal and belief is None:
             refusal = "no belief about the pack yet"
-        elif not refusal and not sample.time_s - self._asked_s < self.settings.period_s:
+        elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
             assert belief is not None
-            question = self.question(belief, sample.time_s)
+            question = self.question(belief, sample.time_s, navigation)
             refusal = "" if question else "the end lies beyond six hours: the load is not that of a flight"
         if refusal:
             self._asked_s = NAN
@@ -157,10 +168,13 @@ class Forecaster:
             self._asked_s = sample.time_s
         return refusal, question
 
-    def say(
+    def finish(
         self, sample: Sample, estimate: Estimate, refusal: str, answered: tuple[Question, EndTimes] | None
     ) -> Remaining:
-        """The remaining time after `sample` from what `ask` said and, where it had a question, its answer."""
+        """The remaining time after `sample` from what `update` returned and, where it had a question, its answer.
+
+        Samples must be finished in the order in which they were taken in.
+        """
         if answered is not None:
             self._last = self._forecast(*answered)
         if refusal or self._last is None:
@@ -168,10 +182,10 @@ class Forecaster:
             return _refused(sample.time_s, refusal)
         return _counted_down(self._last, sample.time_s, estimate)
 
-    def question(self, belief: Belief, time_s: float) -> Question | None:
-        """What a forecast from the belief and the load to come has to simulate; None when no end is in sight."""
-        known = route_forecast.to_come(self.settings.load, self._progress, self._navigation, time_s)
-        load, now = known.load, self._now(belief, time_s)
+    def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
+        """The forecast to simulate from the belief and the load to come; None when no end is in sight."""
+        known = route_forecast.to_come(self.settings.load, self._progress, navigation, time_s)
+        load, now = known.load, self._now(belief, time_s, navigation)
         typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
@@ -192,11 +206,11 @@ class Forecaster:
             reserve_soc=self.settings.reserve_soc,
             by_rows=by_rows,
         )
-        if self._navigation is NOWHERE:
+        if navigation is NOWHERE:
             return question
         flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
-        way, settings = way_of(self._progress), self._navigation.settings
-        return question._replace(route=route_forecast.ask(known, flying, way, settings, typical_s))
+        route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
+        return question._replace(route=route)
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""
@@ -240,10 +254,10 @@ class Forecaster:
         raised_V = self.pack.installation.cells * self.cell_spread_V
         return self.pack._replace(cutoff_V=self.cutoff_V, low_V=self.pack.low_V + raised_V)
 
-    def _now(self, belief: Belief, time_s: float) -> Now:
+    def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
         since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0
         flight_W = self._flown_J / self._flown_s if self._flown_s > 0.0 else max(self._load.mean_W, 1.0)
-        return Now(time_s, since_s, float(belief.mean[C.SOC]), max(flight_W, 1.0), self._load)
+        return Now(time_s, since_s, float(belief.mean[C.SOC]), max(flight_W, 1.0), self._load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """A generous guess of what is left: charge above zero at 4 V a cell."""
@@ -252,7 +266,7 @@ class Forecaster:
         capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[C.LOG_CAPACITY]))
         return float(soc * capacity_Ah * installation.cells * 4.0)
 
-    def _remember(self, sample: Sample) -> None:
+    def _remember(self, sample: Sample, navigation: Navigation) -> None:
         if not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
             return
         installation = self.pack.installation
@@ -270,9 +284,9 @@ class Forecaster:
         elif sample.armed is False or not sample.time_s - self._loaded_s < LANDED_AFTER_S:
             self._flying_since_s = NAN
         power_W = sample.voltage_V * current_A
-        if self._navigation is not NOWHERE:
+        if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
-            self._progress = self._progress.after(sample.time_s, self._navigation, power_W, powers)
+            self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)
         if not math.isfinite(self._flying_since_s):
             return
         self._load = self._load.after(sample.time_s, power_W)
