@@ -48,7 +48,9 @@ class Planned:
         """Return its pieces and how they were made; UsageError when it is not understood or has no end."""
         found = path(self.mission, self.home, self.settings)
         if found.reason or not found.lands:
-            raise UsageError(f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}")
+            raise UsageError(
+                f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
+            )
         way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
         return Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.legs)), way
 
@@ -138,14 +140,18 @@ def _fit(
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
     flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
-    home = RouteLoad(Ahead(ahead.begin, home_pieces(ahead, way, planned.settings, 0.0)), planned.powers, 1.0, load.level_sd)
+    home = RouteLoad(
+        Ahead(ahead.begin, home_pieces(ahead, way, planned.settings, 0.0)), planned.powers, 1.0, load.level_sd
+    )
     known = ToCome(load, "route", "", ahead, home.ahead, "", home)
     asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
     end_s = np.minimum(answer(question).end_s, question.horizon_s)
     route = route_forecast.answer(asked, end_s)
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
-    return Fit(ambient_C, route, float(spare[1]), float(spare[0]), float(spare[2]), range_remark(battery, ambient_C)), flying
+    return Fit(
+        ambient_C, route, float(spare[1]), float(spare[0]), float(spare[2]), range_remark(battery, ambient_C)
+    ), flying
 
 
 def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:

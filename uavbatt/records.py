@@ -153,8 +153,13 @@ class Route:
 
     def later(self, age_s: float) -> Route:
         """The same, `age_s` [s] after it was said."""
-        times = ("left_s", "turn_back_s", "turn_back_lo_s", "turn_back_hi_s")
-        return replace(self, **{key: _less(getattr(self, key), age_s) for key in times})
+        return replace(
+            self,
+            left_s=_less(self.left_s, age_s),
+            turn_back_s=_less(self.turn_back_s, age_s),
+            turn_back_lo_s=_less(self.turn_back_lo_s, age_s),
+            turn_back_hi_s=_less(self.turn_back_hi_s, age_s),
+        )
 
 
 def _less(time_s: float, age_s: float) -> float:

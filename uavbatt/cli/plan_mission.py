@@ -13,7 +13,7 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackSize
-    from uavbatt.plan_route import Fit, MissionPlan
+    from uavbatt.plan_route import Fit, LegEnd, MissionPlan
 
 MOST_LEGS = 40  # lines on a terminal
 
@@ -27,7 +27,10 @@ def plan_mission(
     conditions: tuple[float, float, float],
     outputs: tuple[Path | None, Path | None],
 ) -> None:
-    """Say whether the mission fits; `conditions` are ambient [°C], charge at take-off, reserve; `outputs` page, JSON."""
+    """Say whether the mission fits.
+
+    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON
+    """
     from uavbatt.battery import vehicle_file
     from uavbatt.navigation import ReturnSettings, Wind
     from uavbatt.plan_route import Planned, made
@@ -37,7 +40,9 @@ def plan_mission(
     if read.home is None:
         raise UsageError(f"--mission {mission}: expected the place of home in it")
     if flown.powers is None:
-        raise UsageError(f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb")
+        raise UsageError(
+            f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
+        )
     air = stated_wind(wind) if wind is not None else Wind(0.0, 0.0)
     planned = Planned(read.mission, read.home, ReturnSettings(cruise_ms=read.cruise_ms), flown.powers, air)
     found = made(content, resolved, planned, *conditions)
@@ -71,9 +76,10 @@ def _lines(plan: MissionPlan, name: str) -> list[str]:
         f"{plan.resolved.battery} ({plan.resolved.status}): {plan.resolved.words}",
         *(f"  warning    {warning}" for warning in plan.warnings),
         f"{name}: {'fits' if here.fits else 'does NOT fit'} at {here.ambient_C:g} °C; "
-        f"probability that the battery ends before touchdown {route.risk:.0%}" + (f"; {here.remark}" if here.remark else ""),
-        f"  touchdown after {clock(route.left_s)} with {_charge(route.soc, route.soc_lo, route.soc_hi)}; hover left then "
-        f"{clock(here.spare_s)} [{clock(here.spare_lo_s)}, {clock(here.spare_hi_s)}]",
+        f"probability that the battery ends before touchdown {route.risk:.0%}"
+        + (f"; {here.remark}" if here.remark else ""),
+        f"  touchdown after {clock(route.left_s)} with {_charge(route.soc, route.soc_lo, route.soc_hi)}; "
+        f"hover left then {clock(here.spare_s)} [{clock(here.spare_lo_s)}, {clock(here.spare_hi_s)}]",
     ]
     if math.isfinite(route.turn_back_s):
         lines.append(f"  turn back by {clock(route.turn_back_lo_s)} to be home with 95 %; {_turning(plan)}")
@@ -90,7 +96,8 @@ def _lines(plan: MissionPlan, name: str) -> list[str]:
 def _turning(plan: MissionPlan) -> str:
     assert plan.turning is not None
     north, east = plan.turning.north_m, plan.turning.east_m
-    return f"that is {abs(north):.0f} m {'north' if north >= 0 else 'south'}, {abs(east):.0f} m {'east' if east >= 0 else 'west'}"
+    ways = "north" if north >= 0.0 else "south", "east" if east >= 0.0 else "west"
+    return f"that is {abs(north):.0f} m {ways[0]}, {abs(east):.0f} m {ways[1]} of home"
 
 
 def _charge(middle: float, lo: float, hi: float) -> str:
@@ -124,14 +131,15 @@ def _fit(fit: Fit) -> dict[str, Any]:
     }
 
 
+def _charges(leg: LegEnd) -> dict[str, float]:
+    return {"soc": leg.soc, "soc_lo": leg.soc_lo, "soc_hi": leg.soc_hi}
+
+
 def _summary(plan: MissionPlan, name: str, content_sha256: str) -> dict[str, Any]:
     """The plan for a program: where the numbers came from, the planned temperature, each leg, the table."""
     pack = asdict(plan.resolved)
     del pack["notices"], pack["refusal"]
-    legs = [
-        {"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), "soc": leg.soc, "soc_lo": leg.soc_lo, "soc_hi": leg.soc_hi}
-        for leg in plan.legs
-    ]
+    legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
     return {
         "mission": name,
         "battery": pack.pop("battery"),

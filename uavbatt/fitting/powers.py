@@ -26,7 +26,7 @@ STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 
 
 class Rows(NamedTuple):
-    """Means over blocks of one flight: power [W], airspeed and climb [m/s], shares of take-off and landing, length [s]."""
+    """Means over blocks of one flight: power [W], airspeed, climb [m/s], shares of take-off and landing, length [s]."""
 
     power_W: Array
     airspeed_ms: Array
@@ -54,9 +54,9 @@ def flown_rows(flight: Flight) -> Rows | None:
         steady, before = _is_steady(before, navigation.position), navigation.position
         progress = progress.after(sample.time_s, navigation)
         flown, power_W = progress.flown(sample.time_s, navigation), sample.voltage_V * sample.current_A
-        length_s, before_s = sample.time_s - before_s, sample.time_s
-        if flown is not None and steady and math.isfinite(power_W) and 0.0 < length_s <= LONGEST_ROW_S:
-            rows.append((sample.time_s, power_W, *map(float, flown), length_s))
+        row_s, before_s = sample.time_s - before_s, sample.time_s
+        if flown is not None and steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
+            rows.append((sample.time_s, power_W, *map(float, flown), row_s))
     table = np.array(rows)
     if not len(table):
         return None
@@ -64,9 +64,11 @@ def flown_rows(flight: Flight) -> Rows | None:
     if table[:, -1].sum() < SHORTEST_S:
         return None
     _, block = np.unique(np.floor(table[:, 0] / BLOCK_S), return_inverse=True)
-    length_s = np.bincount(block, table[:, -1])
-    means = [np.bincount(block, table[:, k] * table[:, -1]) / length_s for k in range(1, 6)]
-    return Rows(*means, length_s)
+    lengths_s = np.bincount(block, table[:, -1])
+    power_W, airspeed_ms, climb_ms, taking_off, landing = (
+        np.bincount(block, column * table[:, -1]) / lengths_s for column in table[:, 1:6].T
+    )
+    return Rows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
@@ -86,18 +88,21 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
     for _ in range(TURNS):
         weights = [share / noise**2 for share in shares_of_one]
         hovers_W = np.array(
-            [w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2) for r, c, w in zip(told, columns, weights)]
+            [
+                w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2)
+                for r, c, w in zip(told, columns, weights, strict=True)
+            ]
         )
         design, weight = np.concatenate(columns), np.concatenate(weights)
-        seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W)])
+        seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W, strict=True)])
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
         shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
         noise = max(float(np.sqrt(np.average((seen - design @ shares) ** 2, weights=weight))), LEAST_NOISE)
-    left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W)]
+    left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W, strict=True)]
     entropy = 2.0 * float(np.sum(np.concatenate(shares_of_one))) * math.log(noise)
     misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
     return misfit, Powers(
-        hover_W=_rounded(np.mean(hovers_W), 1),
+        hover_W=_rounded(float(np.mean(hovers_W)), 1),
         induced_ms=induced_ms,
         **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
         level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
@@ -111,7 +116,7 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
 def _unusual(told: list[Rows], columns: list[Array], left: list[Array]) -> Array:
     """What remains of each flight's mean power where it flies far from its hover: fast or climbing."""
     means = []
-    for rows, misfit in zip(told, left):
+    for rows, misfit in zip(told, left, strict=True):
         far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)
         if rows.length_s[far].sum() > 30.0:
             means.append(float(np.average(misfit[far], weights=rows.length_s[far])))

@@ -39,7 +39,7 @@ def begun(pack: Pack, x: Array, ambient_C: float) -> Going:
 def walked(going: Going, power_W: Array, dt_s: Array | float, normals: Array) -> Going:
     """Return the draws after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
     cell, state, pack = going.cell, going.state, going.pack
-    emf_V, r_ohmAh, rate = _drawn(going, power_W)
+    _, r_ohmAh, rate = _drawn(going, power_W)
     later = model.unseen_step(cell, state, rate, r_ohmAh, going.ambient_C, dt_s, model.lags(cell, dt_s))
     memory = np.exp(-np.asarray(dt_s) / pack.bias_tau_s)
     doubt_V2 = ocv_doubt(pack, state.soc, rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))

@@ -1,4 +1,4 @@
-"""What the aircraft still has to fly, as pieces of time with airspeed and climb: the rest of its route, or the way home.
+"""The way still to be flown, as pieces of time with airspeed and climb: the rest of the route, or the way home.
 
 A piece is a leg's movement or the wait at its end. The times are those of the plan, corrected by what the legs flown so
 far have told; the airspeed is that of the movement through the wind.

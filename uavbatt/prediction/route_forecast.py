@@ -24,7 +24,13 @@ from uavbatt.prediction.turn_back import TurnBack, turned
 from uavbatt.prediction.turn_back import answer as turn_back_of
 from uavbatt.records import Route
 
-NAMES = {LearnedLoad: "learned", UnknownAircraft: "unknown", RecentMean: "recent", LoggedLoad: "log", ConstantLoad: "stated"}
+NAMES = {
+    LearnedLoad: "learned",
+    UnknownAircraft: "unknown",
+    RecentMean: "recent",
+    LoggedLoad: "log",
+    ConstantLoad: "stated",
+}
 IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
@@ -127,7 +133,7 @@ def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
         later = walked(going, power, float(length_s), normals)
         charge += share * (later.state.soc - going.state.soc)
         going, begin_s = later, begin_s + length_s
-    return np.maximum(charge, 0.0)
+    return np.asarray(np.maximum(charge, 0.0))
 
 
 def answer(asked: RouteAsked, end_s: Array) -> Route:

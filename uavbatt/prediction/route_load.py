@@ -72,13 +72,16 @@ def factors(load: RouteLoad) -> Array:
 def piece_terms(pieces: tuple[Piece, ...], induced_ms: float) -> Array:
     """Return the terms of the powers for each piece."""
     columns = np.array([piece[1:5] for piece in pieces], float).reshape(-1, 4)
-    return terms(*columns.T, induced_ms)
+    airspeed_ms, climb_ms, taking_off, landing = columns.T
+    return terms(airspeed_ms, climb_ms, taking_off, landing, induced_ms)
 
 
 def roughness(load: RouteLoad, wind_ms: float) -> Array:
     """Return the relative sd of the power within each piece: the rows' own, and gusts where the airspeed weighs."""
     pieces, watts = load.ahead.pieces, load.piece_W
-    faster = replace(load, ahead=Ahead(load.ahead.begin, tuple(p._replace(airspeed_ms=p.airspeed_ms + 1.0) for p in pieces)))
+    faster = replace(
+        load, ahead=Ahead(load.ahead.begin, tuple(p._replace(airspeed_ms=p.airspeed_ms + 1.0) for p in pieces))
+    )
     return np.hypot(load.powers.row_sd, (faster.piece_W / watts - 1.0) * GUSTS * wind_ms)
 
 
@@ -97,7 +100,7 @@ def _normals() -> Array:
 
 
 def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:
-    """Energy drawn until `at_s` [times, scenarios] of pieces with `watts` [pieces + 1, scenarios]; the last has no end."""
+    """Energy drawn until `at_s` [times, scenarios] by `watts` [pieces + 1, scenarios]; the last piece has no end."""
     begins_s = np.concatenate([[0.0], ends_s])
     before_J = np.concatenate([np.zeros_like(watts[:1]), np.cumsum(watts[:-1] * np.diff(begins_s)[:, None], axis=0)])
     piece = np.searchsorted(ends_s, at_s, side="right")

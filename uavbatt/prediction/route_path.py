@@ -197,9 +197,7 @@ def _changed(speeds: _Speeds, item: MissionItem, settings: ReturnSettings) -> _S
     return speeds._replace(**{kind: known(item.speed_ms, getattr(_speeds(settings), kind))})
 
 
-def _legs(
-    item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings
-) -> list[Leg] | str:
+def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
     """The legs of one item, or why they are not known."""
     if item.action is Action.UNKNOWN:
         return item.reason or f"command {item.command} is not understood"

@@ -93,7 +93,9 @@ class Progress(NamedTuple):
     level_s: float = 0.0  # seconds of flight that told the level
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
 
-    def after(self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None) -> Progress:
+    def after(
+        self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None
+    ) -> Progress:
         """The memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), 30.0) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(navigation)._blown(navigation, row_s)._replace(time_s=time_s)
@@ -125,7 +127,7 @@ class Progress(NamedTuple):
         return moved._replace(at=at, leg_since_s=since_s, arrived_s=NAN)
 
     def _timed(self, behind: Sequence[Leg], flown_s: float) -> Progress:
-        """The timing after legs of one kind that took `flown_s` [s] together; a wait on the ground or a pause is none."""
+        """The timing after legs of one kind that took `flown_s` [s] together; a pause does not count."""
         flown_s -= sum(leg.hold_s for leg in behind)
         planned_s, speeds_ms = sum(leg.moving_s for leg in behind), sum(leg.fastest_ms for leg in behind)
         usual_s = STRETCH * planned_s + SPEEDING * speeds_ms

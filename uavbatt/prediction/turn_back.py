@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ class TurnBack(NamedTuple):
 
 
 class Homewards(NamedTuple):
-    """The ways home in steps, all of one number: lengths [s], middle powers [W] and how much of fast flight they are."""
+    """The ways home in steps, all of one number: lengths [s], middle powers [W], shares of fast flight."""
 
     length_s: Array  # [steps, looks]
     power_W: Array
@@ -71,7 +72,9 @@ def turned(
         above_V = above_cutoff_V(at_turn, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
         least_V = np.where(length_s[:, None] > 0.0, np.minimum(least_V, above_V), least_V)
         at_turn = walked(at_turn, power_W, length_s[:, None] * stretch, normals[k])
-    return TurnBack(look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0))
+    return TurnBack(
+        look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0)
+    )
 
 
 def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
@@ -81,7 +84,7 @@ def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
     normals, states, biases, k = sampling.wander().bias, [], [], 0
     for before_s, until_s in zip(np.concatenate([[0.0], look_s[:-1]]), look_s, strict=True):
         parts = np.linspace(before_s, until_s, 1 + math.ceil((until_s - before_s) / (2.0 * STEP_S)))
-        for begin_s, end_s in zip(parts[:-1], parts[1:], strict=True):
+        for begin_s, end_s in pairwise(parts):
             mean_W = (_at(drawn_J, edges_s, end_s) - _at(drawn_J, edges_s, begin_s)) / (end_s - begin_s)
             going, k = walked(going, mean_W, end_s - begin_s, normals[k]), k + 1
         states.append(going.state)
