@@ -63,8 +63,13 @@ def flown_rows(flight: Flight) -> Rows | None:
     table = table[table[:, 1] > STEADY_SHARE * np.median(table[:, 1])]
     if table[:, -1].sum() < SHORTEST_S:
         return None
+    return _blocks(table)
+
+
+def _blocks(table: Array) -> Rows:
+    """Means over blocks of BLOCK_S of rows (time, power, airspeed, climb, taking off, landing, length)."""
     _, block = np.unique(np.floor(table[:, 0] / BLOCK_S), return_inverse=True)
-    lengths_s = np.bincount(block, table[:, -1])
+    lengths_s = np.bincount(block, table[:, -1]).astype(float)
     power_W, airspeed_ms, climb_ms, taking_off, landing = (
         np.bincount(block, column * table[:, -1]) / lengths_s for column in table[:, 1:6].T
     )
