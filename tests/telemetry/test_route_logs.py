@@ -13,12 +13,15 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
+from uavbatt.mavlink.fields import BATTERY_STATUS
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Mode, Navigation, Wind
 from uavbatt.records import Flight
 from uavbatt.simulate import IDLE_S, fly, write
 from uavbatt.simulate import Mission as Flown
 from uavbatt.simulate_route import RouteFlight, route_flight, watts_of
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.formats.tlog_frames import frames
+from uavbatt.telemetry.info import describe, lines
 from uavbatt.telemetry.route.commands import mission
 
 HOME = Home(47.0, 8.0, 420.0)
@@ -129,6 +132,18 @@ def test_a_log_cut_at_any_instant_says_the_same_up_to_it(folder: Path, tmp_path:
         assert repr([n for n in cut.navigation if n.time_s < end_s]) == repr(
             [n for n in whole.navigation if n.time_s < end_s]
         )
+
+
+def test_a_log_cut_behind_a_row_knows_no_more_at_that_row(shared_data: Path, tmp_path: Path) -> None:
+    """Also what has the row's own stamp and stands behind it."""
+    data = (shared_data / "missions" / "learn" / "l02_out_back.tlog").read_bytes()
+    whole, found = read_log(shared_data / "missions" / "learn" / "l02_out_back.tlog"), frames(data)
+    ends = (found.payload + found.length + 2)[found.message_id == BATTERY_STATUS]
+    path = tmp_path / "cut.tlog"
+    for end in ends[200:1500:411].tolist():
+        path.write_bytes(data[:end])
+        at_s = read_log(path).samples[-1].time_s
+        assert repr(read_log(path).navigation_at(at_s)) == repr(whole.navigation_at(at_s))
 
 
 def stamped(message: object, time_s: float, system: int = 1, component: int = 1) -> bytes:
@@ -247,3 +262,23 @@ def test_wind_changes_what_a_route_asks() -> None:
         return sum(flight.power_W(t, watts) for t in range(int(flight.lands_s)))
 
     assert energy_J(Wind(0.0, 15.0)) > 1.05 * energy_J(Wind(0.0, 0.0))  # a storm costs on the way there and back
+
+
+def test_the_place_of_a_px4_log_counts_from_its_home(shared_data: Path) -> None:
+    pytest.importorskip("pyulog")
+    found = read_log(shared_data / "flights" / "px4" / "hexa_6s_33s.ulg")
+    last = found.navigation[-1]
+    assert last.home is not None
+    assert last.position is not None
+    assert last.current is None  # a log without a mission names item 0 all the same
+    assert abs(last.position.height_m) < 20.0
+    assert {n.mode for n in found.navigation} >= {Mode.LAND, Mode.HOLD}
+    wings = read_log(shared_data / "flights" / "px4" / "vtol_ground_two_batteries.ulg")
+    assert {n.mode for n in wings.navigation} == {Mode.UNKNOWN}
+    assert "RTL_TYPE 1" in wings.navigation[-1].settings.return_reason
+
+
+def test_info_names_the_route(folder: Path) -> None:
+    told = lines(describe(read_log(folder / "flight.tlog")))
+    assert "route        mission of 7 items, home, positions, progress, wind" in told
+    assert "route        the log says nothing of it" in lines(describe(read_log(folder / "flight.csv")))

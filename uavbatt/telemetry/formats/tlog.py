@@ -59,7 +59,8 @@ def read(data: bytes | memoryview) -> LogBuilder:
     _add_parameters(own, time_s, beats, log)
     _add_rows(own, time_s, beats, log)
     if source != _NOBODY:
-        log.navigation = navigation(found, of_source, source, Clock(own.start, own.time_s, time_s), log.parameters)
+        clock = Clock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
+        log.navigation = navigation(found, of_source, source, clock, log.parameters)
     return log
 
 

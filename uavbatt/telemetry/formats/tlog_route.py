@@ -74,15 +74,17 @@ LAYOUTS = {
     ),
 }  # fmt: skip
 _ALL_COMPONENTS = 0
+_MICROSECOND_S = 1e-6
 _LONGEST_STEP_S = 60.0  # a stamp is not covered by a checksum: one that leaps further is damaged
 
 
 class Clock(NamedTuple):
-    """The frames that the log's clock goes by: their places in the file, stamps [s] and times [s]."""
+    """The frames that the log's clock goes by: places in the file, stamps [s], times [s], which are battery rows."""
 
     start: Places
     stamp_s: Column
     time_s: Column
+    is_row: Mask
 
     def times_s(self, frames: Frames) -> list[float]:
         """Times of other frames [s]: counted on from the clock's frame before each, by their stamps if they can be."""
@@ -90,7 +92,10 @@ class Clock(NamedTuple):
             return [0.0] * len(frames.start)
         last = np.maximum(latest_before(frames.start, self.start), 0)
         since_s = np.clip(frames.time_s - self.stamp_s[last], 0.0, _LONGEST_STEP_S)
-        times: list[float] = np.round(self.time_s[last] + since_s, 6).tolist()
+        # what stands behind a row of the battery was not known at that row, even with the same stamp
+        row = latest_before(frames.start, self.start[self.is_row])
+        known_s = np.append(self.time_s[self.is_row] + _MICROSECOND_S, 0.0)[row]
+        times: list[float] = np.round(np.maximum(self.time_s[last] + since_s, known_s), 6).tolist()
         return times
 
 

@@ -49,8 +49,11 @@ def _events(name: str, data: Any, topics: dict[str, Any], ulog: Any, builder: Na
     if name == "vehicle_status":
         yield from _modes(time_s, data, builder)
     elif name == "mission_result":
-        yield from ((t, builder.current, (int(seq),)) for t, seq in _rows(time_s, data, "seq_current") if seq >= 0)
-        yield from ((t, builder.reached, (int(seq),)) for t, seq in _rows(time_s, data, "seq_reached") if seq >= 0)
+        for t, total, current, reached in _rows(time_s, data, "seq_total", "seq_current", "seq_reached"):
+            if total > 0 and current >= 0:
+                yield t, builder.current, (int(current),)
+            if total > 0 and reached >= 0:
+                yield t, builder.reached, (int(reached),)
     elif name == "home_position":
         yield from ((t, builder.home, (Home(*place),)) for t, *place in _rows(time_s, data, "lat", "lon", "alt"))
     elif name == "vehicle_land_detected":
@@ -75,9 +78,9 @@ def _rows(time_s: Column, data: Any, *names: str) -> Iterator[tuple[float, ...]]
 
 def _modes(time_s: Column, data: Any, builder: NavigationBuilder) -> Iterator[Event]:
     """Modes of a multicopter; those of an aircraft that also flies on wings are unknown."""
-    is_vtol = bool(data["is_vtol"].any()) if "is_vtol" in data else False
-    for t, state, kind in _rows(time_s, data, "nav_state", "vehicle_type"):
-        is_multicopter = not is_vtol and kind == _ROTARY_WING
+    is_vtol = data.get("is_vtol", np.zeros(len(time_s)))
+    for (t, state, kind), has_wings in zip(_rows(time_s, data, "nav_state", "vehicle_type"), is_vtol, strict=False):
+        is_multicopter = not has_wings and kind == _ROTARY_WING
         yield t, builder.mode, (px4_state(int(state)) if is_multicopter else Mode.UNKNOWN,)
 
 
