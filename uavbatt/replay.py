@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -14,6 +14,7 @@ from uavbatt.battery.model import Array
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
@@ -36,6 +37,17 @@ def engine_for(*, is_long: bool) -> Engine:
     except ImportError:  # an installation without it
         return PLAIN
     return compiled.engine() if compiled.is_available() else PLAIN
+
+
+def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
+    """Return the flight with the mission of a file in the place of whatever the log says of one."""
+    return replace(
+        flight,
+        navigation=tuple(
+            replace(known, mission=planned.mission, home=known.home or planned.home, transferring=False)
+            for known in flight.navigation
+        ),
+    )
 
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
