@@ -19,7 +19,7 @@ def route_section(flight: Flight, steps: Sequence[StepLike]) -> list[Html]:
     if not said:
         return []
     turn_s = next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), math.nan)
-    note = "The red point is where `turn back now` was said first." if math.isfinite(turn_s) else ""
+    note = "The red point is where “turn back now” was said first." if math.isfinite(turn_s) else ""
     flown = [found for known in flight.navigation if (found := _place(known.time_s, flight)) is not None]
     drawn = route_map(_planned(flight), flown, _place(turn_s, flight), note)
     return [section("The route", paragraph(_words(said, turn_s)), drawn, paragraph(_loads(said), css="quiet"))]
@@ -44,12 +44,12 @@ def _planned(flight: Flight) -> list[Point]:
 
 def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
     time_s, last = said[-1]
-    words = [f"`Turn back now` was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
-    if math.isfinite(last.home_soc):
+    words = [f"“Turn back now” was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
+    if math.isfinite(last.home_soc) and not last.turn_back_lo_s <= 0.0:  # too late, home is no promise any more
         charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
         words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
     if not words:
-        words.append(f"Nothing was known of the way home: {last.reason}.")
+        words.append(f"Nothing was known of the way home: {last.reason or 'no position'}.")
     return " ".join(words)
 
 
