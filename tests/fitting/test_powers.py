@@ -11,8 +11,10 @@ import pytest
 from route_rig import HOME
 
 from uavbatt.battery.powers import UNKNOWN, Powers, induced_ratio, power, terms
+from uavbatt.battery.vehicle_file import Speeds
 from uavbatt.fitting.powers import powers
-from uavbatt.navigation import Mode, Navigation, Position
+from uavbatt.fitting.vehicle import speeds
+from uavbatt.navigation import Mode, Navigation, Position, ReturnSettings
 from uavbatt.records import Flight, Sample
 
 TRUE = msgspec.structs.replace(UNKNOWN, hover_W=250.0, induced=0.45, drag=0.2, climb=0.07, fast_climb=0.08)
@@ -69,3 +71,10 @@ def test_flights_without_speed_tell_no_powers() -> None:
     silent = replace(flight(), navigation=())
     assert powers([silent]) is None
     assert math.isfinite(silent.samples[0].voltage_V)
+
+
+def test_the_vehicle_file_keeps_the_speeds_that_the_parameters_say() -> None:
+    known = replace(flight().navigation[-1], time_s=1e3, settings=ReturnSettings(cruise_ms=7.5, return_height_m=0.0))
+    found = speeds([flight(), replace(flight(), navigation=(*flight().navigation, known))])
+    assert found == Speeds(cruise_ms=7.5, return_height_m=0.0)
+    assert speeds([flight()]) is None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,8 @@ def plan_mission(
 
     conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON
     """
+    import msgspec
+
     from uavbatt.battery import vehicle_file
     from uavbatt.navigation import ReturnSettings, Wind
     from uavbatt.plan_route import Planned, made
@@ -44,7 +46,10 @@ def plan_mission(
             f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
         )
     air = stated_wind(wind) if wind is not None else Wind(0.0, 0.0)
-    planned = Planned(read.mission, read.home, ReturnSettings(cruise_ms=read.cruise_ms), flown.powers, air)
+    settings = ReturnSettings(**(msgspec.to_builtins(flown.speeds) if flown.speeds is not None else {}))
+    if math.isfinite(read.cruise_ms):
+        settings = replace(settings, cruise_ms=read.cruise_ms)
+    planned = Planned(read.mission, read.home, settings, flown.powers, air)
     found = made(content, resolved, planned, *conditions)
     report, summary = outputs
     for line in _lines(found, mission.name):

@@ -32,6 +32,7 @@ OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0
 SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
 LEAST_FLOWN_S = 20.0
+TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 
 
 class Timing(NamedTuple):
@@ -90,6 +91,7 @@ class Progress(NamedTuple):
     long: Timing = Timing()
     wind_north_ms: float = NAN
     wind_east_ms: float = NAN
+    told_s: float = NAN  # when the power was last held against the level
     level_s: float = 0.0  # seconds of flight that told the level
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
 
@@ -97,15 +99,18 @@ class Progress(NamedTuple):
         self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None
     ) -> Progress:
         """The memory with one more row at `time_s` [s] that drew `power_W` [W]."""
-        row_s = min(max(time_s - self.time_s, 0.0), 30.0) if math.isfinite(self.time_s) else 0.0
+        row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(navigation)._blown(navigation, row_s)._replace(time_s=time_s)
         if navigation.mode is Mode.MISSION:
             moved = moved._arrived(time_s, navigation)
-        flown = moved.flown(time_s, navigation)
-        if powers is None or flown is None or not power_W > 0.0:
+        if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
+            return moved
+        flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
+        moved = moved._replace(told_s=time_s)
+        if flown is None or not told_s > 0.0:
             return moved
         ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
-        return moved._replace(level_s=self.level_s + row_s, level_sum_s=self.level_sum_s + row_s * ratio)
+        return moved._replace(level_s=self.level_s + told_s, level_sum_s=self.level_sum_s + told_s * ratio)
 
     def _on_path(self, navigation: Navigation) -> Progress:
         """The leg by what the autopilot says that it flies to, and the timing of those behind."""
