@@ -51,6 +51,10 @@ def fleet(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
     ] = None,
+    by: Annotated[
+        str,
+        typer.Option("--by", metavar="FIELD", help="Column that names the aircraft, as hardware."),
+    ] = "",
     aircraft: Annotated[
         str, typer.Option("--aircraft", metavar="REGEX", help="What of a log's path names the aircraft.")
     ] = "",
@@ -71,7 +75,7 @@ def fleet(
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     settings = Settings(reserve_soc=reserve_soc)
-    job = Job(read_battery(battery, allow_uncertified), options, settings, _pattern(aircraft))
+    job = Job(read_battery(battery, allow_uncertified), options, settings, _column(by), _pattern(aircraft))
     found = find(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
@@ -87,16 +91,15 @@ def fleet(
 
 def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) -> None:
     """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
-    from uavbatt.files import atomic_write
     from uavbatt.fleet.tables import CSV, PARQUET
     from uavbatt.report.fleet import counted, fleet_report
     from uavbatt.report.fleet_groups import gathered
+    from uavbatt.report.page import write_page
 
     overview = gathered(rows)
     battery = f"{job.battery.battery.name} ({job.battery.status})"
     remarks = (("logs", f"{logs}, of which {flown} were flown in this run and the others before"),)
-    with atomic_write(folder / PAGE) as file:
-        file.write(fleet_report(overview, battery, remarks))
+    write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:
@@ -104,6 +107,14 @@ def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) ->
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
         raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
+
+
+def _column(name: str) -> str:
+    from uavbatt.fleet.row import IDENTITIES
+
+    if name and name not in IDENTITIES:
+        raise UsageError(f"--by {name}: expected one of {', '.join(IDENTITIES)}")
+    return name
 
 
 def _pattern(text: str) -> str:

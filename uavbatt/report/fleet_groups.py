@@ -1,7 +1,9 @@
-"""What the fleet page says of each pack or aircraft, and of the forecasts, gathered in one pass over the flights.
+"""Flights of a fleet gathered in one pass: each pack or aircraft over its life, and the errors of the forecasts.
 
-A group is a battery with a serial number, else an aircraft. Only numbers are kept of a flight, so that a page about
-very many flights stays small in memory.
+A group is a battery with a serial number, else an aircraft by its flight controller's serial or by what the caller
+names (`--by`, `--aircraft`), always of one count of cells and one capacity. What only lies in one folder is shown
+together and never judged: a folder holds whatever somebody put into it. Only numbers are kept of a flight, so that a
+page about very many flights stays small in memory.
 """
 
 from __future__ import annotations
@@ -11,50 +13,19 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.fleet.row import Row
+
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
+STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
+LISTED_SHARE = 0.2  # of the flights at most stand on the list of those to look at
 MOST_LISTED = 100
 _FIGURE = re.compile(r"\d+(\.\d+)?")
-
-
-class FlightLike(Protocol):
-    """What the page needs of a row, see `uavbatt.fleet.row.Row`."""
-
-    @property
-    def file(self) -> str: ...
-    @property
-    def status(self) -> str: ...
-    @property
-    def reason(self) -> str: ...
-    @property
-    def look(self) -> str: ...
-    @property
-    def aircraft(self) -> str: ...
-    @property
-    def battery_serial(self) -> str: ...
-    @property
-    def certificate(self) -> str: ...
-    @property
-    def start_utc(self) -> str: ...
-    @property
-    def duration_s(self) -> float: ...
-    @property
-    def energy_Wh(self) -> float: ...
-    @property
-    def end_soc(self) -> float: ...
-    @property
-    def resistance_scale(self) -> float: ...
-    @property
-    def resistance_scale_sd(self) -> float: ...
-    @property
-    def capacity_scale(self) -> float: ...
-    @property
-    def capacity_scale_sd(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +39,40 @@ class Change:
 
     @property
     def is_certain(self) -> bool:
-        """More than twice its own standard deviation, and big enough to matter."""
+        """True for a change of more than twice its own standard deviation that is big enough to matter."""
         return abs(self.difference) > max(2.0 * self.difference_sd, 0.05)
+
+    @property
+    def at_most(self) -> float:
+        """The largest change that the flights leave possible, relative to the early ones (two standard deviations)."""
+        return (abs(self.difference) + 2.0 * self.difference_sd) / max(self.early, 1e-3)
+
+    @property
+    def visible(self) -> float:
+        """The smallest change that these flights could have shown, relative to the early ones."""
+        return max(2.0 * self.difference_sd, 0.05) / max(self.early, 1e-3)
+
+
+class Verdict(NamedTuple):
+    """A judgement about one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
+
+    kind: str
+    words: str
+
+
+def verdict(group: Group, resistance: Change | None, capacity: Change | None) -> Verdict:
+    """Judge the health of a group; a change that could not have been seen is not called steady."""
+    if not group.is_identified:
+        return Verdict("cannot tell", "one folder is not one aircraft: give --by or --aircraft")
+    if resistance is None or capacity is None:
+        return Verdict("cannot tell", "too few flights")
+    if resistance.is_certain and resistance.difference > 0.0:
+        return Verdict("grown", f"ohms grown by {resistance.difference / resistance.early:.0%}")
+    if capacity.is_certain and capacity.difference < 0.0:
+        return Verdict("lost", f"capacity lost: {-capacity.difference / capacity.early:.0%}")
+    if resistance.at_most <= STEADY:
+        return Verdict("steady", f"steady to within {resistance.at_most:.0%}")
+    return Verdict("cannot tell", f"cannot tell: growth below {resistance.visible:.0%} is not visible")
 
 
 @dataclass(slots=True)
@@ -77,14 +80,15 @@ class Group:
     """Flights of one pack or aircraft, in the order of the table; filled while the rows go by."""
 
     name: str
+    is_identified: bool = True  # by a serial or by the caller, not by a folder alone
     start_s: list[float] = field(default_factory=list)
     resistance: list[tuple[float, float]] = field(default_factory=list)  # scale and its standard deviation
     capacity: list[tuple[float, float]] = field(default_factory=list)
     flown_s: float = 0.0
     energy_Wh: float = 0.0
 
-    def add(self, row: FlightLike) -> None:
-        """One more flight."""
+    def add(self, row: Row) -> None:
+        """Add one more flight."""
         start = datetime.fromisoformat(row.start_utc).timestamp() if row.start_utc else math.nan
         self.start_s.append(start)
         self.resistance.append((row.resistance_scale, row.resistance_scale_sd))
@@ -94,17 +98,17 @@ class Group:
 
     @property
     def flights(self) -> int:
-        """How many were flown."""
+        """Number of flights."""
         return len(self.start_s)
 
     @property
     def is_dated(self) -> bool:
-        """Whether the flights can be put on a calendar: all dates known, and not all the same."""
+        """True when the flights can be put on a calendar: all dates known, and not all the same."""
         start_s = np.array(self.start_s)
         return bool(np.all(np.isfinite(start_s)) and np.ptp(start_s) > 3600.0)
 
     def in_time(self, values: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions and (scale, sd) by date, or by number where the dates are not known."""
+        """Return positions and (scale, sd) by date, or by number where the dates are not known."""
         pairs = np.array(values, np.float64).reshape(-1, 2)
         if not self.is_dated:
             return np.arange(1.0, len(pairs) + 1.0), pairs
@@ -113,7 +117,7 @@ class Group:
 
 
 def change(group: Group, values: Sequence[tuple[float, float]]) -> Change | None:
-    """First third of the flights against the last; None for too few flights."""
+    """Compare the first third of the flights with the last; None for too few flights."""
     _, pairs = group.in_time(values)
     if len(pairs) < ENOUGH_FLIGHTS:
         return None
@@ -132,13 +136,13 @@ def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class Overview:
-    """All that the page tells; filled by `gathered`."""
+    """Everything that the page tells; filled by `gathered`."""
 
     groups: dict[str, Group] = field(default_factory=dict)
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
     inside: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
     refused: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
-    look: list[FlightLike] = field(default_factory=list)
+    look: list[Row] = field(default_factory=list)
     looked: int = 0
     reasons: dict[str, int] = field(default_factory=dict)  # without their figures
     failed: dict[str, list[str]] = field(default_factory=dict)  # reason -> the first few files
@@ -147,12 +151,12 @@ class Overview:
 
     @property
     def flights(self) -> int:
-        """How many could be flown."""
+        """Number of flights that could be flown."""
         return sum(g.flights for g in self.groups.values())
 
 
-def gathered(rows: Iterable[FlightLike]) -> Overview:
-    """One pass over the rows."""
+def gathered(rows: Iterable[Row]) -> Overview:
+    """Gather the rows of a fleet in one pass."""
     found = Overview()
     for row in rows:
         if row.status != "ok":
@@ -160,20 +164,51 @@ def gathered(rows: Iterable[FlightLike]) -> Overview:
             files = found.failed.setdefault(row.reason, [])
             files += [row.file] if len(files) < 3 else []
             continue
-        name = f"battery {row.battery_serial}" if row.battery_serial else row.aircraft or "unknown aircraft"
-        found.groups.setdefault(name, Group(name)).add(row)
+        name, is_identified = _whose(row)
+        found.groups.setdefault(name, Group(name, is_identified)).add(row)
         found.certificates.add(row.certificate)
         if row.look:
             found.looked += 1
-            found.look += [row] if len(found.look) < MOST_LISTED else []
+            found.look = _most_severe([*found.look, row], MOST_LISTED)
             for reason in row.look.split("; "):
                 kind = _FIGURE.sub("…", reason)
                 found.reasons[kind] = found.reasons.get(kind, 0) + 1
         _score(found, row)
+    found.look = _most_severe(found.look, max(math.ceil(LISTED_SHARE * found.flights), 1))
     return found
 
 
-def _score(found: Overview, row: FlightLike) -> None:
+def _most_severe(rows: Sequence[Row], count: int) -> list[Row]:
+    return sorted(rows, key=severity, reverse=True)[:count]
+
+
+def _whose(row: Row) -> tuple[str, bool]:
+    """The name of the pack or aircraft of a flight, and whether it is known to be one."""
+    size = f"{row.cells or '?'}S {row.capacity_Ah:g} Ah" if math.isfinite(row.capacity_Ah) else f"{row.cells or '?'}S"
+    if row.battery_serial:
+        return f"battery {row.battery_serial} ({size})", True
+    if row.aircraft_from in ("--by", "--aircraft") and row.aircraft:
+        return f"{row.aircraft} ({size})", True
+    if row.hardware:
+        return f"aircraft {row.hardware} ({size})", True
+    return f"folder {row.aircraft or '?'} ({size})", False
+
+
+def severity(row: Row) -> float:
+    """Return how much a flight asks for a look; a battery that was emptied comes before a forecast that was off."""
+    weights = {
+        "landed nearly empty": 5.0,
+        "resistance": 4.0,
+        "too long": 4.0,
+        "not to be trusted": 3.0,
+        "explains it badly": 2.0,
+        "refused": 2.0,
+        "flew on below": 1.0,
+    }
+    return sum(weight for words, weight in weights.items() if words in row.look)
+
+
+def _score(found: Overview, row: Row) -> None:
     for key in CHECKPOINTS:
         inside, error_s = getattr(row, f"inside_{key}"), getattr(row, f"error_{key}_s")
         if inside is None:

@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
 from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
-from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct, latest_before, times_s
+from uavbatt.telemetry.column_rules import add_rows, times_s
+from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.recording import is_recording
 from uavbatt.telemetry.formats.tlog_frames import Frames, frames
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, Clock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
-from uavbatt.telemetry.recording import is_recording
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
