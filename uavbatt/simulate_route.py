@@ -6,6 +6,7 @@ power, by the same law as the route's forecast has. After the last item it retur
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from bisect import bisect_right
 from collections.abc import Callable
@@ -16,9 +17,10 @@ from msgspec.structs import replace
 
 from uavbatt.battery.powers import UNKNOWN, Powers, power, terms
 from uavbatt.errors import UsageError
-from uavbatt.navigation import Home, Mission, Position, ReturnSettings, Wind
+from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, Wind
 from uavbatt.prediction.route_path import METRES_PER_DEGREE, Leg, Path, Phase, Point, path
 from uavbatt.telemetry.formats.route_writer import FlownRoute, RouteRow
+from uavbatt.telemetry.route.commands import WAYPOINT
 from uavbatt.telemetry.route.settings import return_settings
 
 COPTER_AUTO, COPTER_LOITER, COPTER_RTL = 3, 5, 6
@@ -87,12 +89,22 @@ def route_flight(
     mission: Mission, home: Home, wind: Wind, take_off_s: float, settings: ReturnSettings | None = None
 ) -> RouteFlight:
     """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end."""
+    mission = _with_home_item(mission, home)
     way: Path = path(mission, home, settings or return_settings(PARAMETERS))
     if way.reason or not way.lands:
         raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end'}")
     times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
     begins_s = tuple(accumulate(times_s, initial=take_off_s))
     return RouteFlight(mission, home, wind, way.legs, begins_s[:-1], begins_s[-1])
+
+
+def _with_home_item(mission: Mission, home: Home) -> Mission:
+    """The mission as an ArduPilot holds it: home in front, all others one further."""
+    if mission.has_home_item:
+        return mission
+    first = MissionItem(0, Action.WAYPOINT, home.lat_deg, home.lon_deg, home.alt_m, Frame.SEA, command=WAYPOINT)
+    moved = (dataclasses.replace(i, seq=i.seq + 1, jump_to=i.jump_to + 1) for i in mission.items)
+    return dataclasses.replace(mission, items=(first, *moved), has_home_item=True)
 
 
 def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:

@@ -7,12 +7,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
 from daemon_bench import Bench
 from live_rig import free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from uavbatt.errors import BadInput
 from uavbatt.live import proxy
-from uavbatt.live.config import LinkSection, RecordSection
+from uavbatt.live.config import LinkSection, PackSection, RecordSection
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.mavlink.framing import header
 from uavbatt.navigation import Navigation
@@ -105,6 +107,25 @@ def test_a_new_recording_begins_with_the_mission(tmp_path: Path) -> None:
     later = read_log(max(tmp_path.glob("*.tlog")))
     assert later.navigation[-1].mission is not None
     assert len(later.navigation[-1].mission.items) == 4
+
+
+def test_a_mission_file_wins_over_what_passes(tmp_path: Path) -> None:
+    path = tmp_path / "route.waypoints"
+    path.write_text("QGC WPL 110\n0 1 0 16 0 0 0 0 47.0 8.0 400 1\n1 0 3 22 0 0 0 0 0 0 25 1\n")
+    link = LinkSection(endpoint="x", gcs=[], request_mission=True)
+    bench = Bench(link=link, pack=PackSection(mission=str(path)))
+    for k in range(3):
+        second(bench, k)
+    upload(bench)
+    second(bench, 3)
+    found = reader(bench).navigation
+    assert found.mission is not None
+    assert found.mission.items[1].alt_m == 25.0
+    assert found.home is not None
+    assert found.position is not None
+    assert {header(frame).message_id for frame in bench.link.sent} == {0}  # nothing is asked that is known
+    with pytest.raises(BadInput, match="No such file"):
+        Bench(pack=PackSection(mission=str(tmp_path / "none.plan")))
 
 
 def test_an_upload_to_another_vehicle_is_not_ours() -> None:

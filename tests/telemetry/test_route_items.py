@@ -84,6 +84,7 @@ def test_zeros_of_an_ardupilot_mean_where_it_is_and_as_it_is() -> None:
         (item(16, frame=-1), "without a frame"),
         (item(16, -5), "stay of -5"),
         (item(18, NAN), "turns"),
+        (item(19, NAN), "stay of nan"),
         (item(178, 1, 400), "speed of 400"),
         (item(178, NAN, 5), "speed"),
         (item(177, NAN, 1), "jump"),

@@ -254,6 +254,13 @@ def test_a_jump_has_the_legs_of_the_items_written_out() -> None:
     assert legs(written) == legs(ROUTE)
 
 
+def test_a_mission_of_a_px4_is_flown_with_home_in_front() -> None:
+    items = [replace(i, seq=i.seq - 1, jump_to=i.jump_to - 1) for i in ROUTE.items[1:]]
+    flight = route_flight(mission(items, "plan", has_home_item=False), HOME, Wind(0.0, 0.0), 0.0)
+    assert [i.command for i in flight.mission.items] == [i.command for i in ROUTE.items]
+    assert [leg.end for leg in flight.legs] == [leg.end for leg in route_flight(ROUTE, HOME, Wind(0.0, 0.0), 0.0).legs]
+
+
 def test_wind_changes_what_a_route_asks() -> None:
     watts = watts_of(200.0)
 
@@ -282,3 +289,13 @@ def test_info_names_the_route(folder: Path) -> None:
     told = lines(describe(read_log(folder / "flight.tlog")))
     assert "route        mission of 7 items, home, positions, progress, wind" in told
     assert "route        the log says nothing of it" in lines(describe(read_log(folder / "flight.csv")))
+
+
+def test_a_flight_with_its_route_has_the_rows_of_its_table(shared_data: Path) -> None:
+    for name in ("m100_001_752", "m100_022_782"):
+        table = read_log(shared_data / "flights" / "m100" / f"{name}.csv")
+        log = read_log(shared_data / "flights" / "m100_routes" / f"{name}.tlog")
+        assert [(s.time_s, s.voltage_V, s.temp_C) for s in log.samples] == [
+            (s.time_s, s.voltage_V, s.temp_C) for s in table.samples
+        ]
+        assert [s.current_A for s in log.samples] == pytest.approx([s.current_A for s in table.samples], abs=0.0051)

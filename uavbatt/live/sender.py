@@ -67,7 +67,7 @@ class Sender:
                 component = reader.component or 1
                 to_autopilot += self.requests.again(now_s, component, reader.doubted, own)
                 to_autopilot += self.requests.frames(now_s, component, reader.parameters, names, own)
-            if reads and reader.followed is not None:
+            if reads and reader.followed is not None and reader.planned is None:
                 route, component = reader.followed.route, reader.component or 1
                 to_autopilot += self._mission.frames(now_s, reader.now_s, route, component, own)
         for frame in to_autopilot:

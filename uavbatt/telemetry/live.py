@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import PackFacts
+from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 from uavbatt.telemetry.vehicle import BATTERY_IDS, Row, Vehicle, battery_fields
@@ -70,6 +72,7 @@ class LiveReader:
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
         self._resumed: Mapping[str, float] = {}
         self.followed: Vehicle | None = None
+        self.planned: PlannedFlight | None = None
         self.changes = 0  # grows when another vehicle is followed
         self.rejected = 0
         self._now_s = -math.inf
@@ -106,8 +109,12 @@ class LiveReader:
 
     @property
     def navigation(self) -> Navigation:
-        """What is known of the vehicle's route and place."""
-        return self.followed.route.now if self.followed is not None else NOWHERE
+        """What is known of the vehicle's route and place; a mission that a file plans wins over what passes."""
+        known = self.followed.route.now if self.followed is not None else NOWHERE
+        if self.planned is None:
+            return known
+        home = known.home or self.planned.home
+        return replace(known, mission=self.planned.mission, home=home, transferring=False)
 
     @property
     def battery_ids(self) -> set[int]:

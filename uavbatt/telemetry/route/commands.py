@@ -150,7 +150,8 @@ def _stay(fields: Fields, item: MissionItem) -> MissionItem:
         return replace(item, turns=fields.param1, radius_m=_radius_m(fields.param3))
     if item.action is Action.LOITER_UNLIMITED:
         return replace(item, radius_m=_radius_m(fields.param3))
-    if item.action not in (Action.WAYPOINT, Action.SPLINE, Action.LOITER_TIME) or fields.param1 != fields.param1:
+    may_be_open = item.action in (Action.WAYPOINT, Action.SPLINE) and fields.param1 != fields.param1
+    if may_be_open or item.action in (Action.TAKEOFF, Action.LAND):
         return item
     if not 0.0 <= fields.param1 <= _LONGEST_S:
         return _unknown(fields, f"a stay of {fields.param1:g} s")
