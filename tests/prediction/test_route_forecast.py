@@ -155,3 +155,21 @@ def test_a_line_has_the_keys_of_the_route_only_where_one_is_known() -> None:
     assert with_route["route_left_s"] == 12.3
     assert with_route["turn_back_s"] is None
     assert with_route["route_reason"] == "words"
+
+
+def test_a_flight_cut_short_says_the_same_up_to_there() -> None:
+    samples = [Sample(float(k), 15.0 - 0.002 * k, 12.0, temp_C=25.0) for k in range(48)]
+    base = known(leg_to(350.0))
+
+    def navigation_at(time_s: float) -> Navigation:
+        assert base.position is not None
+        here = replace(base.position, time_s=time_s, east_ms=5.0)
+        return replace(base, time_s=time_s, current_heard_s=time_s, position=here)
+
+    def lines(count: int) -> list[object]:
+        estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+        return [line(*row) for row in estimator.run(samples[:count], navigation_at)]
+
+    whole = lines(48)
+    assert lines(37) == whole[:37]
+    assert "route" in {row["load"] for row in whole if isinstance(row, dict) and "load" in row}
