@@ -21,7 +21,7 @@ from uavbatt.battery import file as battery_file
 from uavbatt.battery.belief import Belief, C
 from uavbatt.battery.build import Pack, pack_of
 from uavbatt.battery.file import BatteryFile
-from uavbatt.battery.service import capacities
+from uavbatt.battery.remembered import PackHealth, prior_of
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.recursion import Summary
 from uavbatt.estimation.soc_filter import SocFilter
@@ -61,8 +61,10 @@ class Past(NamedTuple):
 class Estimator:
     """State of charge and remaining time of one battery, sample by sample."""
 
-    def __init__(self, battery: BatteryFile, options: PackOptions | None = None) -> None:
-        self.battery = battery
+    def __init__(
+        self, battery: BatteryFile, options: PackOptions | None = None, remembered: PackHealth | None = None
+    ) -> None:
+        self.battery, self.remembered = battery, remembered
         self.options = options or PackOptions()
         self.resolved: Resolved | None = None
         self._facts = PackFacts()
@@ -219,7 +221,7 @@ class Estimator:
 
     def _begin(self, pack: Pack, first: Sample | None = None) -> None:
         """A new battery: nothing that was believed of the last one holds."""
-        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=capacities(pack))
+        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
         if first is not None and self._coming:
             self._filter.look_ahead([first, *(cleaned for _, cleaned in self._coming)])
         self._forecaster = Forecaster(

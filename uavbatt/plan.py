@@ -165,7 +165,8 @@ def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : C.SENSOR + 1], means[:, C.LOG_CAPACITY] = state, members.log_scale
     charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
-    covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members.sd)
+    means[:, C.LOG_RESISTANCE] = members.log_resistance
+    covariances = start_covariances(state, charge, AMBIENT_SD_K, members)
     return Belief(0.0, means, covariances, members.weight, ambient_C)
 
 

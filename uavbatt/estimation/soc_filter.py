@@ -205,7 +205,8 @@ class SocFilter:
         x[:, : C.SENSOR + 1] = first.state
         x[:, C.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
         x[:, C.BIAS], x[:, C.LOG_CAPACITY] = first.mean[1], members.log_scale
-        P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members.sd)
+        x[:, C.LOG_RESISTANCE] = members.log_resistance
+        P = noise.start_covariances(first.state, first.covariance, temp_sd_K, members)
         self._begin(Moments(x, P, np.log(members.weight)), sample.time_s, ambient_C)
         self._current_A = self._block_A = current_A
         self._block = Block()
