@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-
 from packs.made import RATED_AH, TYPE_OHM, flight
+
 from uavbatt.packs import ageing
 from uavbatt.packs.outlook import outlook
 

@@ -66,4 +66,3 @@ def known_capacity(pack: Pack) -> Capacities:
     """One member, around what is stated: for a pack that was measured."""
     capacity_sd, resistance_sd = np.full(1, pack.capacity_scale_sd), np.full(1, pack.resistance_scale_sd)
     return Capacities(np.zeros(1), capacity_sd, np.ones(1), np.zeros(1), resistance_sd)
-

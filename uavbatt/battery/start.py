@@ -51,9 +51,7 @@ def charge_at(p: Parameters, emf_V: float, sd_V: float) -> Charge:
     return Charge(float(np.clip(soc, 0.0, 1.0)), float(max(0.5 * (high - low), 0.01)))
 
 
-def joint(
-    p: Parameters, emf_V: float, reading_sd_V: float, bias_sd_V: float, may_be_full: bool
-) -> tuple[Array, Array]:
+def joint(p: Parameters, emf_V: float, reading_sd_V: float, bias_sd_V: float, may_be_full: bool) -> tuple[Array, Array]:
     """Mean [2] and covariance [2, 2] of (charge, discrepancy [V]) after a reading of OCV(charge) + discrepancy.
 
     Before a flight (`may_be_full`) the habit of flying full packs weighs in: the mixture of "just charged" (FULL_SHARE,

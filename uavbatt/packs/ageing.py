@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.packs import findings as odd
 from uavbatt.packs.evidence import health
 from uavbatt.packs.records import Finding, FlightRecord, Known, Remembered

@@ -24,6 +24,13 @@ from uavbatt.packs.records import FlightRecord, PackRow, Remembered
 PATIENCE_S = 10.0  # for another writer
 SHOWN_FINDINGS = 5
 LONGEST_NAME = 64
+# A log of the same flight that began a moment earlier is not before it.
+BEFORE = """
+SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack
+WHERE packs.name = :name AND key != :key
+    AND (start_utc_s IS NULL OR :start IS NULL OR start_utc_s + 0.5 * duration_s < :start)
+ORDER BY (start_utc_s IS NULL) = (:start IS NULL) DESC, start_utc_s DESC, flights.id DESC LIMIT 1
+"""
 
 
 class Ledger:
@@ -89,9 +96,12 @@ class Ledger:
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
     def before(self, name: str, start_utc_s: float, key: str = "") -> Remembered | None:
-        """The last flight of a pack before a time, other than the flight of that key."""
-        found = [f for f in self.flights(name) if f.flight.is_before(start_utc_s) and f.flight.key != key]
-        return found[-1] if found else None
+        """The last flight of a pack before a time [s since 1970], NaN for now, other than the flight of that key."""
+        with self._told():
+            row = self._connection.execute(
+                BEFORE, {"name": name, "key": key, "start": start_utc_s if math.isfinite(start_utc_s) else None}
+            ).fetchone()
+        return rows.remembered_of(row) if row is not None else None
 
     def save(self, name: str, flight: FlightRecord) -> Remembered:
         """Save a flight of a pack; one that is in the ledger already is replaced, unless the new one knows less of it.

@@ -6,7 +6,6 @@ depends on the battery file that a flight was read with, so that a new file does
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -63,10 +62,6 @@ class FlightRecord:
     def is_same_as(self, other: FlightRecord) -> bool:
         """Whether two records are of one flight: the same log, or logs of the same time."""
         return self.key == other.key or _overlap(self, other)
-
-    def is_before(self, start_utc_s: float) -> bool:
-        """Whether the flight began before a time; a flight of unknown time counts as before any other."""
-        return not (math.isfinite(self.start_utc_s) and math.isfinite(start_utc_s)) or self.start_utc_s < start_utc_s
 
 
 def _overlap(a: FlightRecord, b: FlightRecord) -> bool:

@@ -80,7 +80,7 @@ def check(connection: sqlite3.Connection, path: object) -> int:
     if owner != APPLICATION_ID and not is_empty:
         raise BadInput(path, "", "a pack ledger, found another SQLite database")
     if now > len(MIGRATIONS):
-        raise BadInput(path, "", f"a pack ledger of version {len(MIGRATIONS)} or less, found version {now}: update uavbatt")
+        raise BadInput(path, "", f"a pack ledger of version {len(MIGRATIONS)}, found {now}: update uavbatt")
     return now
 
 
