@@ -30,9 +30,9 @@ PARTS = ("engine", "cli", "daemon", "reading", "fleet")
 DAEMON = """
 import time
 begin = time.perf_counter()
-import uavbatt.cli.live_process, uavbatt.daemon, filterpy.kalman
+import uavbatt.cli.live_process, uavbatt.live.daemon, filterpy.kalman
 from uavbatt.battery import file
-from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.records import Sample
 estimator = Estimator(file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0))
 estimator.step(Sample(0.0, 16.4, 20.0, 25.0))

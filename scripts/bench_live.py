@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from uavbatt.mavlink import framing
-from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 VEHICLE, STATION = ("127.0.0.1", 24_651), ("127.0.0.1", 24_650)
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -121,7 +121,7 @@ def measure(feed: str, rate: float, seconds: float) -> dict[str, float]:
     found = {"ready_s": ready_s, "rss_MB": rss_MB(process.pid)}
     found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - cpu0_s) / seconds
     if feed == "proxy":
-        pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.feed.proxy.*24651"]).split()[0])
+        pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.live.proxy.*24651"]).split()[0])
         found["proxy_rss_MB"] = rss_MB(pid)
         found["proxy_p50_ms"] = 1e3 * statistics.median(delays["frame"])
         found["proxy_p99_ms"] = 1e3 * statistics.quantiles(delays["frame"], n=100)[98]

@@ -19,14 +19,14 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from uavbatt import dataset
-from uavbatt.battery import belief as b
-from uavbatt.battery import file
-from uavbatt.battery.belief import SIZE
-from uavbatt.battery.build import pack_of
+from uavbatt.battery import battery_file
+from uavbatt.battery import state_space as b
 from uavbatt.battery.pack import c_rate
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.state_space import SIZE
 from uavbatt.estimation import noise
+from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimation.recursion import Moments
-from uavbatt.estimation.soc_filter import SocFilter
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.telemetry import read_log
 
@@ -68,7 +68,7 @@ class UnscentedSocFilter(SocFilter):
         return Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
 
 
-def score(kind: type[SocFilter], battery: file.BatteryFile) -> tuple[float, float, float]:
+def score(kind: type[SocFilter], battery: battery_file.BatteryFile) -> tuple[float, float, float]:
     """(soc RMSE over the eight flights, the worst flight's, microseconds a sample)."""
     errors, spent, rows = [], 0.0, 0
     for folder in SETS:
@@ -94,8 +94,8 @@ def main() -> None:
         path = Path(tempfile.mkdtemp()) / "truth.battery.toml"
         flights = [read_log(DATA / f"truth/reference/r0/flight_{n}.tlog") for n in (1, 2, 3, 4)]
         fitted = fit_battery(Size("truth", 4, 5.0, 13.2), [dataset.load(DATA / "truth/lab")], flights)
-        file.write(fitted.file, path)
-    battery = file.read(path)
+        battery_file.write(fitted.file, path)
+    battery = battery_file.read(path)
     print("filter     soc RMSE   worst flight   us a sample")
     for name, kind in (("extended", SocFilter), ("unscented", UnscentedSocFilter)):
         rmse, worst, cost = score(kind, battery)

@@ -7,13 +7,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery import file
-from uavbatt.config import Config, LinkSection
-from uavbatt.daemon import Daemon
+from uavbatt.battery import battery_file
+from uavbatt.estimator import PackOptions
+from uavbatt.live.config import Config, LinkSection
+from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink.endpoint import Chunk
-from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
-from uavbatt.pipeline import PackOptions
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 OPTIONS = PackOptions(capacity_Ah=5.0, cells=4)
 
@@ -51,7 +51,7 @@ class Bench:
         self.link, self.station = FakeLink(), FakeLink()
         sections.setdefault("link", LinkSection(endpoint="udpin:127.0.0.1:1", gcs=["udpout:127.0.0.1:2"]))
         self.daemon = Daemon(
-            Config(**sections), file.read("lipo-generic"), options, self.link, [self.station],
+            Config(**sections), battery_file.read("lipo-generic"), options, self.link, [self.station],
             clock_s=lambda: self.now_s, wall_s=lambda: self.wall_offset_s + self.now_s,
             is_clock_set=lambda wall_s: is_clock_set,
         )  # fmt: skip

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.fitting.observed import Observed
 from uavbatt.telemetry import read_log
 

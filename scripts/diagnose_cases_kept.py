@@ -21,10 +21,10 @@ import numpy as np
 from diagnose_cases_inject import Change, Flown
 
 from uavbatt import dataset
-from uavbatt.battery import file as battery_file
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery import battery_file
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
 from uavbatt.fitting.battery import Size, fit_battery
-from uavbatt.loop.diagnosis import Diagnosis, diagnose, pack_for
 from uavbatt.telemetry import read_log
 
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt import dataset
-from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
+from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
+from uavbatt.diagnosis import close
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
-from uavbatt.loop import close
-from uavbatt.loop.diagnosis import Diagnosis, diagnose, pack_for
 from uavbatt.telemetry import read_log
 from uavbatt.validation import temperatures
 from uavbatt.validation.gate import Limits

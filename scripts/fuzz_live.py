@@ -18,12 +18,12 @@ from typing import Any
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.config import FeedSection
-from uavbatt.feed.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
+from uavbatt.estimator import PackOptions
+from uavbatt.live.config import FeedSection
+from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
-from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
-from uavbatt.pipeline import PackOptions
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry.live import Row
 
 CURRENT_A, VOLTAGE_V = 12.0, 16.0

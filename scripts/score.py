@@ -24,8 +24,8 @@ SECTIONS = ("m100", "truth", "flights")
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the chosen sections; 1 when the data are not there."""
-    from uavbatt.aside import written_aside
     from uavbatt.errors import UavbattError
+    from uavbatt.files import atomic_write
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--only", choices=SECTIONS, action="append", help="one section; may be given again")
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
             print("\n".join(t.text() for t in made), flush=True)
             tables += made
         if given.markdown is not None:
-            with written_aside(given.markdown, "w") as stream:
+            with atomic_write(given.markdown, "w") as stream:
                 stream.write("\n".join(t.markdown() for t in tables) + "\n")
     except UavbattError as error:
         print(f"score: {error}", file=sys.stderr)

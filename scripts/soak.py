@@ -17,10 +17,10 @@ from pathlib import Path
 
 from daemon_bench import Bench
 
-from uavbatt.config import LinkSection, PackSection, RecordSection, StateSection
-from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
-from uavbatt.pipeline import PackOptions
+from uavbatt.estimator import PackOptions
+from uavbatt.live.config import LinkSection, PackSection, RecordSection, StateSection
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 FLIGHT_S, GROUND_S = 900.0, 60.0
 

@@ -43,9 +43,9 @@ def main(arguments: list[str] | None = None) -> int:
     tables = _tables(given.only or SECTIONS, given.quick)
     print("\n".join(t.text() for t in tables), flush=True)
     if given.markdown is not None:
-        from uavbatt.aside import written_aside
+        from uavbatt.files import atomic_write
 
-        with written_aside(given.markdown, "w") as stream:
+        with atomic_write(given.markdown, "w") as stream:
             stream.write("\n".join(t.markdown() for t in tables) + "\n")
     return 0
 

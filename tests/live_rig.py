@@ -15,8 +15,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.mavlink.tlog_writer import battery_status, heartbeat
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]

@@ -34,7 +34,7 @@ def test_the_estimator_flies_without_the_workshop() -> None:
     """What the drone loads: the model, the filter, the forecast."""
     modules = loaded("from uavbatt import Estimator, Sample\nEstimator.from_battery('lipo-generic', capacity_Ah=5.0)")
     assert not modules & set(HEAVY)
-    for part in ("fitting", "validation", "loop", "report", "cli", "fleet", "simulate"):
+    for part in ("fitting", "validation", "diagnosis", "report", "cli", "fleet", "simulate"):
         assert f"uavbatt.{part}" not in modules, part
 
 
@@ -55,7 +55,7 @@ def test_no_part_of_the_estimator_asks_for_an_optimiser() -> None:
     """filterpy brings scipy.stats, and that scipy.optimize; our own modules in the closure name neither."""
     modules = loaded("from uavbatt import Estimator\nEstimator.from_battery('lipo-generic', capacity_Ah=5.0)")
     ours = {m for m in modules if m.startswith("uavbatt.")}
-    assert "uavbatt.estimation.soc_filter" in ours and len(ours) > 15
+    assert "uavbatt.estimation.filter" in ours and len(ours) > 15
     for module in ours:
         named = imported_by(module)
         assert not {n for n in named if n.startswith(("scipy.optimize", "scipy.stats", "matplotlib", "dask"))}, module
@@ -72,7 +72,7 @@ def test_a_whole_step_loads_no_more() -> None:
 
 
 def test_reading_a_csv_needs_no_pymavlink() -> None:
-    assert "pymavlink" not in loaded("from uavbatt import read_log\nimport uavbatt.telemetry.csv_table")
+    assert "pymavlink" not in loaded("from uavbatt import read_log\nimport uavbatt.telemetry.formats.csv_table")
 
 
 def test_the_command_line_answers_before_it_loads() -> None:

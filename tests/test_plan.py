@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from uavbatt.battery import file, vehicle
-from uavbatt.battery.build import pack_of
-from uavbatt.battery.file import BatteryFile
-from uavbatt.battery.vehicle import Phases, Trace, VehicleFile
+from uavbatt.battery import battery_file, vehicle_file
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.pipeline import PackOptions
+from uavbatt.estimator import PackOptions
 from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, made, resolve
-from uavbatt.prediction.learned import learned_load
 from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import Sample
 from uavbatt.simulate import Mission, fly, write
 
@@ -33,7 +33,7 @@ OPTIONS = PackOptions(cells=4, capacity_Ah=5.0)
 
 def fitted() -> BatteryFile:
     """The generic cell, as if it had been fitted: packs of the type differ by 6 % and 2 %."""
-    generic = file.read("lipo-generic")
+    generic = battery_file.read("lipo-generic")
     table = msgspec.structs.replace(generic.parameters, resistance_scale_sd=0.06, capacity_scale_sd=0.02)
     left = msgspec.structs.replace(generic.discrepancy, voltage_rmse_V=0.01)
     certificate = msgspec.structs.replace(generic.certificate, status="fitted")
@@ -43,7 +43,7 @@ def fitted() -> BatteryFile:
 def planned(
     power_W: float = 250.0, ambient_C: float = 20.0, start_soc: float = 1.0, battery: BatteryFile | None = None
 ) -> Endurance:
-    content = battery or file.read("lipo-generic")
+    content = battery or battery_file.read("lipo-generic")
     load = ConstantLoad(power_W, 0.04)
     return endurance(content, resolve(content, OPTIONS), load, ambient_C, start_soc)
 
@@ -59,7 +59,7 @@ def test_a_pack_that_is_at_its_end_says_so() -> None:
 
 @pytest.mark.parametrize("battery", ["lipo-generic", "lpab-3s"])
 def test_warmer_lasts_longer(battery: str) -> None:
-    times = [planned(ambient_C=t, battery=file.read(battery)) for t in TABLE_C]
+    times = [planned(ambient_C=t, battery=battery_file.read(battery)) for t in TABLE_C]
     for cold, warm in pairwise(times):
         assert cold.median_s < warm.median_s + 1.0 and cold.hi_s < warm.hi_s + 1.0
     assert times[0].median_s < 0.95 * times[-1].median_s
@@ -103,7 +103,7 @@ def test_a_generic_file_is_wider_than_a_fitted_one() -> None:
 
 
 def test_outside_the_validated_range_is_said() -> None:
-    battery = file.read("lpab-3s")
+    battery = battery_file.read("lpab-3s")
     assert "outside the validated range" in planned(ambient_C=-20.0, battery=battery).remark
     assert "outside the validated range" in planned(ambient_C=50.0, battery=battery).remark
     assert planned(ambient_C=25.0, battery=battery).remark == ""
@@ -173,12 +173,16 @@ def test_what_nobody_says_is_refused_in_one_line(arguments: tuple[str, ...], wor
 
 @cache
 def samples() -> list[Sample]:
-    pack = pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
     return fly(pack, Mission(260.0, 20.0, rate_Hz=1.0, seed=8))
 
 
 def test_like_a_past_flight(tmp_path: Path) -> None:
-    pack, log, summary = pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0), tmp_path / "past.BIN", tmp_path / "j"
+    pack, log, summary = (
+        pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0),
+        tmp_path / "past.BIN",
+        tmp_path / "j",
+    )
     write(log, samples(), pack)
     code, said = run("--like", str(log), "--json", str(summary))
     assert code == 0 and "past.BIN" in said and "from vehicle" in said
@@ -200,10 +204,10 @@ def test_with_a_vehicle_file(tmp_path: Path) -> None:
     trace = Trace(time_s=[10.0 * k for k in range(40)], power_W=[250.0] * 40, soc=np.linspace(0.98, 0.5, 40).tolist())
     phases = Phases(take_off_W=250.0, flight_W=250.0, last_minute_W=250.0)
     flown = VehicleFile(name="quad", battery="lipo-generic", phases=phases, traces=[trace] * 10)
-    code, said = run(*PACK, "--vehicle", str(vehicle.write(flown, tmp_path / "quad.vehicle.toml")))
+    code, said = run(*PACK, "--vehicle", str(vehicle_file.write(flown, tmp_path / "quad.vehicle.toml")))
     assert code == 0 and "as quad flew 10 times" in said
     load = FromTakeOff(learned_load(flown))
-    content = file.read("lipo-generic")
+    content = battery_file.read("lipo-generic")
     told = endurance(content, resolve(content, OPTIONS), load, 20.0)
     assert told.median_s == pytest.approx(planned(250.0).median_s, rel=0.03)
 
@@ -214,7 +218,7 @@ def test_a_part_used_pack_flies_the_flight_from_its_start() -> None:
     trace = Trace(time_s=[10.0 * k for k in range(120)], power_W=power_W, soc=np.linspace(1.0, 0.1, 120).tolist())
     phases = Phases(take_off_W=100.0, flight_W=300.0, last_minute_W=500.0)
     load = FromTakeOff(learned_load(VehicleFile(name="q", battery="b", phases=phases, traces=[trace])))
-    content = file.read("lipo-generic")
+    content = battery_file.read("lipo-generic")
     told = endurance(content, resolve(content, OPTIONS), load, 20.0, start_soc=0.2)
     assert told.median_s == pytest.approx(planned(100.0, start_soc=0.2).median_s, rel=0.1)
 

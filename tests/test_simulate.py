@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from uavbatt.battery import file
-from uavbatt.battery.build import Pack, pack_of
+from uavbatt.battery import battery_file
 from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.cli.app import app
 from uavbatt.errors import UsageError
 from uavbatt.records import Sample
@@ -26,7 +26,7 @@ LOGS = Path(__file__).parents[1] / "logs"
 
 @cache
 def pack() -> Pack:
-    return pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
 
 
 @cache

@@ -21,17 +21,17 @@ from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 import uavbatt
-from uavbatt.battery import file
-from uavbatt.battery.build import pack_of
-from uavbatt.battery.vehicle import Phases, Trace, VehicleFile
-from uavbatt.battery.vehicle import write as write_vehicle
+from uavbatt import output
+from uavbatt.battery import battery_file
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
+from uavbatt.battery.vehicle_file import write as write_vehicle
 from uavbatt.errors import UsageError
-from uavbatt.feed import sinks
-from uavbatt.feed.web import content
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.limits import OPTIONS, Resting, Seen, capacity_doubt, cells_doubt, check_stated, ending_doubt
-from uavbatt.pipeline import Estimator, PackOptions
-from uavbatt.prediction.learned import learned_load
+from uavbatt.live.web import content
 from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
@@ -43,7 +43,7 @@ LOGS = Path(__file__).parents[1] / "logs"
 @cache
 def flown() -> tuple[Sample, ...]:
     """Four minutes of a flight of the pack, the ground before it included."""
-    pack = pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
     return tuple(fly(pack, Mission(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
 
 
@@ -54,7 +54,7 @@ def after(
     battery: str = "lipo-generic",
 ) -> list[tuple[Estimate, Remaining]]:
     """Every row's estimate, as the library gives it."""
-    estimator = Estimator(file.read(battery), options)
+    estimator = Estimator(battery_file.read(battery), options)
     if facts is not None:
         estimator.update_facts(facts)
     return [estimator.step(sample) for sample in samples or flown()]
@@ -81,7 +81,7 @@ def test_a_count_of_cells_that_the_voltage_denies_is_refused(cells: int) -> None
     rows = after(PackOptions(cells=cells, capacity_Ah=5.0, forecast_period_s=30.0))
     assert all(is_refused(row) for row in rows)
     assert f"{cells} cell" in rows[0][0].reason and "V a cell" in rows[0][0].reason and "as with 4" in rows[0][0].reason
-    line = sinks.line(*rows[-1])
+    line = output.line(*rows[-1])
     assert (line["status"], line["soc"], line["remaining_s"]) == ("refused", None, None)
     assert rows[-1][0].reason in said(rows)
 
@@ -207,7 +207,7 @@ FACTS = PackFacts(capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -> None:
-    estimator = Estimator(file.read("lipo-generic"), PackOptions(forecast_period_s=30.0))
+    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(forecast_period_s=30.0))
     estimator.update_facts(replace(FACTS, cells_series=cells, critical_voltage_V=3.5 * cells))
     rows = [estimator.step(sample) for sample in flown()]
     pack = estimator.resolved
@@ -230,7 +230,7 @@ def test_a_critical_voltage_that_cannot_be_is_left_out(critical_V: float) -> Non
 
 
 def test_a_critical_voltage_for_another_count_than_the_callers_is_left_out() -> None:
-    estimator = Estimator(file.read("lipo-generic"), PackOptions(cells=4, forecast_period_s=30.0))
+    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, forecast_period_s=30.0))
     estimator.update_facts(replace(FACTS, cells_series=3, critical_voltage_V=10.5))  # 3 cells of 3.5 V: PX4
     estimate, _ = estimator.step(flown()[0])
     assert estimator.resolved is not None and estimator.resolved.cutoff_V == pytest.approx(13.2)
@@ -297,13 +297,13 @@ def test_a_vehicle_file_of_another_aircraft_is_said(power_W: float, is_other: bo
 
 
 def test_a_battery_file_of_another_pack_is_said(tmp_path: Path) -> None:
-    generic = file.read("lipo-generic")
+    generic = battery_file.read("lipo-generic")
     fitted = msgspec.structs.replace(
         generic,
         battery=msgspec.structs.replace(generic.battery, cells_series=3, capacity_Ah=2.2, cutoff_V=9.9, low_V=10.5),
         certificate=msgspec.structs.replace(generic.certificate, status="fitted"),
     )
-    path = str(file.write(fitted, tmp_path / "other.battery.toml"))
+    path = str(battery_file.write(fitted, tmp_path / "other.battery.toml"))
     rows = after(STATED, battery=path)
     assert "the battery file is of a 3S 2.2 Ah pack, this one is 4S 5 Ah" in said(rows)
 
@@ -392,7 +392,7 @@ ABSURD = [
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flown") / "flight.tlog"
-    write(path, list(flown()), pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0))
+    write(path, list(flown()), pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0))
     return path
 
 
@@ -475,7 +475,7 @@ def test_one_damaged_current_moves_nothing() -> None:
 
 
 def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:
-    pack = pack_of(file.read("lipo-generic"), 4, 5.0, 3.3, 14.0)  # the log's BATT_CRT_VOLT is a cell's value
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 3.3, 14.0)  # the log's BATT_CRT_VOLT is a cell's value
     write(tmp_path / "f.tlog", list(flown()), pack)
     done = called(
         "replay", "f.tlog", "--load", "recent", "--jsonl", "f.jsonl", "--json", "f.json", "--report", "f.html",
@@ -503,7 +503,7 @@ def test_a_table_in_milliseconds_is_refused_with_its_column(tmp_path: Path) -> N
 
 
 def test_info_uses_the_same_limits(tmp_path: Path) -> None:
-    pack = pack_of(file.read("lipo-generic"), 4, 5.0, 3.3, 25.0)
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 3.3, 25.0)
     samples = [replace(s, current_A=-s.current_A, temp_C=298.0) for s in flown()]
     write(tmp_path / "f.tlog", samples, pack)
     told = called("info", "f.tlog", folder=tmp_path).stdout
@@ -526,7 +526,7 @@ def test_limits_let_ordinary_statements_pass() -> None:
 def test_the_sample_logs_contradict_nothing(name: str) -> None:
     flight = read_log(LOGS / name)
     options = PackOptions(capacity_Ah=5.0, forecast_period_s=math.inf)
-    estimator = Estimator(file.read("lipo-generic"), options)
+    estimator = Estimator(battery_file.read("lipo-generic"), options)
     estimator.update_facts(flight.facts_at(math.inf))
     told = {w for s in flight.samples for w in estimator.step(s)[0].warnings}
     assert not {w for w in told if "cell of" in w or "in series" in w or "stated" in w or "sign" in w}

@@ -8,12 +8,12 @@ __version__ = "0.1.0"
 __all__ = ["Estimate", "Estimator", "Flight", "Remaining", "Sample", "__version__", "read_log"]
 
 if TYPE_CHECKING:
-    from uavbatt.pipeline import Estimator
+    from uavbatt.estimator import Estimator
     from uavbatt.records import Estimate, Flight, Remaining, Sample
     from uavbatt.telemetry import read_log
 
 _HOMES = {
-    "Estimator": "uavbatt.pipeline",
+    "Estimator": "uavbatt.estimator",
     "read_log": "uavbatt.telemetry",
     "Estimate": "uavbatt.records",
     "Flight": "uavbatt.records",

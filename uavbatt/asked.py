@@ -10,10 +10,10 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.prediction.endurance import EndTimes
+from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster
-from uavbatt.prediction.questions import Question
-from uavbatt.prediction.wall import bounded
+from uavbatt.prediction.last_wall import bounded
+from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0

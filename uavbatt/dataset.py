@@ -22,8 +22,8 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import numpy as np
 
-from uavbatt.discharge_csv import MIN_POINTS, Array, read_runs
-from uavbatt.discharge_csv import Run as Run
+from uavbatt.dataset_csv import MIN_POINTS, Array, read_runs
+from uavbatt.dataset_csv import Run as Run
 from uavbatt.errors import BadInput
 from uavbatt.limits import CAPACITY_AH, capacity_doubt
 

@@ -1,4 +1,4 @@
-"""What can go wrong, in one line each, with the exit code of the command line.
+"""Errors in one line each, with the exit code of the command line, and foreign text made safe to print.
 
 Every error that a user can cause is a `UavbattError`. Its text names the file, the place in it and
 what was expected, so that the command line prints it as it is and never a traceback.
@@ -6,6 +6,7 @@ what was expected, so that the command line prints it as it is and never a trace
 
 from __future__ import annotations
 
+import unicodedata
 from pathlib import Path
 
 
@@ -55,3 +56,15 @@ class NotEnoughData(UavbattError):
     """The data are sound but too few for the question that was asked."""
 
     exit_code = 4
+
+
+# A control byte in a file name clears a screen, an escape sequence rewrites what stood there, a direction mark turns a
+# name round: text of foreign origin (file names, cells, logs, battery files) passes through these two.
+def printable(text: str) -> str:
+    """`text` without what would break a page: control, surrogate and direction-changing characters become U+FFFD."""
+    return "".join("\ufffd" if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c for c in text)
+
+
+def terminal_line(text: object) -> str:
+    """`text` as one line of a terminal."""
+    return printable(str(text).replace("\n", " ").replace("\t", " "))

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery import model
-from uavbatt.battery.belief import SIZE, Belief, C
-from uavbatt.battery.build import Pack, pack_of
-from uavbatt.battery.file import BatteryFile
-from uavbatt.battery.service import capacities
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.capacity_prior import capacities
+from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
+from uavbatt.estimator import Estimator, PackOptions, Resolved
 from uavbatt.limits import rate_doubt
-from uavbatt.pipeline import Estimator, PackOptions, Resolved
 from uavbatt.prediction.forecaster import Forecaster, Settings
-from uavbatt.prediction.learned import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
 from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
+from uavbatt.prediction.load_library import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
 from uavbatt.records import NAN, Flight, PackFacts
 from uavbatt.resolved import certificate_remark
 from uavbatt.resolved import resolve as size_of_pack

@@ -7,9 +7,12 @@ Unknown is NaN (`None` for flags); wire sentinels never get this far.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+
+from uavbatt.navigation import NOWHERE, Navigation
 
 NAN = math.nan
 
@@ -81,6 +84,7 @@ class Flight:
     skipped_bytes: int = 0
     notes: tuple[str, ...] = ()
     identity: Identity = Identity()
+    navigation: tuple[Navigation, ...] = ()  # route and place whenever they change, ascending in time_s
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)
@@ -93,6 +97,11 @@ class Flight:
                 break
             known = facts
         return known
+
+    def navigation_at(self, time_s: float) -> Navigation:
+        """Return what is known of route and place at `time_s` [s]; `NOWHERE` before the first."""
+        count = bisect_right(self.navigation, time_s, key=lambda known: known.time_s)
+        return self.navigation[count - 1] if count else NOWHERE
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ import numpy as np
 from uavbatt import fast
 from uavbatt.asked import Asked, say
 from uavbatt.battery.model import Array
-from uavbatt.pipeline import Estimator
-from uavbatt.prediction.ending import end_of_flight
-from uavbatt.prediction.questions import SIDE_BY_SIDE, answers
+from uavbatt.estimator import Estimator
+from uavbatt.prediction.batch import SIDE_BY_SIDE, answers
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
+from uavbatt.scoring.end_of_flight import end_of_flight
 
 FORECAST_S = 0.5e-3  # measured: 1.25 ms for one of sixteen side by side, 0.75 ms compiled
 LONGEST_WINDOW = 4096

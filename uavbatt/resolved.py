@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
@@ -26,8 +26,8 @@ from uavbatt.limits import (
     ending_doubt,
 )
 from uavbatt.limits import cells_from_voltage as cells_from_voltage
-from uavbatt.prediction.learned import UnknownAircraft
 from uavbatt.prediction.load import Load
+from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65

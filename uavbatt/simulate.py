@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from uavbatt.aside import written_aside
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
-from uavbatt.battery.build import Pack
 from uavbatt.battery.effects import EFFECTS, effect_named, unit_words
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
-from uavbatt.mavlink.dataflash_writer import write_dataflash
-from uavbatt.mavlink.tlog_writer import write_tlog
+from uavbatt.files import atomic_write
 from uavbatt.records import Sample
+from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
+from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
 IDLE_S, AFTER_END_S = 20.0, 20.0
 IDLE_SHARE = 0.03
@@ -145,7 +145,7 @@ def write(path: Path, samples: list[Sample], pack: Pack) -> None:
     elif kind == ".bin":
         write_dataflash(path, samples, parameters)
     elif kind == ".csv":
-        with written_aside(path) as stream:
+        with atomic_write(path) as stream:
             stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
             for s in samples:
                 stream.write(

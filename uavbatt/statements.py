@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.file import BatteryFile
-from uavbatt.battery.start import IDLE_C_RATE
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.errors import UsageError
 from uavbatt.limits import C_RATE, KELVIN, LONGEST_ROW_S, POWER_FACTOR, USUAL_C_RATE, Doubt, Resting, Seen, cells_doubt
-from uavbatt.prediction.learned import GRID_S, LearnedLoad
 from uavbatt.prediction.load import ConstantLoad, Load
+from uavbatt.prediction.load_library import GRID_S, LearnedLoad
 from uavbatt.records import NAN, Flight, Sample
 from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, checked, resolve
 

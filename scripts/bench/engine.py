@@ -17,18 +17,18 @@ from typing import Any
 import numpy as np
 
 from uavbatt import fast
-from uavbatt.battery import file
-from uavbatt.battery.belief import SIZE, Belief, C
-from uavbatt.battery.build import Pack, pack_of
-from uavbatt.battery.service import capacities
+from uavbatt.battery import battery_file
+from uavbatt.battery.capacity_prior import capacities
+from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.estimation import ahead
-from uavbatt.estimation.soc_filter import SocFilter
-from uavbatt.pipeline import Estimator, PackOptions
-from uavbatt.prediction import questions
-from uavbatt.prediction.endurance import Wander, time_to_end
+from uavbatt.estimation.filter import SocFilter
+from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.prediction import batch
+from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.questions import Question
+from uavbatt.prediction.time_to_end import Wander, time_to_end
 from uavbatt.records import Flight, Sample
 from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly
@@ -41,13 +41,13 @@ LOAD_SPREAD = 0.15  # of the power that the forecasts are asked about
 
 def pack() -> Pack:
     """A 4S 5 Ah pack of the packaged file."""
-    return pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
 
 
 def flight(minutes: float, rate_Hz: float = 10.0) -> list[Sample]:
     """A flight that long and not to the end of its pack, which is as large as it takes."""
     capacity_Ah = 5.0 * minutes / 20.0
-    made = pack_of(file.read("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
+    made = pack_of(battery_file.read("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
     if minutes <= 30.0:
         return fly(made, Mission(36.0 * capacity_Ah, rate_Hz=rate_Hz, seed=3))[: int(60.0 * minutes * rate_Hz)]
     short = flight(20.0, rate_Hz)
@@ -171,14 +171,14 @@ def forecast_rows(progpy_s: float) -> Iterator[Row]:
 def _one_forecast(minutes: float, progpy_s: float) -> Iterator[Row]:
     asked, belief, forecaster = question(minutes)
     works: list[Callable[[], Any]] = [lambda: forecaster.forecast(belief, 0.0)]
-    works.append(lambda: questions.answers([asked] * questions.SIDE_BY_SIDE))
+    works.append(lambda: batch.answers([asked] * batch.SIDE_BY_SIDE))
     if HAS_TWIN:
         from uavbatt.prediction import compiled
 
         works.append(lambda: compiled.answer(asked))
     with fast.left_out():
         took = in_turn(works, 15)
-    took[1] /= questions.SIDE_BY_SIDE
+    took[1] /= batch.SIDE_BY_SIDE
     peer = f"ProgPy, unscented, {progpy_s:.2f} s" if np.isfinite(progpy_s) else ""
     names = (f"forecast, end in {minutes:.0f} min, 128 draws, numpy", "  sixteen side by side, each", "  compiled")
     for name, ours in zip(names, took, strict=False):
@@ -238,7 +238,7 @@ def replayed(flight: Flight) -> int:
     """Rows of a replay; with numba from the first row where that is installed."""
     for work in ("filter", "forecast"):
         fast.pays(float("inf"), work)
-    estimator = Estimator(file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
+    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     return sum(1 for _ in steps(flight, estimator))
 
 
@@ -249,7 +249,7 @@ def growth_rows() -> Iterator[Row]:
         whole = Flight("simulated", "csv", tuple(flight(minutes)))
         begin = time.perf_counter()
         estimator = Estimator(
-            file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0 * minutes / 20.0, cutoff_V=13.2)
+            battery_file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0 * minutes / 20.0, cutoff_V=13.2)
         )
         rows = sum(1 for _ in steps(whole, estimator))
         took = time.perf_counter() - begin

@@ -33,13 +33,13 @@ FLIGHTS, REPEATS = 200, 3
 
 def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11) -> None:
     """Write the logs: `shapes` flights of each kind are flown, a log is one of them with its own noise and date."""
-    from uavbatt.battery import file
-    from uavbatt.battery.build import pack_of
-    from uavbatt.mavlink.tlog_writer import write_tlog
+    from uavbatt.battery import battery_file
+    from uavbatt.battery.scaling import pack_of
     from uavbatt.simulate import Mission, fly, with_effects
+    from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
     random = np.random.default_rng(seed)
-    base = pack_of(file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    base = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
     parameters = {"BATT_CAPACITY": 5000.0, "BATT_CRT_VOLT": 13.2, "BATT_LOW_VOLT": 14.0}
     flown: dict[tuple[int, bool], list[Any]] = {}
     for number in range(flights):
@@ -71,7 +71,7 @@ from uavbatt.battery import file
 from uavbatt.fleet import run
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import find
-from uavbatt.pipeline import PackOptions
+from uavbatt.estimator import PackOptions
 if __name__ == "__main__":
     logs, output, workers = sys.argv[1:]
     found, rows = find([logs]), []

@@ -146,8 +146,8 @@ def same(a: NDArray[np.float64], other: Rows) -> bool:
 
 
 IMPORTS = (
-    ("our .BIN reader", "import uavbatt.telemetry.read, uavbatt.telemetry.dataflash_binary"),
-    ("our .tlog reader", "import uavbatt.telemetry.read, uavbatt.telemetry.tlog"),
+    ("our .BIN reader", "import uavbatt.telemetry.read, uavbatt.telemetry.formats.dataflash_binary"),
+    ("our .tlog reader", "import uavbatt.telemetry.read, uavbatt.telemetry.formats.tlog"),
     ("pymavlink.DFReader", "import pymavlink.DFReader"),
     ("pymavlink.mavutil", "import pymavlink.mavutil"),
     ("pyulog", "import pyulog"),

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from peers.columns import FloatArray
 
-from uavbatt.battery.file import BatteryFile
-from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.prediction.load import LoggedLoad
-from uavbatt.prediction.score import FlightScore, score_flight
 from uavbatt.records import Flight
 from uavbatt.replay import Step, steps
+from uavbatt.scoring.scores import FlightScore, score_flight
 
 
 @dataclass(frozen=True, slots=True)

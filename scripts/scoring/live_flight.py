@@ -20,15 +20,15 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.battery import file
-from uavbatt.battery.file import BatteryFile
-from uavbatt.config import Config, LinkSection
-from uavbatt.daemon import Daemon
+from uavbatt.battery import battery_file
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.estimator import PackOptions
+from uavbatt.live.config import Config, LinkSection
+from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.links import open_link
-from uavbatt.mavlink.tlog_writer import battery_status
-from uavbatt.pipeline import PackOptions
 from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status
 
 START_S, WALL_S = 1000.0, 1.7e9  # of the process's clocks at the first row
 TURN_S = 1.0
@@ -107,7 +107,7 @@ def flown_live(
     parameters are sent with the first row: whole numbers (`int`) as PX4 sends them, if it is one. sections are those
     of the configuration (`feed`, `state`, ...).
     """
-    content = file.read(battery) if isinstance(battery, str) else battery
+    content = battery_file.read(battery) if isinstance(battery, str) else battery
     with closing(Flight(content, options, is_px4, sections)) as flight:
         shown = []
         coming = sorted(extras, key=lambda extra: extra.time_s)

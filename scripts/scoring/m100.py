@@ -15,13 +15,13 @@ from peers.columns import FloatArray, column, drawn_Ah, drawn_Wh
 
 from scoring.data import M100, M100_CELLS, M100_CUTOFF_V, ended
 from scoring.lines import Lines, logged, ours, replayed
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.estimator import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.pipeline import PackOptions
-from uavbatt.prediction.learned import LearnedLoad, UnknownAircraft, learned_load
 from uavbatt.prediction.load import Load, RecentMean
-from uavbatt.prediction.score import FlightScore
+from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft, learned_load
+from uavbatt.scoring.scores import FlightScore
 
 FITTED_AH, RATED_AH = 5.45, 5.7
 LOG, LEARNED, UNKNOWN, RECENT = "ours, log", "ours, learned", "ours, unknown aircraft", "ours, recent"

@@ -6,8 +6,8 @@ import numpy as np
 
 from scoring.m100 import LEARNED, LOG, MAH, UNKNOWN, Result
 from scoring.table import DASH, Table, figure, grid, share, with_error
-from uavbatt.prediction.metrics import fixed_percentage
-from uavbatt.prediction.score import Instant, Pooled, Row, pool
+from uavbatt.scoring.metrics import fixed_percentage
+from uavbatt.scoring.scores import Instant, Pooled, Row, pool
 
 INSTANTS = ("360 s", "240 s", "120 s", "60 s", "25%", "50%", "75%")
 JUDGED = INSTANTS[:4]

@@ -12,7 +12,7 @@ from functools import cache
 
 from scoring.live_flight import Extra, Flown, flown_live, heartbeat, parameter
 from scoring.other_pack import CUTOFF_V, FULL_AH, LIHV, Pack, flown, rested
-from uavbatt.pipeline import PackOptions
+from uavbatt.estimator import PackOptions
 from uavbatt.records import Sample
 
 PERIOD_S = 5.0  # between forecasts; in flight it is 1 s, which would take four times as long here

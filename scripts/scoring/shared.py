@@ -13,10 +13,10 @@ from scoring.data import M100_CELLS, M100_CUTOFF_V
 from scoring.lines import ours
 from scoring.m100 import RATED_AH
 from scoring.table import Table, figure, with_error
-from uavbatt.battery import file
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery import battery_file
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UavbattError
-from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry import read_log
 
@@ -31,7 +31,7 @@ PLACES = ("flights/ardupilot/*", "flights/px4/*.ulg", "truth/reference/r0/*", "f
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
     """All shared flights, and the pack that was flown empty."""
-    battery = file.read("lipo-generic")
+    battery = battery_file.read("lipo-generic")
     paths = [path for place in PLACES for path in sorted(data.glob(place))]
     rows: list[tuple[str, ...]] = []
     errors: list[tuple[float, float]] = []

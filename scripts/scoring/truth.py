@@ -13,13 +13,13 @@ from peers.columns import FloatArray
 from scoring.lines import logged, ours, replayed
 from scoring.table import DASH, Table, figure
 from uavbatt import dataset
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.estimator import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
-from uavbatt.pipeline import PackOptions
 from uavbatt.prediction.load import RecentMean
-from uavbatt.prediction.score import end_of_flight
 from uavbatt.records import Flight
 from uavbatt.replay import Step
+from uavbatt.scoring.scores import end_of_flight
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2

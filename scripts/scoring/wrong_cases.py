@@ -26,7 +26,7 @@ from scoring.other_pack import (
     Sensors,
     flight,
 )
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.fitting.battery import Size, fit_battery
 
 GENERIC, FITTED = "generic", "fitted"

@@ -14,10 +14,10 @@ from scoring.lines import ours
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Flown, Make
 from scoring.wrong_cases import GENERIC, Case, fitted
 from uavbatt.asked import FALLS_FASTER
-from uavbatt.battery import file
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery import battery_file
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
-from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.replay import Step, steps
 
 PERIOD_S = 5.0
@@ -62,7 +62,7 @@ class Judged:
 @cache
 def battery(name: str, make: Make) -> BatteryFile:
     """The packaged generic battery, or one fitted to the make."""
-    return file.read("lipo-generic") if name == GENERIC else fitted(make)
+    return battery_file.read("lipo-generic") if name == GENERIC else fitted(make)
 
 
 def estimator(case: Case) -> Estimator:

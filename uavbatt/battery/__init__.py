@@ -1,1 +1,1 @@
-"""TBD."""
+"""THE MODEL: equations, effects, pack, state space, first state, battery and vehicle files."""

@@ -18,7 +18,7 @@ from numba import types
 from numba.extending import overload, overload_attribute, overload_method, register_jitable
 
 from uavbatt import fast
-from uavbatt.battery import belief, equations, model, pack
+from uavbatt.battery import equations, model, pack, state_space
 from uavbatt.battery.pack import Installation
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -78,5 +78,5 @@ _capacity: Any = Installation.present_capacity_Ah
 overload_attribute(types.BaseNamedTuple, "present_capacity_Ah")(
     lambda self: _capacity.fget if self.instance_class is Installation else None  # its argument has no type either
 )
-for part in (equations, model, pack, belief):
+for part in (equations, model, pack, state_space):
     share(part)

@@ -12,24 +12,58 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.build import Pack
+from uavbatt.battery import model
+from uavbatt.battery.capacity_prior import OVERLAP, Capacities, capacities
+from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array
-from uavbatt.battery.service import OVERLAP, Capacities, capacities
+from uavbatt.battery.scaling import Pack
 
 REACH, FEWEST, LARGEST_STEP = 2.0, 5, 0.1  # members from -2 to +2 sd, at most so far apart in ln of the capacity
 CHANGED_WEIGHT, ANY_WEIGHT = 0.05, 0.03  # the ohms have changed since the last flight; any pack in service
 
 
 class PackHealth(NamedTuple):
-    """Health of one pack against its battery file at 25 °C: ln of its two scales, and their covariance [2, 2]."""
+    """Health of one pack at 25 °C and half charge: ln of ohms per cell, ln of Ah, and their covariance [2, 2].
 
-    log_resistance: float
-    log_capacity: float
+    In ohms and ampere-hours, so that it holds against any battery file and whatever capacity the vehicle states.
+    """
+
+    log_ohm: float
+    log_Ah: float
     covariance: Array
 
 
-# A pack of which nothing is remembered nor assumed, so wide that a flight's belief tells what the flight itself said.
-UNKNOWN_HEALTH = PackHealth(0.0, -0.05, np.diag([0.3**2, 0.2**2]))
+class Scales(NamedTuple):
+    """ln of the resistance scale [of ohm·Ah] and of the capacity scale against a battery file: mean [2], covariance."""
+
+    mean: Array
+    covariance: Array
+
+
+# Of a pack of which nothing is remembered nor assumed, so wide that a belief tells what the flight itself said.
+UNKNOWN = Scales(np.array([0.0, -0.05]), np.diag([0.3**2, 0.2**2]))
+HALF_CHARGE = 0.5
+TO_SCALES = np.array([[1.0, 1.0], [0.0, 1.0]])  # an ohm·Ah is an ohm times an Ah
+FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
+
+
+def type_ohm(pack: Pack) -> float:
+    """Resistance of one cell [ohm] as the battery file has it, at 25 °C and half charge."""
+    resistance_ohmAh = float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
+    return resistance_ohmAh / float(pack.installation.capacity_Ah)
+
+
+def scales_of(pack: Pack, health: PackHealth) -> Scales:
+    """Ohms and ampere-hours against the battery file."""
+    own = np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
+    covariance = TO_SCALES @ health.covariance @ TO_SCALES.T
+    return Scales(TO_SCALES @ (np.array(health[:2]) - own), covariance)
+
+
+def health_of(pack: Pack, scales: Scales) -> PackHealth:
+    """Scales against the battery file as ohms and ampere-hours."""
+    log_ohm, log_Ah = FROM_SCALES @ scales.mean + np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
+    return PackHealth(float(log_ohm), float(log_Ah), FROM_SCALES @ scales.covariance @ FROM_SCALES.T)
 
 
 def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
@@ -39,25 +73,26 @@ def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
 
 def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
     """The members of a pack that was met before: around what is remembered, and the doubt about it."""
-    resistance_sd, capacity_sd = (math.sqrt(variance) for variance in np.diag(health.covariance))
-    told_by_capacity = float(health.covariance[0, 1]) / capacity_sd  # ln of the resistance per sd of the capacity
+    (log_resistance, log_capacity), covariance = scales_of(pack, health)
+    resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()
+    told_by_capacity = float(covariance[0, 1]) / capacity_sd  # ln of the resistance per sd of the capacity
     count = max(FEWEST, math.ceil(2.0 * REACH * capacity_sd / LARGEST_STEP) + 1)
     away = np.linspace(-REACH, REACH, count)
     member_sd = OVERLAP * float(away[1] - away[0])
     likely = np.exp(-0.5 * away**2 / (1.0 - member_sd**2))
     own_sd = math.sqrt(max(resistance_sd**2 - told_by_capacity**2 * (1.0 - member_sd**2), 1e-6))
     core = Capacities(
-        log_scale=health.log_capacity + capacity_sd * away,
+        log_scale=log_capacity + capacity_sd * away,
         sd=np.full(count, member_sd * capacity_sd),
         weight=(1.0 - CHANGED_WEIGHT - ANY_WEIGHT) * likely / likely.sum(),
-        log_resistance=health.log_resistance + told_by_capacity * away,
+        log_resistance=log_resistance + told_by_capacity * away,
         resistance_sd=np.full(count, own_sd),
     )
     changed = Capacities(
-        log_scale=np.array([health.log_capacity]),
+        log_scale=np.array([log_capacity]),
         sd=np.array([capacity_sd]),
         weight=np.array([CHANGED_WEIGHT]),
-        log_resistance=np.array([health.log_resistance]),
+        log_resistance=np.array([log_resistance]),
         resistance_sd=np.array([math.hypot(resistance_sd, pack.resistance_scale_sd)]),
     )
     stranger = capacities(pack)

@@ -13,8 +13,7 @@ def main() -> None:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(50_000)  # rows are values without circles: looking for some took a seventh of a replay
     from uavbatt.cli.app import app
-    from uavbatt.errors import UavbattError
-    from uavbatt.printable import terminal_line
+    from uavbatt.errors import UavbattError, terminal_line
 
     try:
         app()

@@ -23,18 +23,17 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
-from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.errors import NotEnoughData, UsageError, terminal_line
 from uavbatt.limits import Seen
-from uavbatt.printable import terminal_line
 from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
-    from uavbatt.battery.file import BatteryFile
+    from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.dataset import DataSet
+    from uavbatt.diagnosis.close import Closed
+    from uavbatt.diagnosis.diagnosis import Diagnosis
+    from uavbatt.estimator import PackOptions
     from uavbatt.fitting.observed import Observed
-    from uavbatt.loop.close import Closed
-    from uavbatt.loop.diagnosis import Diagnosis
-    from uavbatt.pipeline import PackOptions
 
 
 def diagnose(
@@ -56,9 +55,9 @@ def diagnose(
     Exit code 4 when the records cannot tell (the reason is in the JSON, too).
     """
     from uavbatt import dataset as data
-    from uavbatt.battery import file
+    from uavbatt.battery import battery_file
     from uavbatt.battery.effects import EFFECTS
-    from uavbatt.json_file import write_json
+    from uavbatt.files import write_json
     from uavbatt.telemetry import read_log
 
     check_named(output)
@@ -76,13 +75,13 @@ def diagnose(
         if json_file is not None:
             write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
         raise
-    path = str(file.write(new, output)) if output is not None else None
+    path = str(battery_file.write(new, output)) if output is not None else None
     for line in _lines(found, closed):
         say(line, json_file, report)
     if json_file is not None:
         write_json(json_file, _as_json(found, closed, content.status, path))
     if report is not None:
-        from uavbatt.loop.page import inputs
+        from uavbatt.diagnosis.page import inputs
         from uavbatt.report import diagnosis as page
 
         page.write(report, inputs(found, closed, content, new))
@@ -100,12 +99,12 @@ def _run(
     gate: Path | None,
 ) -> tuple[Diagnosis, Closed, BatteryFile]:
     from uavbatt import dataset as data
+    from uavbatt.diagnosis import close
+    from uavbatt.diagnosis.diagnosis import diagnose as find
+    from uavbatt.diagnosis.diagnosis import pack_for
+    from uavbatt.diagnosis.gate import verdicts
+    from uavbatt.estimator import PackOptions
     from uavbatt.fitting import observed
-    from uavbatt.loop import close
-    from uavbatt.loop.diagnosis import diagnose as find
-    from uavbatt.loop.diagnosis import pack_for
-    from uavbatt.loop.gate import verdicts
-    from uavbatt.pipeline import PackOptions
 
     tests = data.load(gate) if gate is not None else None
     sizes = {_flown_size(f, content, stated) for f in flights} | {_tested_size(d, content, stated) for d in datasets}
@@ -197,7 +196,7 @@ class _Progress:
 
 def _lines(found: Diagnosis, closed: Closed) -> list[str]:
     from uavbatt.battery.effects import unit_words
-    from uavbatt.loop.words import MEANING
+    from uavbatt.diagnosis.words import MEANING
 
     said = {
         "no_missing_effect": "nothing is missing: the residual is what this battery's model leaves anyway",

@@ -24,8 +24,8 @@ from uavbatt.cli.options import (
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
-    from uavbatt.battery.file import BatteryFile
-    from uavbatt.pipeline import PackOptions
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.estimator import PackOptions
     from uavbatt.records import Flight
 
 
@@ -43,7 +43,7 @@ def fit(
 ) -> None:
     """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
     from uavbatt import dataset
-    from uavbatt.battery import file
+    from uavbatt.battery import battery_file
     from uavbatt.fitting.battery import fit_battery, size_of
     from uavbatt.limits import Resting
     from uavbatt.statements import check, check_whole
@@ -76,13 +76,13 @@ def fit(
         for line in found.unknown:
             say(f"not told: {line}")
     if output is not None:
-        say(f"{file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
+        say(f"{battery_file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None:
         say(_vehicle(vehicle, content, flights, stated))
 
 
 def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: PackOptions) -> str:
-    from uavbatt.battery import vehicle as vehicle_file
+    from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import vehicle_file as learn
 
     if not flights:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from uavbatt.aside import written_aside
-from uavbatt.battery.file import BatteryFile
-from uavbatt.pipeline import Resolved
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.estimator import Resolved
+from uavbatt.files import atomic_write
 from uavbatt.records import Flight
 from uavbatt.replay import Outcome, Step
 
@@ -24,5 +24,5 @@ def write(
     from uavbatt.report.flight import flight_report
 
     html = flight_report(flight, run, resolved, outcome, battery)
-    with written_aside(path) as file:
+    with atomic_write(path) as file:
         file.write(html)

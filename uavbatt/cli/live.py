@@ -14,7 +14,7 @@ from uavbatt.cli.options import BATTERY, RESERVE, UNCERTIFIED, CapacityOption, C
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
-    from uavbatt.config import Config
+    from uavbatt.live.config import Config
 
 
 def live(
@@ -41,7 +41,7 @@ def live(
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
 ) -> None:
     """Estimate in flight: telemetry in, time left out (scripts/uavbatt.toml says more)."""
-    from uavbatt.config import checked, read
+    from uavbatt.live.config import checked, read
 
     given: dict[str, dict[str, Any]] = {
         "link": {"endpoint": endpoint or None, "gcs": gcs or None, "request": request, "system": system}

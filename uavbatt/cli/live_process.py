@@ -12,15 +12,14 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uavbatt.errors import UavbattError, UsageError
-from uavbatt.printable import terminal_line
+from uavbatt.errors import UavbattError, UsageError, terminal_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from uavbatt.config import Config, PackSection
+    from uavbatt.estimator import PackOptions
+    from uavbatt.live.config import Config, PackSection
     from uavbatt.mavlink.endpoint import Link
-    from uavbatt.pipeline import PackOptions
 
 CONFIG_VARIABLE = "UAVBATT_LIVE"
 
@@ -29,10 +28,10 @@ def run(config: Config) -> None:
     """Until SIGTERM or SIGINT."""
     import filterpy.kalman  # noqa: F401 - loaded before the first row asks for it
 
-    from uavbatt.battery import file
-    from uavbatt.daemon import Daemon
+    from uavbatt.battery import battery_file
+    from uavbatt.live.daemon import Daemon
 
-    content = file.read(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
+    content = battery_file.read(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
     if content.status == "edited":
         print(terminal_line(f"uavbatt: {config.pack.battery}: {content.caveat}"), file=sys.stderr, flush=True)
     options = pack_options(config.pack)
@@ -42,7 +41,7 @@ def run(config: Config) -> None:
         signal.signal(number, lambda signum, frame: stopped.append(signum))
     daemon = Daemon(config, content, options, link, stations)
     if config.http.listen:
-        from uavbatt.feed.web import serve
+        from uavbatt.live.web import serve
 
         serve(config.http, lambda: daemon.board, time.monotonic)
     said = f"uavbatt: listening on {config.link.endpoint}; {_feeds(config)}"
@@ -66,8 +65,8 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
         parse(text)
     if "proxy" not in config.feed.kinds:
         return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]
-    from uavbatt.feed.proxy import Settings
-    from uavbatt.feed.proxy_client import ProxyClient, control_path
+    from uavbatt.live.proxy import Settings
+    from uavbatt.live.proxy_client import ProxyClient, control_path
 
     link, feed = config.link, config.feed
     control = feed.proxy_control or control_path(link.endpoint)
@@ -76,9 +75,9 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 
 def pack_options(pack: PackSection) -> PackOptions:
     """What the configuration states of the pack, for the estimator."""
-    from uavbatt.battery import vehicle as vehicle_file
+    from uavbatt.battery import vehicle_file
     from uavbatt.cli.loads import stated_load
-    from uavbatt.pipeline import PackOptions
+    from uavbatt.estimator import PackOptions
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":
@@ -100,7 +99,7 @@ def main() -> int:
     """Entry point; what went wrong in one line, and the exit code of its kind."""
     import msgspec
 
-    from uavbatt.config import Config
+    from uavbatt.live.config import Config
 
     try:
         run(msgspec.json.decode(os.environ.pop(CONFIG_VARIABLE, "{}"), type=Config))

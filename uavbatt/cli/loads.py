@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from uavbatt.battery.build import installation_of
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.pack import Installation, true_current
-from uavbatt.battery.vehicle import VehicleFile
+from uavbatt.battery.scaling import installation_of
+from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UsageError
-from uavbatt.prediction.learned import UnknownAircraft, learned_load
 from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, Load, LoggedLoad, RecentMean
+from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
 
 

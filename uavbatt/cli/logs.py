@@ -19,7 +19,7 @@ JoinOption = Annotated[str, typer.Option("--join", help="parallel or series: all
 def asked_flight(log: Path, instance: int | None, join: str) -> Flight:
     """The flight as the options ask for it; UsageError when they contradict each other or the log."""
     from uavbatt.telemetry import read_log
-    from uavbatt.telemetry.joined import Wiring, read_joined
+    from uavbatt.telemetry.join import Wiring, read_joined
 
     if not join:
         return read_log(log, instance)

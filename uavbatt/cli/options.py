@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.errors import UsageError
-from uavbatt.printable import terminal_line
+from uavbatt.errors import UsageError, terminal_line
 from uavbatt.records import NAN
 
 if TYPE_CHECKING:
-    from uavbatt.battery.file import BatteryFile
-    from uavbatt.pipeline import PackOptions
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.estimator import PackOptions
 
 BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
 RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
@@ -46,8 +45,8 @@ def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
     """What the options state of the pack, for the estimator; UsageError when it cannot be."""
+    from uavbatt.estimator import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
-    from uavbatt.pipeline import PackOptions
 
     capacity_Ah, cutoff_V = known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage")
     check_stated(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc, names=OPTIONS)
@@ -108,9 +107,9 @@ def remark(line: str) -> None:
 
 def read_battery(name: str, allow_uncertified: bool) -> BatteryFile:
     """The battery file that the options name; one that was let through is told, whatever else the command prints."""
-    from uavbatt.battery import file
+    from uavbatt.battery import battery_file
 
-    content = file.read(name, allow_uncertified=allow_uncertified)
+    content = battery_file.read(name, allow_uncertified=allow_uncertified)
     if content.status == "edited":
         remark(f"uavbatt: {name}: {content.caveat}")
     return content

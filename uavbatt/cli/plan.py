@@ -28,8 +28,8 @@ from uavbatt.cli.options import (
 from uavbatt.errors import NotEnoughData, UsageError
 
 if TYPE_CHECKING:
-    from uavbatt.battery.file import BatteryFile
-    from uavbatt.pipeline import PackOptions
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.estimator import PackOptions
     from uavbatt.plan import Plan
     from uavbatt.prediction.load import Load
     from uavbatt.records import Flight
@@ -80,11 +80,11 @@ def _load(
     power_W: float, flight: Flight | None, vehicle: Path | None, battery: BatteryFile, options: PackOptions
 ) -> tuple[Load, str]:
     """The load to come and its name."""
-    from uavbatt.battery import vehicle as vehicle_file
+    from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import vehicle_file as learn
     from uavbatt.plan import FromTakeOff
-    from uavbatt.prediction.learned import learned_load
     from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
+    from uavbatt.prediction.load_library import learned_load
 
     if math.isfinite(power_W):
         return ConstantLoad(power_W, STATED_SPREAD), f"{power_W:g} W"
@@ -128,17 +128,17 @@ def _clock(seconds: float) -> str:
 
 
 def _write_report(path: Path, plan: Plan) -> None:
-    from uavbatt.aside import written_aside
+    from uavbatt.files import atomic_write
     from uavbatt.report.plan import plan_report
 
     html = plan_report(plan)
-    with written_aside(path, "w") as stream:
+    with atomic_write(path, "w") as stream:
         stream.write(html)
 
 
 def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
     """The plan for a program: where the numbers came from, the planned temperature, the table."""
-    from uavbatt.json_file import write_json
+    from uavbatt.files import write_json
 
     pack = asdict(plan.resolved)
     del pack["notices"], pack["refusal"]  # notices are among the warnings, and what is refused is no plan

@@ -27,13 +27,12 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
-from uavbatt.errors import UsageError
-from uavbatt.printable import terminal_line
+from uavbatt.errors import UsageError, terminal_line
 
 if TYPE_CHECKING:
-    from uavbatt.battery.file import BatteryFile
-    from uavbatt.battery.vehicle import VehicleFile
-    from uavbatt.pipeline import PackOptions, Resolved
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.vehicle_file import VehicleFile
+    from uavbatt.estimator import PackOptions, Resolved
     from uavbatt.records import Flight
     from uavbatt.replay import Outcome, Step
 
@@ -59,7 +58,7 @@ def replay(
 
     With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list.
     """
-    from uavbatt.battery import vehicle as vehicle_file
+    from uavbatt.battery import vehicle_file
 
     several = len(logs) > 1
     targets = [[_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)] for log in logs]
@@ -78,7 +77,7 @@ def replay(
     for log, of_one in zip(logs, targets, strict=True):
         results.append(_one(log, content, options, (load, flown), (instance, join), (*of_one, summary)))
     if summary is not None:
-        from uavbatt.json_file import write_json
+        from uavbatt.files import write_json
 
         write_json(summary, results if several else results[0])
 
@@ -94,9 +93,9 @@ def _one(
     """One log: its lines, table and page written, its summary told and given back."""
     from dataclasses import replace as changed
 
+    from uavbatt import output
     from uavbatt.cli.loads import stated_load
-    from uavbatt.feed import sinks
-    from uavbatt.pipeline import Estimator
+    from uavbatt.estimator import Estimator
     from uavbatt.replay import outcome, steps
     from uavbatt.statements import check
     from uavbatt.telemetry.recording import forecast_period_s
@@ -110,12 +109,12 @@ def _one(
     estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1], content)))
     run = []
     with ExitStack() as stack:
-        out = [stack.enter_context(sinks.json_lines(jsonl))] if jsonl is not None else []
-        out += [stack.enter_context(sinks.csv_table(csv))] if csv is not None else []
+        out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
+        out += [stack.enter_context(output.csv_table(csv))] if csv is not None else []
         for step in _with_progress(steps(flight, estimator), len(flight.samples), log.name):
             run.append(step)
             for sink in out:
-                sink.write(sinks.line(step.estimate, step.remaining))
+                sink.write(output.line(step.estimate, step.remaining))
         resolved = estimator.resolved
         if resolved is None:
             raise UsageError(f"{log}: expected at least one row with a voltage")

@@ -40,7 +40,7 @@ def simulate(
     allow_uncertified: UncertifiedOption = False,
 ) -> None:
     """Simulate a flight of a battery file's own model until the pack is empty, and write it as a log."""
-    from uavbatt.battery.build import pack_of
+    from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
     from uavbatt.simulate import Mission, fly, with_effects, write
 

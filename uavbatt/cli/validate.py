@@ -48,7 +48,7 @@ def validate(
             raise UsageError("--method paper judges the tests as printed: --ship and --report need --method iso")
         _paper(tests, json_file)
         return
-    from uavbatt.json_file import write_json
+    from uavbatt.files import write_json
     from uavbatt.validation.as_json import to_builtins
     from uavbatt.validation.gate import Limits
     from uavbatt.validation.validate import validate as judge
@@ -68,9 +68,9 @@ def validate(
         page.write(report, result, printed)
         say(f"report: {report}", report, json_file)
     if ship is not None and result.battery is not None:
-        from uavbatt.battery import file
+        from uavbatt.battery import battery_file
 
-        written = file.write(result.battery, ship / f"{result.battery.battery.name}{file.SUFFIX}")
+        written = battery_file.write(result.battery, ship / f"{result.battery.battery.name}{battery_file.SUFFIX}")
         say(f"shipped: {written}", report, json_file)
     elif ship is not None:
         remark("nothing shipped: the verdict is not pass")
@@ -119,7 +119,7 @@ def _printed(tests: DataSet) -> PaperReplay | None:
 
 
 def _paper(tests: DataSet, json_file: Path | None) -> None:
-    from uavbatt.json_file import write_json
+    from uavbatt.files import write_json
     from uavbatt.validation import paper
 
     replayed = paper.replay(tests)

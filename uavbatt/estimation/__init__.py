@@ -1,5 +1,5 @@
 """STATE: the Kalman filter that turns samples into a belief about the pack."""
 
-from uavbatt.estimation.soc_filter import SocFilter
+from uavbatt.estimation.filter import SocFilter
 
 __all__ = ["SocFilter"]

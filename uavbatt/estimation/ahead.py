@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from uavbatt import fast
-from uavbatt.battery import belief as b
+from uavbatt.battery import state_space as b
 from uavbatt.estimation.recursion import (
     BLOCK_S,
     NOTHING,
@@ -28,7 +28,7 @@ from uavbatt.estimation.recursion import (
 from uavbatt.records import Sample
 
 if TYPE_CHECKING:
-    from uavbatt.estimation.soc_filter import SocFilter
+    from uavbatt.estimation.filter import SocFilter
 
 PLAIN_ROW_S, PLAIN_BLOCK_S = 6e-6, 200e-6  # measured: a row, and a block closed
 
@@ -98,9 +98,7 @@ def by_twin(filter: SocFilter, samples: Sequence[Sample]) -> list[Row]:
     assert now.moments is not None
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     begun = Begun(now.time_s, now.current_A, now.block_A, before.moments is None, np.array(now.block, dtype=float))
-    *beliefs, in_force, shown, end = compiled.run(
-        as_numbers(filter.pack), now.ambient_C, table, begun, *now.moments
-    )
+    *beliefs, in_force, shown, end = compiled.run(as_numbers(filter.pack), now.ambient_C, table, begun, *now.moments)
     fast.is_made("filter")
     every = [Moments(*belief) for belief in zip(*beliefs, strict=True)]
     held = [before.moments, *every[1:]]

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from uavbatt.battery import belief as b
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
-from uavbatt.battery.belief import SIZE, C
-from uavbatt.battery.build import Pack
+from uavbatt.battery import state_space as b
 from uavbatt.battery.compiled import compiled, share
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import SIZE, C
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.recursion import BLOCK_S, FULL_SOC_SD, GATE, NUDGE, Begun, weighed
 

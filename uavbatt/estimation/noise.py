@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery import belief as b
-from uavbatt.battery import model, start
-from uavbatt.battery.belief import SIZE, C
-from uavbatt.battery.build import Pack
+from uavbatt.battery import initial_state, model
+from uavbatt.battery import state_space as b
+from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, State
-from uavbatt.battery.service import Capacities
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import SIZE, C
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
@@ -66,21 +66,21 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
 
     The drop depends on the charge, which depends on the drop: a few rounds settle it.
     """
-    idle = abs(c_rate) < start.IDLE_C_RATE
+    idle = abs(c_rate) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
     model_sd_V = pack.bias_sd_V * (RESTED_BIAS if idle else 1.0)
-    read = start.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
+    read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
-        state = start.underway(pack.cell, read.soc, temp_C, c_rate)
+        state = initial_state.underway(pack.cell, read.soc, temp_C, c_rate)
         ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
         drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
-        read = start.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
-    mean, covariance = start.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
+        read = initial_state.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
+    mean, covariance = initial_state.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
-    return First(start.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
+    return First(initial_state.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
 
 
 def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.belief import SIZE, C, mixed_covariance
 from uavbatt.battery.model import Array
+from uavbatt.battery.state_space import SIZE, C, mixed_covariance
 from uavbatt.records import Sample
 
 # Steps of the difference quotients: far above rounding, far below any curvature of the model.

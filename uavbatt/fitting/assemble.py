@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from uavbatt.battery.battery_file import Discrepancy, EffectEntry, ParameterTable
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.file import Discrepancy, EffectEntry, ParameterTable
 from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
 from uavbatt.fitting import prior

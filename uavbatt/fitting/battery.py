@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.battery.file import Battery, BatteryFile, Certificate
+from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, solve

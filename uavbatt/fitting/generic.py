@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavbatt.battery.file import Battery, BatteryFile, Certificate, Discrepancy
+from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy
 from uavbatt.fitting import assemble, prior
 
 # Between makes and ages of LiPo packs: total resistance differs by a factor of 1.5, usable capacity by 6 %.

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import LONGEST_STEP_S, Array
-from uavbatt.battery.start import IDLE_C_RATE
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
 from uavbatt.records import NAN, Flight

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.battery.build import dense, dense_resistance
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array, Parameters
+from uavbatt.battery.scaling import dense, dense_resistance
 
 # Rested voltage of a LiPo cell (LiCoO2/graphite) against state of charge: rounded averages of published
 # discharge tables; ±30 mV over makes, more below 5 % and, as cells are sold that charge to 4.35 V, near full.

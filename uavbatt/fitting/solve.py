@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from uavbatt.battery.build import dense
+from uavbatt.battery.initial_state import underway
 from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory, simulate
-from uavbatt.battery.start import underway
+from uavbatt.battery.scaling import dense
 from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Posterior, Slot

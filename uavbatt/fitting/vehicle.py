@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
-from uavbatt.battery.vehicle import Phases, Trace, VehicleFile
+from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
-from uavbatt.pipeline import Estimator, PackOptions
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.records import Flight
 
 GRID_S = 10.0

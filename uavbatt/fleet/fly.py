@@ -13,11 +13,11 @@ from pathlib import PurePath
 import numpy as np
 
 from uavbatt import fast
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UavbattError
+from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
-from uavbatt.pipeline import Estimator, PackOptions
 from uavbatt.records import NAN, Flight
 from uavbatt.replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s

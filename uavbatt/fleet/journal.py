@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from uavbatt import __version__
-from uavbatt.aside import written_aside
-from uavbatt.battery.file import content_hash
+from uavbatt.battery.battery_file import content_hash
 from uavbatt.errors import BadInput
+from uavbatt.files import atomic_write
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import JOURNAL, LogFile
 from uavbatt.fleet.row import LOST, Row, row_of
@@ -106,7 +106,7 @@ class Journal:
     def _heal(self) -> None:
         """Write the file anew without its damaged rows."""
         self._file.seek(0)
-        with written_aside(self.path, "wb") as healed:
+        with atomic_write(self.path, "wb") as healed:
             for line in self._file:
                 if self._number(line) is None:
                     self.dropped += 1
@@ -122,7 +122,7 @@ class Journal:
         self._file.seek(0)
         if sum(1 for _ in self._file) <= 2 * len(self._places):
             return
-        with written_aside(self.path, "wb") as file:
+        with atomic_write(self.path, "wb") as file:
             for number in sorted(self._places):
                 self._file.seek(self._places[number])
                 file.write(self._file.readline())

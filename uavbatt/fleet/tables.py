@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from uavbatt.aside import written_aside
+from uavbatt.files import atomic_write
 from uavbatt.fleet.logs import TABLE
 from uavbatt.fleet.row import COLUMNS, Row
 
@@ -31,7 +31,7 @@ def write(folder: Path, rows: Iterable[Row]) -> None:
 
     schema = _schema(pyarrow)
     with ExitStack() as stack:
-        files = [stack.enter_context(written_aside(folder / name, "wb")) for name in (PARQUET, CSV)]
+        files = [stack.enter_context(atomic_write(folder / name, "wb")) for name in (PARQUET, CSV)]
         writers = [
             stack.enter_context(parquet.ParquetWriter(files[0], schema)),
             stack.enter_context(csv.CSVWriter(files[1], schema)),

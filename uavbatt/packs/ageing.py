@@ -18,7 +18,6 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.packs import findings as odd
-from uavbatt.packs.evidence import health
 from uavbatt.packs.records import Finding, FlightRecord, Known, Remembered
 
 # A pack that nobody met: against its file and its rating, and how it changes from flight to flight. LiPo packs lose
@@ -127,9 +126,9 @@ def _next(course: Course, flight: FlightRecord) -> tuple[Course, tuple[Finding, 
     z = oddness(expected, flight, flight.told.matrix)
     change = flight.told.mean - H @ expected.mean
     if max(-z[OHM], z[CHARGE]) > ODD_ALONE:
-        course, said = _improved(course, expected, flight, odd.another(*z, *change))
+        course, said = _improved(course, expected, flight, odd.another(z, change))
     elif max(z[OHM], -z[CHARGE]) > ODD_ALONE:
-        said = odd.sudden(*z, *change)
+        said = odd.sudden(z, change)
         known = _taken(_shaken(expected, z), flight)
         course = Course(known, expected, flight, undamaged=expected, is_settled=False)
     elif course.is_settled and (both := _odd_together(course, flight)) is not None:
@@ -166,13 +165,13 @@ def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, Finding
     change = 0.5 * (course.last.told.mean + flight.told.mean) - H @ course.expected.mean
     before = _taken(_shaken(course.expected, z), course.last)
     known = _taken(later(before, 0.0), flight)
-    said = odd.sudden(*z, *change, " since the flight before")
+    said = odd.sudden(z, change, " since the flight before")
     return Course(known, before, flight, undamaged=course.expected, is_settled=False), said
 
 
-def prior(known: Known, days: float, type_ohm: float, rated_Ah: float, other_file: bool = False) -> PackHealth:
-    """The prior of the next flight, `days` after the last, against a battery file and a rated capacity."""
+def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:
+    """The prior of the next flight, `days` after the last; `other_file`: read with another battery file."""
     expected = later(known, days)
     doubt = OTHER_CONDITIONS_SD**2 + (OTHER_FILE_SD**2 if other_file else 0.0)
     log_ohm, log_Ah = (float(value) for value in expected.mean[:2])
-    return health(log_ohm, log_Ah, expected.covariance[:2, :2] + np.diag(doubt), type_ohm, rated_Ah)
+    return PackHealth(log_ohm, log_Ah, expected.covariance[:2, :2] + np.diag(doubt))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from uavbatt.battery.model import Array
 from uavbatt.packs.records import Finding, FlightRecord
 
 WEAK_CELL_V = 0.06  # below the mean of the cells under load: balanced packs stay within half of it
@@ -33,17 +34,20 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def sudden(z_ohm: float, z_charge: float, ohm_change: float, charge_change: float, words: str = "") -> Finding:
-    """Damage: which of the two numbers gives it away, and by how much."""
-    if z_ohm >= -z_charge:
-        return Finding("sudden_ohms", f"{100.0 * math.expm1(ohm_change):.0f} % more ohms at once{words}: damaged?")
-    return Finding("sudden_loss", f"{-100.0 * math.expm1(charge_change):.0f} % less charge at once{words}: damaged?")
+def sudden(z: Array, change: Array, words: str = "") -> Finding:
+    """Damage: which of the two numbers gives it away, and by how much.
+
+    z [2], change [2]: how many sd, and by how much in ln, ohms and charge lie from what was expected.
+    """
+    if z[0] >= -z[1]:
+        return Finding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms at once{words}: damaged?")
+    return Finding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge at once{words}: damaged?")
 
 
-def another(z_ohm: float, z_charge: float, ohm_change: float, charge_change: float) -> Finding:
-    """What no pack can do, so that it is another one."""
-    if -z_ohm >= z_charge:
-        what = f"{-100.0 * math.expm1(ohm_change):.0f} % fewer ohms"
+def another(z: Array, change: Array) -> Finding:
+    """What no pack can do, so that it is another one; z and change as in `sudden`."""
+    if -z[0] >= z[1]:
+        what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
     else:
-        what = f"{100.0 * math.expm1(charge_change):.0f} % more charge"
+        what = f"{100.0 * math.expm1(change[1]):.0f} % more charge"
     return Finding("another_pack", f"{what} at once, which no pack can do: {HELD_TEXT}")

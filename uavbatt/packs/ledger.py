@@ -130,11 +130,10 @@ class Ledger:
             return connection.execute("DELETE FROM packs WHERE name = ?", (name,)).rowcount > 0
 
 
-def prior(last: Remembered, start_utc_s: float, type_ohm: float, rated_Ah: float, battery_sha256: str) -> PackHealth:
+def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHealth:
     """The prior of the flight that begins at a time, by what is believed after the last one before it."""
     days = ageing.days_between(last.flight, start_utc_s)
-    is_other = battery_sha256 != last.flight.battery_sha256
-    return ageing.prior(last.known, days, type_ohm, rated_Ah, other_file=is_other)
+    return ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
 
 
 def _opened(path: Path, only_read: bool) -> sqlite3.Connection:

@@ -22,11 +22,24 @@ def outlook(known: Known, rated_Ah: float, flights: int) -> Outlook:
     sd = np.sqrt(np.diag(known.covariance))
     ohm = np.exp(known.mean[0] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[0], SHARED_SD[0]))
     charge = np.exp(known.mean[1] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[1], SHARED_SD[1]))
-    retire = retirement(known, rated_Ah)
+    (ohms, ohms_lo, ohms_hi), (now, lo, hi) = ohm.tolist(), charge.tolist()
+    median, soonest, latest = retirement(known, rated_Ah)
     return Outlook(
-        flights, *(float(v) for v in charge), *(float(v) for v in ohm),
-        float(known.mean[3]), float(sd[3]), float(known.mean[2]), float(sd[2]), *retire,
-    )  # fmt: skip
+        flights=flights,
+        capacity_Ah=now,
+        capacity_lo_Ah=lo,
+        capacity_hi_Ah=hi,
+        resistance_ohm=ohms,
+        resistance_lo_ohm=ohms_lo,
+        resistance_hi_ohm=ohms_hi,
+        capacity_trend=float(known.mean[3]),
+        capacity_trend_sd=float(sd[3]),
+        resistance_trend=float(known.mean[2]),
+        resistance_trend_sd=float(sd[2]),
+        retire_flights=median,
+        retire_lo_flights=soonest,
+        retire_hi_flights=latest,
+    )
 
 
 def retirement(known: Known, rated_Ah: float) -> tuple[float, float, float]:

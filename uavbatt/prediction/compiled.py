@@ -9,22 +9,22 @@ from __future__ import annotations
 import numpy as np
 
 from uavbatt import fast
-from uavbatt.battery import belief as b
 from uavbatt.battery import model
-from uavbatt.battery.belief import C
-from uavbatt.battery.build import Pack
+from uavbatt.battery import state_space as b
 from uavbatt.battery.compiled import as_numbers, compiled
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
-from uavbatt.prediction import spread
-from uavbatt.prediction.endurance import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
-from uavbatt.prediction.questions import Question
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import C
+from uavbatt.prediction import sampling
+from uavbatt.prediction.batch import Question
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
 
 
 def answer(q: Question) -> EndTimes:
     """When each draw ends."""
-    steps, drawn = q.dt_s.size, spread.wander()
+    steps, drawn = q.dt_s.size, sampling.wander()
     ends = time_to_end(
         as_numbers(q.pack),
         np.ascontiguousarray(q.x),

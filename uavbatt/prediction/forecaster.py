@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.belief import Belief, C
-from uavbatt.battery.build import Pack
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
-from uavbatt.prediction import spread
-from uavbatt.prediction.endurance import EndTimes
-from uavbatt.prediction.learned import UnknownAircraft
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import Belief, C
+from uavbatt.prediction import sampling
+from uavbatt.prediction.batch import Question, answer
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
-from uavbatt.prediction.questions import Question, answer
+from uavbatt.prediction.load_library import UnknownAircraft
+from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
@@ -166,14 +166,14 @@ class Forecaster:
             return None
         by_rows = self._row_s > SLOW_ROW_S
         dt_s = self._row_s if by_rows else _step_s(load, typical_s)
-        steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, spread.LONGEST)
+        steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         return Question(
             time_s=time_s,
             horizon_s=horizon_s,
             pack=self._weakest(),
-            x=spread.draws(belief),
-            power_W=scenarios.power_W[:, spread.assigned(scenarios.weight)],
+            x=sampling.draws(belief),
+            power_W=scenarios.power_W[:, sampling.assigned(scenarios.weight)],
             ambient_C=belief.ambient_C,
             dt_s=scenarios.dt_s,
             reserve_soc=self.settings.reserve_soc,

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.prediction.spread import LONGEST
+from uavbatt.prediction.sampling import LONGEST
 
 MEAN_TAU_S = 60.0
 WINDOW_TAU_S = 20.0

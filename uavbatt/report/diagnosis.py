@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt import __version__
-from uavbatt.aside import written_aside
+from uavbatt.files import atomic_write
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
@@ -78,7 +78,7 @@ class DiagnosisPage:
 
 def write(path: Path, inputs: DiagnosisPage) -> None:
     """Write the page, whole or not at all."""
-    with written_aside(path, "w") as stream:
+    with atomic_write(path, "w") as stream:
         stream.write(diagnosis_report(inputs))
 
 

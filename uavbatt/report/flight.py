@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import PurePath
 
 from uavbatt import __version__
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.records import Flight, Status
 from uavbatt.report.flight_figures import figures
 from uavbatt.report.inputs import CheckpointLike, OutcomeLike, ResolvedLike, StepLike

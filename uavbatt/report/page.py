@@ -12,7 +12,7 @@ from html import escape
 from importlib import resources
 from typing import Literal
 
-from uavbatt.printable import printable
+from uavbatt.errors import printable
 
 UNKNOWN = "not known"
 DASH = "–"

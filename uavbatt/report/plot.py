@@ -14,7 +14,7 @@ from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from uavbatt.printable import printable
+from uavbatt.errors import printable
 from uavbatt.report.page import Html
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts
-from uavbatt.telemetry.tlog_frames import decoder
+from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.vehicle import BATTERY_IDS, Row, Vehicle, battery_fields
 
 __all__ = ["LiveReader", "Row", "Taken", "checksum"]

@@ -103,7 +103,7 @@ def _kind(source: str, data: Content) -> str:
             return "csv"
         raise BadInput(source, "", f"{KNOWN_KINDS}, found text of another kind")
     # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
-    from uavbatt.telemetry.tlog_frames import looks_like_tlog
+    from uavbatt.telemetry.formats.tlog_frames import looks_like_tlog
 
     if looks_like_tlog(data):
         return "tlog"
@@ -142,22 +142,22 @@ def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
 def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
     """What reads logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
-        from uavbatt.telemetry.dataflash_binary import read as read_binary
+        from uavbatt.telemetry.formats.dataflash_binary import read as read_binary
 
         return lambda _, data: read_binary(data)
     if kind == "tlog":
-        from uavbatt.telemetry.tlog import read as read_tlog
+        from uavbatt.telemetry.formats.tlog import read as read_tlog
 
         return lambda _, data: read_tlog(data)
     if kind == "dataflash-text":
-        from uavbatt.telemetry.dataflash_text import read as read_text
+        from uavbatt.telemetry.formats.dataflash_text import read as read_text
 
         return lambda _, data: read_text(bytes(data))
     if kind == "ulog":
-        from uavbatt.telemetry.ulog import read as read_ulog
+        from uavbatt.telemetry.formats.ulog import read as read_ulog
 
         return lambda source, data: read_ulog(source, bytes(data))
-    from uavbatt.telemetry.csv_table import read as read_csv
+    from uavbatt.telemetry.formats.csv_table import read as read_csv
 
     return lambda source, data: read_csv(source, bytes(data))
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN
-from uavbatt.telemetry.tlog_frames import frames
-from uavbatt.telemetry.tlog_payloads import PARAM_VALUE, parameters
+from uavbatt.telemetry.formats.tlog_frames import frames
+from uavbatt.telemetry.formats.tlog_payloads import PARAM_VALUE, parameters
 
 PERIOD_NAME = "UAVB_FORECAST_S"
 HEAD_BYTES = 16_384

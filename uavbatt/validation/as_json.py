@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from uavbatt.json_file import plain
+from uavbatt.files import plain
 from uavbatt.validation.paper import PaperReplay
 from uavbatt.validation.validate import Validation
 

@@ -150,9 +150,7 @@ def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: 
     return assembled("V", held.time_s[at], rows, len(residual) - 1.0)
 
 
-def time_budget(
-    held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty
-) -> Budget:
+def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty) -> Budget:
     """Budget of the bias of a crossing time [s]; `slope_Vps` there turns the voltmeter's rows into seconds."""
     half_s, how = reading_half_width_s(held, known)
     one = np.array([float(np.mean(levels_V))])

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from uavbatt.battery import model
-from uavbatt.battery.build import dense, dense_resistance
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
@@ -80,9 +80,7 @@ class Fit:
 def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
     """Unknowns of a variant for tests of `series` series."""
     cell = [s for s in prior.cell_slots(KEPT) if not s.name.startswith("ocv_")]
-    heat = [
-        Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT
-    ]
+    heat = [Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT]
     load = [s for s in LOAD_SLOTS if s.name != "start_offset_K"]
     steep = [Slot("steeper_cold", 0.0, 1.0)]
     nuisance = [Slot(f"{what}_{k}", 0.0, 0.1) for k in range(1, series) for what in ("ln_load", "ln_resistance")]

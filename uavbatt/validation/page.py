@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uavbatt.aside import written_aside
 from uavbatt.dataset import DataSet, whole_minutes
+from uavbatt.files import atomic_write
 from uavbatt.report.validation import validation_report
 from uavbatt.report.validation_inputs import Change, Consistency, ModelCurve, ValidationPage
 from uavbatt.validation import reading
@@ -64,7 +64,7 @@ def write(
 ) -> None:
     """Write the page to `path` (`-`: standard output), whole or not at all."""
     html = validation_page(v, paper, changes)
-    with written_aside(path) as file:
+    with atomic_write(path) as file:
         file.write(html)
 
 

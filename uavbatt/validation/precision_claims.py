@@ -88,9 +88,7 @@ def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]
                  limits.precision_A_r, "1", statistics=numbers)  # fmt: skip
 
 
-def reproducibility_claim(
-    held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty
-) -> Claim:
+def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
     """The bias for another sample; informs, does not gate (a pack of the same make ships without it)."""
     name = "reproducibility"
     shared = shared_table(levels).table

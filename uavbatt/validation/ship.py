@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from uavbatt.battery.file import (
+from uavbatt.battery.battery_file import (
     Battery,
     BatteryFile,
     Certificate,
@@ -15,7 +15,7 @@ from uavbatt.battery.file import (
     ParameterTable,
     Verdict,
 )
-from uavbatt.battery.file import Corridor as CorridorEntry
+from uavbatt.battery.battery_file import Corridor as CorridorEntry
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded

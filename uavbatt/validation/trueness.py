@@ -70,9 +70,7 @@ def laboratory_bias(results: ArrayLike, reference: float, u_reference: float = 0
     return Bias(bias, math.hypot(u_mean, u_reference), (bias - half, bias + half), abs(bias) > half, n)
 
 
-def method_bias(
-    cells: Cells, reference: float, sigma_r: float | None = None, sigma_R: float | None = None
-) -> Bias:
+def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, sigma_R: float | None = None) -> Bias:
     """Several laboratories: δ̂ = ȳ - μ, σ_δ² = [σ_R² - (1-1/n)σ_r²]/p (ISO 5725-4).
 
     With known σ_r and σ_R the factor is 1.96; estimated from the cells it is t with p-1 degrees of freedom.

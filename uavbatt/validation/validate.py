@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uavbatt.battery.file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.dataset import DataSet, Levels, whole_minutes
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation import gate, heldout, reading, regression, ship, temperatures

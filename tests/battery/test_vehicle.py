@@ -1,0 +1,177 @@
+"""Vehicle files: round trip, what is learned from a flight, and every bad file named in one line."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from typer.testing import CliRunner
+
+from uavbatt.battery import battery_file
+from uavbatt.battery import vehicle_file as vehicle
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.vehicle_file import VehicleFile
+from uavbatt.cli.app import app
+from uavbatt.errors import BadInput, NotEnoughData, UavbattError
+from uavbatt.estimator import PackOptions
+from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
+from uavbatt.records import Flight, Sample
+from uavbatt.simulate import Mission, fly, write
+
+OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+
+
+@cache
+def flight(seed: int = 1, power_W: float = 300.0, rate_Hz: float = 1.0) -> Flight:
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return Flight(f"flight {seed}", "csv", tuple(fly(pack, Mission(power_W, rate_Hz=rate_Hz, seed=seed))))
+
+
+@cache
+def learned() -> VehicleFile:
+    return vehicle_file("quad", [flight(seed) for seed in (1, 2, 3)], battery_file.read("lipo-generic"), OPTIONS)
+
+
+# --- what is learned ---------------------------------------------------------------------------------------------
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = vehicle.write(learned(), tmp_path / "quad.vehicle.toml")
+    assert vehicle.read(path) == learned()
+    assert path.stat().st_size < 30_000 and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_trace_is_the_flight_from_take_off() -> None:
+    rows = [s for s in flight().samples if s.time_s >= 20.0]  # idle before
+    assert len(learned().traces) == 3 and learned().source == "3 flights"
+    first = learned().traces[0]
+    assert first.time_s[0] == 0.0 and set(np.diff(first.time_s)) == {GRID_S}
+    assert first.time_s[-1] == pytest.approx(rows[-1].time_s - 20.0, abs=GRID_S + 2.0)
+    energy_J = sum(s.voltage_V * s.current_A for s in rows)
+    assert np.sum(first.power_W) * GRID_S == pytest.approx(energy_J, rel=0.02)
+    assert first.soc[0] > 0.97 and all(b < a + 1e-3 for a, b in pairwise(first.soc)) and first.soc[-1] < 0.2
+
+
+def test_phases_are_means() -> None:
+    phases = learned().phases
+    assert phases.flight_W == pytest.approx(300.0, rel=0.06)
+    assert phases.take_off_W == pytest.approx(300.0, rel=0.25)
+    assert phases.last_minute_W == pytest.approx(300.0, rel=0.25)
+
+
+def test_coarse_rows_teach_the_same_energy() -> None:
+    """A row every 12 s: the mean power is that of its rows, and the grid stays."""
+    rows = flight().samples[20::12]
+    coarse = trace(Flight("coarse", "csv", rows), battery_file.read("lipo-generic"), OPTIONS)
+    assert coarse is not None and set(np.diff(coarse.time_s)) == {GRID_S}
+    mean_W = np.mean([s.voltage_V * s.current_A for s in rows])
+    assert np.mean(coarse.power_W) == pytest.approx(mean_W, rel=0.03)
+
+
+def test_the_landing_is_not_flight() -> None:
+    """Idle rows after the flight, as before it, are no part of the trace."""
+    last = flight().samples[-1]
+    ground = tuple(Sample(last.time_s + t, 14.5, 0.6, armed=False) for t in range(1, 300))
+    longer = trace(Flight("landed", "csv", flight().samples + ground), battery_file.read("lipo-generic"), OPTIONS)
+    assert longer is not None
+    assert longer.time_s[-1] == pytest.approx(learned().traces[0].time_s[-1], abs=GRID_S)
+
+
+def test_too_short_to_learn_from() -> None:
+    short = Flight("hop", "csv", flight().samples[:100])
+    assert trace(short, battery_file.read("lipo-generic"), OPTIONS) is None
+    with pytest.raises(NotEnoughData, match="quad: none of 1 logs holds 120 s") as caught:
+        vehicle_file("quad", [short], battery_file.read("lipo-generic"), OPTIONS)
+    assert caught.value.exit_code == 4
+    both = vehicle_file("quad", [short, flight()], battery_file.read("lipo-generic"), OPTIONS)
+    assert len(both.traces) == 1
+
+
+# --- bad files ---------------------------------------------------------------------------------------------------
+
+
+def content() -> dict[str, object]:
+    return {
+        "name": "quad",
+        "battery": "lipo-generic",
+        "phases": {"take_off_W": 300.0, "flight_W": 300.0, "last_minute_W": 300.0},
+        "traces": [{"time_s": [0.0, 10.0, 20.0], "power_W": [300.0, 310.0, 290.0], "soc": [1.0, 0.99, 0.98]}],
+    }
+
+
+def with_trace(**changed: list[float]) -> dict[str, object]:
+    one: dict[str, object] = {"time_s": [0.0, 10.0, 20.0], "power_W": [300.0] * 3, "soc": [1.0, 0.9, 0.8]}
+    return {**content(), "traces": [{**one, **changed}]}
+
+
+BAD = [
+    ({**content(), "traces": []}, "at least one past flight"),
+    ({**content(), "surprise": 1}, "surprise"),
+    ({k: v for k, v in content().items() if k != "phases"}, "phases"),
+    ({**content(), "name": 7}, "name"),
+    (with_trace(soc=[1.0, 0.9]), "traces[0]"),
+    (with_trace(time_s=[0.0], power_W=[300.0], soc=[1.0]), "traces[0]"),
+    (with_trace(time_s=[0.0, 20.0, 10.0]), "traces[0].time_s"),
+    (with_trace(time_s=[0.0, 0.0, 10.0]), "ascending"),
+    (with_trace(power_W=[300.0, -1.0, 300.0]), "traces[0].power_W"),
+    (with_trace(power_W=[0.0, 0.0, 0.0]), "powers of a flight"),
+]
+
+
+@pytest.mark.parametrize(("bad", "words"), BAD)
+def test_a_bad_file_is_named_in_one_line(bad: dict[str, object], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.vehicle.toml"
+    path.write_text(tomli_w.dumps(bad))
+    assert_refused(path, words)
+
+
+@pytest.mark.parametrize("raw", [b"", b"name = ", b"\xff\xfe\x00", b"[traces]\n", b"\x00" * 100])
+def test_what_is_no_toml_is_named_in_one_line(raw: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "bad.vehicle.toml"
+    path.write_bytes(raw)
+    assert_refused(path, "vehicle file")
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    assert_refused(tmp_path / "none.vehicle.toml", "exists")
+    assert_refused(tmp_path, "exists")
+
+
+def assert_refused(path: Path, words: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        vehicle.read(path)
+    said = str(caught.value)
+    assert said.startswith(str(path)) and words in said and "\n" not in said and caught.value.exit_code == 1
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+def test_fit_learns_a_vehicle_and_replay_takes_it(tmp_path: Path) -> None:
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    logs = []
+    for seed in (1, 2):
+        logs.append(str(tmp_path / f"{seed}.BIN"))
+        write(Path(logs[-1]), list(flight(seed, rate_Hz=0.5).samples), pack)
+    made = tmp_path / "quad.vehicle.toml"
+    runner = CliRunner()
+    fitted = runner.invoke(app, ["fit", *logs, "--battery", "lipo-generic", "--vehicle", str(made)])
+    assert fitted.exit_code == 0 and "2 of 2 flights" in fitted.output
+    assert vehicle.read(made).name == "quad" and vehicle.read(made).battery == "lipo-generic"
+    replayed = runner.invoke(app, ["replay", logs[0], "--vehicle", str(made)])
+    assert replayed.exit_code == 0 and "120 s before" in replayed.output
+
+
+def test_bench_tests_teach_no_aircraft(tmp_path: Path) -> None:
+    from uavbatt.dataset import load
+
+    study = Path(battery_file.__file__).parents[1] / "data" / "study"
+    assert load(study).runs
+    call = ["fit", str(study), "--battery", "lipo-generic", "--vehicle", str(tmp_path / "x.vehicle.toml")]
+    result = CliRunner().invoke(app, call)
+    assert isinstance(result.exception, UavbattError) and "flight logs" in str(result.exception)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,116 @@
+"""`uavbatt diagnose` from the shell: outputs, exit codes, one line for what went wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.scaling import pack_of
+from uavbatt.simulate import Mission, fly, with_effects, write
+
+CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 4, 5.0, 13.2, 14.0
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    code = "import sys; from uavbatt.cli import main; sys.argv[0] = 'uavbatt'; main()"
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two flights whose current sensor reads a quarter too much."""
+    folder = tmp_path_factory.mktemp("logs")
+    pack = pack_of(battery_file.read("lipo-generic"), CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    pack = with_effects(pack, {"current_gain": 1.25})
+    paths = []
+    for i, (power_W, ambient_C) in enumerate([(170.0, 22.0), (150.0, 12.0)]):
+        path = folder / f"flight_{i}.csv"
+        write(path, fly(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i + 1)), pack)
+        paths.append(path)
+    return paths
+
+
+def pack_options() -> list[str]:
+    return ["--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2"]
+
+
+def test_a_diagnosis_writes_json_battery_file_and_page(logs: list[Path], tmp_path: Path) -> None:
+    outputs = {"--json": tmp_path / "d.json", "--report": tmp_path / "d.html", "-o": tmp_path / "new.battery.toml"}
+    done = run("diagnose", *logs, *pack_options(), *(x for pair in outputs.items() for x in pair))
+    assert done.returncode == 0, done.stderr
+    found = json.loads(outputs["--json"].read_text())
+    assert found["verdict"] in ("effect_found", "undeclared_effect")
+    assert "current_gain" in found["classes"][0]["members"]
+    assert set(found["classes"][0]) == {"members", "probability", "parameters", "would_separate"}
+    assert set(found["classes"][0]["parameters"]["gain_I"]) == {"value", "lo", "hi", "unit"}
+    assert {"voltage_rmse_V", "remaining_mae_s"} <= set(found["before"]) == set(found["after"])
+    assert found["battery_file"] == str(outputs["-o"])
+    assert sorted(found["held_out"]) == sorted(map(str, logs))
+    assert battery_file.read(outputs["-o"]).status == "fitted"
+    page = outputs["--report"].read_text()
+    ET.fromstring(page.split("\n", 1)[1])
+    assert "current_gain" in page and "<script" not in page
+
+
+def test_one_flight_is_not_enough(logs: list[Path], tmp_path: Path) -> None:
+    target = tmp_path / "d.json"
+    done = run("diagnose", logs[0], *pack_options(), "--json", target)
+    assert done.returncode == 4
+    assert done.stderr.count("\n") == 1 and "expected at least 2" in done.stderr
+    assert json.loads(target.read_text())["verdict"] == "not_enough_data"
+
+
+def test_a_log_without_current_is_not_enough(tmp_path: Path) -> None:
+    path = tmp_path / "volts.csv"
+    path.write_text("time_s,voltage_V\n" + "".join(f"{i},16.{i % 10}\n" for i in range(400)))
+    done = run("diagnose", path, *pack_options())
+    assert done.returncode == 4
+    assert "no row has a current" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["--without", "gremlins"], "--without gremlins"), (["--json", "/nowhere/at/all.json"], "existing folder")],
+)
+def test_a_wrong_call_is_said_in_one_line(logs: list[Path], arguments: list[str], said: str) -> None:
+    done = run("diagnose", *logs, *pack_options(), *arguments)
+    assert done.returncode == 2
+    assert said in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_same_log_twice_is_no_evidence(logs: list[Path]) -> None:
+    done = run("diagnose", logs[0], logs[0], *pack_options())
+    assert done.returncode == 2
+    assert "the same log" in done.stderr
+
+
+def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: list[Path], tmp_path: Path) -> None:
+    bare = []
+    for path in logs:
+        rows = [line.split(",") for line in path.read_text().splitlines()]
+        kept = [i for i, name in enumerate(rows[0]) if name != "temp_C"]
+        bare.append(tmp_path / path.name)
+        bare[-1].write_text("\n".join(",".join(r[i] for i in kept) for r in rows) + "\n")
+    done = run("diagnose", *bare, *pack_options(), "--report", tmp_path / "d.html")
+    assert done.returncode == 0, done.stderr
+    assert "no temperature" in done.stdout
+    assert "No temperature was measured" in (tmp_path / "d.html").read_text()
+
+
+def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: Path) -> None:
+    other = tmp_path / "other.tlog"
+    pack = pack_of(battery_file.read("lipo-generic"), 6, 8.0, 19.8, 21.0)
+    write(other, fly(pack, Mission(350.0, 22.0, rate_Hz=1.0, seed=3)), pack)
+    first = tmp_path / "first.tlog"
+    pack = pack_of(battery_file.read("lipo-generic"), CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    write(first, fly(pack, Mission(170.0, 22.0, rate_Hz=1.0, seed=1)), pack)
+    done = run("diagnose", first, other, "--battery", "lipo-generic")
+    assert done.returncode == 4
+    assert "different packs" in done.stderr

@@ -1,0 +1,44 @@
+"""`uavbatt validate` as a user runs it: the study passes, and what ships is the packaged battery, number by number."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from command import Judged, run
+
+from uavbatt.battery import battery_file
+
+
+def test_every_output_is_there_and_nothing_else(judged_study: Judged) -> None:
+    left = {p.name for p in judged_study.folder.rglob("*")}
+    assert left == {"ship", "lpab-3s.battery.toml", "r.html", "r.json"}
+
+
+def test_the_packaged_battery_can_be_reproduced(judged_study: Judged) -> None:
+    """Otherwise: run scripts/package_batteries and commit what it writes."""
+    shipped, packaged = (
+        battery_file.read(judged_study.folder / "ship/lpab-3s.battery.toml"),
+        battery_file.read("lpab-3s"),
+    )
+    assert shipped.certificate.content_sha256 == packaged.certificate.content_sha256
+
+
+def test_the_verdict_comes_first(judged_study: Judged) -> None:
+    assert judged_study.stdout.startswith("lpab-3s: PASS at 25 °C")
+    assert "not enough data  reproducibility" in judged_study.stdout
+
+
+def test_pages_and_numbers(judged_study: Judged) -> None:
+    numbers = json.loads((judged_study.folder / "r.json").read_text(encoding="utf-8"))
+    assert numbers["verdict"] == "pass"
+    page = (judged_study.folder / "ship/r.html").read_text(encoding="utf-8")
+    assert page.lower().startswith("<!doctype html") and "lpab-3s" in page
+
+
+def test_the_study_s_own_method(tmp_path: Path) -> None:
+    done = run("validate", "--method", "paper", "--json", "p.json", folder=tmp_path)
+    assert done.returncode == 0
+    for agreement in ("45 of 45", "25 of 27", "26 of 27", "F_emp = 2.83 cannot be reproduced"):
+        assert agreement in done.stdout
+    assert json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))

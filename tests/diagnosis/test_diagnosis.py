@@ -1,0 +1,197 @@
+"""Diagnosis of planted effects. The flights come from a simulator written out here, not from the package's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.scaling import cell_parameters
+from uavbatt.diagnosis import close
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.errors import NotEnoughData
+from uavbatt.fitting.observed import Observed
+
+CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
+GENERIC = battery_file.read("lipo-generic")
+# The planted flights are of this very pack: what is known of it is as good as a fit makes it.
+FILE = msgspec.structs.replace(
+    GENERIC,
+    parameters=msgspec.structs.replace(
+        GENERIC.parameters, resistance_scale_sd=0.06, capacity_scale_sd=0.02, standard_error={}
+    ),
+)
+PACK = pack_for(FILE, CELLS, CAPACITY_AH)._replace(cutoff_V=CUTOFF_V)
+MISSIONS = ((25.0, 150.0, 1), (8.0, 170.0, 2), (35.0, 185.0, 3), (17.0, 140.0, 4))
+SOC = np.linspace(-0.05, 1.05, 221)
+
+
+def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> Observed:
+    """One flight in plain floats at 1 Hz by explicit steps: the battery's equations, not the package's code."""
+    say = effect.get
+    p = cell_parameters(FILE)
+    random = np.random.default_rng(seed)
+    fields = {k: float(v) for k, v in p._asdict().items() if np.ndim(v) == 0}
+    capacity = CAPACITY_AH * (1.0 - say("fade", 0.0))
+    soc, fast, slow, core, shown = 1.0, 0.0, 0.0, ambient_C, ambient_C
+    gust, rows, under_s = 0.0, [], 0
+    for second in range(4000):
+        gust += -gust / 15.0 + 0.05 * random.standard_normal()
+        watts = power_W * (1.0 + gust) if second >= 20 else 4.0
+        kelvin = 1.0 / (core + 273.15) - 1.0 / 298.15
+        ohm_Ah = float(np.interp(soc, SOC, p.r0_ohmAh)) * math.exp(fields["activation_K"] * kelvin)
+        emf = float(np.interp(soc, SOC, p.ocv_V)) - fast - slow
+        ohm = CELLS * ohm_Ah / capacity + say("harness", 0.0)
+        amps = (CELLS * emf - math.sqrt(max((CELLS * emf) ** 2 - 4.0 * ohm * watts, 0.0))) / (2.0 * ohm)
+        rate = amps / capacity
+        drop = rate * ohm_Ah
+        volts = CELLS * (emf - drop) - amps * say("harness", 0.0)
+        cold = math.exp(fields["diffusion_activation_K"] * kelvin)
+        heat = fields["heat_gain"] * rate * (drop + fast + slow)
+        soc -= rate / 3600.0
+        fast += (fields["polarisation_ratio"] * drop - fast) / fields["polarisation_tau_s"]
+        slow += (fields["diffusion_ratio"] * drop * cold - slow) / fields["diffusion_tau_s"]
+        core += (heat - fields["cooling_WpKAh"] * (core - ambient_C)) / fields["heat_capacity_JpKAh"]
+        shown += (core - shown) / fields["sensor_lag_s"]
+        metered = (amps - say("unmetered_W", 0.0) / volts) * say("gain", 1.0) + say("offset_A", 0.0)
+        noise = random.standard_normal(3) * np.array([0.02, 0.15, 0.1])
+        seen, felt = volts + say("offset_V", 0.0), shown + say("offset_K", 0.0)
+        rows.append((float(second), seen + noise[0], max(metered + noise[1], 0.0), felt + noise[2]))
+        under_s = under_s + 1 if volts < CUTOFF_V else 0
+        if under_s > 10:
+            break
+    time_s, voltage_V, current_A, temp_C = np.array(rows).T
+    return Observed(f"flight {seed}", time_s, voltage_V, current_A, temp_C, math.nan, CELLS, CAPACITY_AH)
+
+
+def flights(**effect: float) -> list[Observed]:
+    return [fly(*mission, **effect) for mission in MISSIONS]
+
+
+def found(records: list[Observed], *without: str) -> Diagnosis:
+    return diagnose(records, FILE, PACK, without)
+
+
+@pytest.fixture(scope="module")
+def clean() -> list[Observed]:
+    return flights()
+
+
+def test_an_effect_of_no_size_is_not_found(clean: list[Observed]) -> None:
+    diagnosis = found(clean)
+    assert diagnosis.verdict == "no_missing_effect"
+    assert diagnosis.classes == ()
+
+
+@pytest.mark.parametrize(
+    ("planted", "name", "quantity", "truth"),
+    [
+        ({"gain": 1.24}, "current_gain", "gain_I", 1.24),
+        ({"gain": 1.12}, "current_gain", "gain_I", 1.12),
+        ({"unmetered_W": 50.0}, "unmetered_load", "unmetered_W", 50.0),
+        ({"unmetered_W": 25.0}, "unmetered_load", "unmetered_W", 25.0),
+        ({"fade": 0.24}, "capacity_fade", "fade", 0.24),
+        ({"fade": 0.12}, "capacity_fade", "fade", 0.12),
+        ({"offset_V": -0.8}, "voltage_offset", "offset_V", -0.8),
+        ({"offset_V": -0.4}, "voltage_offset", "offset_V", -0.4),
+    ],
+)
+def test_a_planted_effect_is_in_the_first_class_at_full_and_at_half_size(
+    planted: dict[str, float], name: str, quantity: str, truth: float
+) -> None:
+    diagnosis = found(flights(**planted))
+    assert diagnosis.verdict in ("effect_found", "undeclared_effect")
+    assert name in diagnosis.classes[0].members
+    assert len(diagnosis.classes[0].members) <= 3
+    interval = diagnosis.classes[0].parameters[quantity]
+    assert interval.lo <= truth <= interval.hi
+
+
+def test_two_planted_effects_are_two_classes() -> None:
+    diagnosis = found(flights(gain=1.2, offset_V=-0.5))
+    told = [set(c.members) for c in diagnosis.classes]
+    assert len(told) == 2
+    assert any("current_gain" in a and "voltage_offset" in b for a, b in (told, told[::-1]))
+
+
+def test_a_late_current_is_told_from_a_resistance() -> None:
+    records = [replace(r, current_A=np.interp(r.time_s - 4.0, r.time_s, r.current_A)) for r in flights()]
+    diagnosis = found(records)
+    assert diagnosis.classes[0].members[0] == "current_delay"
+    interval = diagnosis.classes[0].parameters["delay_s"]
+    assert interval.lo <= 4.0 <= interval.hi
+
+
+def test_order_and_names_of_the_files_do_not_matter() -> None:
+    records = flights(gain=1.15)
+    shuffled = [replace(records[i], name=f"other {i}") for i in (2, 0, 3, 1)]
+    first, second = found(records), found(shuffled)
+    assert first.verdict == second.verdict
+    assert first.classes == second.classes
+
+
+def test_a_withheld_effect_never_becomes_a_confident_wrong_name() -> None:
+    diagnosis = found(flights(gain=1.2), "current_gain", "capacity_fade", "rate_capacity")
+    kin = {"current_offset", "unmetered_load"}
+    if diagnosis.verdict == "effect_found":
+        assert len(diagnosis.classes[0].members) > 1 or set(diagnosis.classes[0].members) <= kin
+    else:
+        assert diagnosis.verdict == "undeclared_effect" and diagnosis.reasons
+
+
+def test_the_extended_file_holds_the_effect_and_predicts_better_what_was_left_out() -> None:
+    records = flights(gain=1.2)
+    diagnosis = found(records)
+    new = close.extended(FILE, diagnosis)
+    entry = next(e for e in new.effects if e.name in diagnosis.classes[0].members)
+    assert entry.parameters
+    assert new.certificate.status == "fitted"
+    left = close.left_out(diagnosis.problem, diagnosis.after)
+    empty = [np.zeros(0)] * len(records)
+    before_V, _ = close.open_loop(diagnosis.problem, diagnosis.before, empty)
+    after_V, _ = close.open_loop(diagnosis.problem, diagnosis.after, left)
+    assert after_V < 0.5 * before_V
+
+
+def _without_current(r: Observed) -> Observed:
+    return replace(r, current_A=np.zeros_like(r.current_A))
+
+
+def _steady(r: Observed) -> Observed:
+    amps = np.where(r.time_s < 20.0, 0.3, 10.0)
+    return replace(r, current_A=amps)
+
+
+def _short(r: Observed) -> Observed:
+    keep = r.time_s < 150.0
+    columns = (r.time_s, r.voltage_V, r.current_A, r.temp_C)
+    return Observed(r.name, *(c[keep] for c in columns), r.ambient_C, r.cells, r.capacity_Ah)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda rs: [_short(rs[0])], "last"),
+        (lambda rs: [_steady(r) for r in rs], "constant"),
+        (lambda rs: [_without_current(r) for r in rs], "current is zero"),
+        (lambda rs: [rs[0], replace(rs[1], cells=6)], "different packs"),
+        (lambda rs: [], "no record"),
+    ],
+)
+def test_too_little_is_said_with_its_reason(
+    clean: list[Observed], spoil: Callable[[list[Observed]], list[Observed]], reason: str
+) -> None:
+    with pytest.raises(NotEnoughData, match=reason):
+        found(spoil(clean))
+
+
+def test_without_temperature_its_effects_are_no_candidates(clean: list[Observed]) -> None:
+    blind = [replace(r, temp_C=np.full_like(r.temp_C, np.nan)) for r in clean]
+    diagnosis = found(blind)
+    assert not diagnosis.problem.evidence.has_temperature
+    assert "temperature_offset" not in {m for c in diagnosis.classes for m in c.members}

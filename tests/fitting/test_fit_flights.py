@@ -1,0 +1,128 @@
+"""Battery files from flights alone: planted cells come back, and what flights cannot tell is said."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.model import SOC_GRID
+from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.fitting import observed, prior, solve
+from uavbatt.fitting.battery import Fitted, Size, fit_battery
+from uavbatt.records import Flight, Sample
+from uavbatt.simulate import Mission, fly
+
+STARTS = (1.0, 0.9, 0.8, 0.95, 1.0)  # what the fit is not told
+POWERS_W = (250.0, 300.0, 350.0, 280.0, 320.0)
+SIZE = Size("mine", 4, 5.0, 13.2)
+COARSE = 6  # of rows 2 s apart
+
+
+@cache
+def planted() -> Pack:
+    """The generic pack with 30 % more ohms, other lags, and an OCV that bulges by 20 mV in the middle."""
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    bulge_V = 0.02 * np.exp(-(((SOC_GRID - 0.5) / 0.15) ** 2))
+    cell = pack.cell._replace(
+        resistance_gain=1.3, polarisation_ratio=0.65, diffusion_ratio=0.56, ocv_V=pack.cell.ocv_V + bulge_V
+    )
+    return pack._replace(cell=cell)
+
+
+@cache
+def flown(number: int) -> tuple[Sample, ...]:
+    """A flight to the cut-off from its own charge and ambient temperature, gusts and sensor noise included."""
+    mission = Mission(POWERS_W[number], 15.0 + 3.0 * number, STARTS[number], rate_Hz=0.5, seed=20 + number)
+    return tuple(fly(planted(), mission))
+
+
+def flights(every: int) -> list[Flight]:
+    return [Flight(f"flight {k}", "csv", flown(k)[::every]) for k in range(len(STARTS))]
+
+
+@cache
+def found(every: int) -> solve.Fit:
+    return solve.fit(observed.stack([observed.from_flight(f, 4, 5.0) for f in flights(every)]), own_prior=solve.FLEET)
+
+
+def true_values() -> dict[str, float]:
+    cell = planted().cell
+    names = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_capacity_JpKAh", "cooling_WpKAh")
+    ocv = {f"ocv_{z:g}": float(np.interp(z, SOC_GRID, cell.ocv_V)) for z in prior.OCV_SOC}
+    return {**ocv, "r0_ohmAh": prior.RESISTANCE_OHMAH * 1.3, **{n: float(getattr(cell, n)) for n in names}}
+
+
+@pytest.mark.parametrize("every", [1, COARSE], ids=["rows 2 s apart", "rows 12 s apart"])
+def test_the_planted_cell_comes_back_within_its_stated_errors(every: int) -> None:
+    strayed = {n: (found(every).value(n) - v) / found(every).standard_error(n) for n, v in true_values().items()}
+    assert max(abs(z) for z in strayed.values()) < 3.0, strayed
+    assert sum(abs(z) > 1.0 for z in strayed.values()) <= len(strayed) // 3
+
+
+@pytest.mark.parametrize("every", [1, COARSE], ids=["rows 2 s apart", "rows 12 s apart"])
+def test_the_unknown_start_comes_back(every: int) -> None:
+    assert found(every).own[:, 0] == pytest.approx(STARTS, abs=0.015)
+
+
+def test_the_ohms_that_matter_come_back() -> None:
+    """All of the drop of a long load: better known than how it is shared among its lags."""
+    fit, cell = found(1), planted().cell
+    total = fit.value("r0_ohmAh") * (1.0 + fit.value("polarisation_ratio") + fit.value("diffusion_ratio"))
+    true = prior.RESISTANCE_OHMAH * 1.3 * (1.0 + cell.polarisation_ratio + cell.diffusion_ratio)
+    assert total == pytest.approx(true, rel=0.05)
+
+
+def test_more_rows_tell_no_less() -> None:
+    for name in ("ocv_0.5", "ocv_0.8", "heat_capacity_JpKAh", "cooling_WpKAh"):
+        assert found(1).standard_error(name) < 1.25 * found(COARSE).standard_error(name)
+
+
+# --- what flights cannot tell ------------------------------------------------------------------------------------
+
+
+@cache
+def fitted(kind: str) -> Fitted:
+    """Files from two flights of a kind."""
+    chosen = [Flight(f.source, f.kind, f.samples) for f in flights(COARSE)[:2]]
+    if kind == "in mid-air":
+        chosen = [Flight(f.source, f.kind, tuple(s for s in f.samples if s.time_s > 60.0)) for f in chosen]
+    if kind == "half used":
+        chosen = [Flight(f.source, f.kind, f.samples[: len(f.samples) // 2]) for f in chosen]
+    if kind == "no thermometer":
+        chosen = [Flight(f.source, f.kind, tuple(Sample(*_without(s)) for s in f.samples)) for f in chosen]
+    return fit_battery(SIZE, [], chosen)
+
+
+def _without(sample: Sample) -> tuple[float, float, float]:
+    return sample.time_s, sample.voltage_V, sample.current_A
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("whole", "no cold data"),
+        ("whole", "cannot tell capacity from state of charge"),
+        ("in mid-air", "no record starts at rest"),
+        ("half used", "no deep discharge"),
+        ("half used", "no warm data"),
+        ("no thermometer", "no temperature was measured"),
+    ],
+)
+def test_what_flights_do_not_tell_is_said(kind: str, words: str) -> None:
+    assert any(words in line for line in fitted(kind).unknown), fitted(kind).unknown
+
+
+def test_nothing_is_said_that_is_known() -> None:
+    said = " ".join(fitted("whole").unknown)
+    assert "at rest" not in said and "no deep discharge" not in said and "no temperature" not in said
+
+
+def test_what_is_not_told_stands_in_the_file() -> None:
+    for kind in ("whole", "half used"):
+        assert tuple(fitted(kind).file.battery.remarks) == fitted(kind).unknown
+        assert fitted(kind).file.certificate.status == "fitted"
+    lines = fitted("whole").known
+    assert all("±" in line for line in lines) and any(line.startswith("activation_K") for line in lines)

@@ -1,0 +1,164 @@
+"""What is said aloud: alarms that are never lost, a number that disappears, warnings that the estimate raises."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from daemon_bench import OPTIONS, Bench
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.estimator import PackOptions
+from uavbatt.live import announced
+from uavbatt.live.announced import Announcer
+from uavbatt.live.config import FeedSection
+from uavbatt.live.report import Report
+from uavbatt.live.web import content
+from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+MADE_UP = "the moon pulls at the pack"
+
+
+def texts(bench: Bench) -> list[str]:
+    return [m.text for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
+
+
+def rows(bench: Bench, seconds: float, amps: float, volts: float = 15.9, armed: bool = True) -> None:
+    for k in range(int(5 * seconds)):
+        if k % 5 == 0:
+            bench.send(heartbeat(armed))
+        shown_V = volts - 0.001 * (k // 25) + (0.4 if abs(amps) < 1.0 and not armed else 0.0)  # sinks; rises at rest
+        bench.send(battery_status(Sample(0.0, shown_V, amps, 25.0, 0.1, armed=armed), 0))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+
+
+def test_current_dies_minus_1() -> None:
+    """The current sensor dies in flight: said, with the reason, once; when it lives again nothing is said."""
+    bench = Bench()
+    bench.fly(30.0)
+    assert bench.named()["REM_S"] > 0.0
+    for _ in range(2):
+        rows(bench, 15.0, NAN)
+        rows(bench, 15.0, 12.0)
+    said = texts(bench)
+    assert said == ["Battery 0: time unknown, no current reading"] * 2
+    now = content(bench.daemon.board, bench.now_s)
+    assert [line["text"] for line in now["said"]] == said and 15.0 < now["said"][-1]["age_s"] < 30.0
+
+
+def test_current_dies_0A() -> None:
+    bench = Bench()
+    bench.fly(30.0)
+    rows(bench, 100.0, 0.0)
+    said = texts(bench)
+    assert [text for text in said if "unknown" in text] == ["Battery 0: time unknown, current fell to nothing"]
+    assert "Battery 0: current fell to nothing: sensor?" in said
+
+
+def test_stale_after_converging_is_said() -> None:
+    """Without a current sensor the number converges for long; the link breaks meanwhile."""
+    bench = Bench(PackOptions(capacity_Ah=5.0, cells=4, forecast_period_s=1.0))
+    rows(bench, 30.0, NAN)
+    shown = bench.daemon.board.reports[0].at(bench.now_s)
+    assert shown.status == "converging" and shown.remaining_s > 0.0
+    bench.now_s += 4.0
+    bench.daemon.turn()
+    assert texts(bench) == ["Battery 0: time unknown, no telemetry"]
+
+
+def test_the_end_of_a_flight_is_no_loss() -> None:
+    bench = Bench()
+    bench.fly(30.0)
+    rows(bench, 60.0, 0.1, armed=False)
+    assert texts(bench) == [] and bench.daemon.board.reports[0].at(bench.now_s).status == "refused"
+
+
+def test_every_reason_fits_into_a_text() -> None:
+    """The longest number of a battery, the longest reason."""
+    for reason in (*announced.REASONS, "a reason that nobody has shortened: it goes on and on and on"):
+        for status in (Status.REFUSED, Status.STALE):
+            announcer = Announcer(255, ())
+            announcer.texts(0.0, report(100.0, instance=255))
+            said = announcer.texts(2.0, report(NAN, status, reason, instance=255, at_s=2.0), True)
+            said += announcer.texts(3.5, report(NAN, status, reason, instance=255, at_s=3.5), True)
+            ((_, text),) = said
+            assert len(text) <= 50 and text.startswith("Battery 255: time unknown, ")
+    for short in announced.REASONS.values():
+        assert len(f"Battery 255: time unknown, {short}") <= 50
+    for short in announced.WARNINGS.values():
+        assert len(f"Battery 255: {short}") <= 50
+
+
+def report(
+    left_s: float, status: Status = Status.OK, reason: str = "", at_s: float = 0.0, instance: int = 0,
+    warnings: tuple[str, ...] = (),
+) -> Report:  # fmt: skip
+    estimate = Estimate(at_s, 0.5, 0.01, 15.0, 12.0, 25.0, 180.0, 0.0, 1.0, status, reason, warnings)
+    remaining = Remaining(at_s, left_s, left_s, left_s, NAN, status, reason, left_s)
+    return Report(instance, 1, 1, estimate, remaining, at_s)
+
+
+def said(announcer: Announcer, at_s: float, left_s: float, **what: Any) -> list[str]:
+    status = Status.OK if math.isfinite(left_s) else Status.REFUSED
+    return [text for _, text in announcer.texts(at_s, report(left_s, status, "no current", at_s, **what), True)]
+
+
+def test_no_text_is_lost_because_another_was_said() -> None:
+    """Three thresholds, a warning and a loss within eight seconds: five texts."""
+    announcer = Announcer(0, (300.0, 120.0, 60.0))
+    assert said(announcer, 0.0, 400.0) == []
+    assert said(announcer, 1.0, 299.0) == ["Battery 0: 4:59 min left at worst"]
+    assert said(announcer, 3.0, 119.0) == ["Battery 0: 1:59 min left at worst"]
+    assert said(announcer, 5.0, 59.0) == ["Battery 0: 0:59 min left at worst"]
+    assert said(announcer, 6.0, NAN) == []  # one bad row is no loss
+    assert said(announcer, 7.0, NAN) == ["Battery 0: time unknown, no current reading"]
+    assert said(announcer, 8.0, 58.0) == []  # back, quietly
+
+
+def test_an_alarm_that_repeats_itself_within_the_pause_is_said_behind_it() -> None:
+    announcer = Announcer(0, (120.0,))
+    assert said(announcer, 0.0, 119.0) == ["Battery 0: 1:59 min left at worst"]
+    assert said(announcer, 2.0, 150.0) == []
+    assert [text for k in range(3, 15) for text in said(announcer, float(k), 118.0)] == [
+        "Battery 0: 1:58 min left at worst"
+    ]
+
+
+def test_a_second_loss_within_the_pause_is_said_behind_it() -> None:
+    announcer = Announcer(0, ())
+    heard = [said(announcer, float(k), NAN if k in (2, 3) or k > 5 else 400.0) for k in range(20)]
+    assert [k for k, texts in enumerate(heard) if texts] == [3, 13]
+
+
+def test_a_new_warning_is_said_once_an_occurrence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(announced.WARNINGS, MADE_UP, "the moon is full")
+    announcer = Announcer(2, ())
+    warned = (f"{MADE_UP}: by 12 N", "another warning")
+    assert said(announcer, 0.0, 400.0, instance=2) == []
+    assert said(announcer, 1.0, 400.0, instance=2, warnings=warned) == ["Battery 2: the moon is full"]
+    flicker = [said(announcer, 2.0 + k, 400.0, instance=2, warnings=warned if k % 9 == 0 else ()) for k in range(60)]
+    assert not any(flicker)
+    assert said(announcer, 200.0, 400.0, instance=2, warnings=warned) == ["Battery 2: the moon is full"]
+
+
+def test_a_warning_of_the_estimate_reaches_station_and_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(announced.WARNINGS, "no usable pack temperature", "no temperature")
+    bench = Bench(OPTIONS, feed=FeedSection(kinds=("battery", "named")))
+    bench.fly(10.0)
+    for k in range(50):
+        bench.send(battery_status(Sample(0.0, 15.9, 12.0, NAN, 0.1 + k / 1500, armed=True), 0))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+    messages = [m for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
+    assert [(m.text, m.severity) for m in messages] == [("Battery 0: no temperature", dialect.MAV_SEVERITY_WARNING)]
+    assert [line["text"] for line in content(bench.daemon.board, bench.now_s)["said"]] == ["Battery 0: no temperature"]
+
+
+def test_a_number_that_never_comes_is_said_once() -> None:
+    """Twelve cells are stated of a pack of four: refused from the first row on, and the crew hears of it."""
+    bench = Bench(PackOptions(cells=12, capacity_Ah=5.0, forecast_period_s=1.0))
+    rows(bench, 60.0, 12.0)
+    assert len([text for text in texts(bench) if "time unknown" in text]) == 1

@@ -1,0 +1,231 @@
+"""What people use as ground stations, against `uavbatt live`: MAVSDK-Python, MAVProxy, Chromium.
+
+They are no dependencies of the project: $UAVBATT_GCS_PYTHON names an interpreter that has `mavsdk` and MAVProxy,
+else this one is asked; a test without its program is skipped with the reason.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_bench import Bench
+from live_rig import free_port
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.live.config import HttpSection
+from uavbatt.live.web import serve
+from uavbatt.records import Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
+GCS_PYTHON = os.environ.get("UAVBATT_GCS_PYTHON", sys.executable)
+MISSION = ((47.1, 8.1, 10.0), (47.2, 8.2, 123.0))
+SEEN_BY_MAVSDK = """
+import asyncio, math, sys
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+async def main(port, wanted):
+    sdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+    await sdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+    drone = await sdk.first_autopilot(timeout_s=10)
+    async for battery in TelemetryAsync(drone).subscribe_battery():
+        if battery.id == wanted and math.isfinite(battery.time_remaining_s):
+            print("SEEN", battery.time_remaining_s, flush=True)
+            return
+asyncio.run(asyncio.wait_for(main(int(sys.argv[1]), int(sys.argv[2])), 25))
+"""
+
+
+class Autopilot(threading.Thread):
+    """Heartbeat and BATTERY_STATUS at 10 Hz to `port`; keeps and answers parameters."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(daemon=True)
+        self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.line.setblocking(False)
+        self.to, self.is_over = ("127.0.0.1", port), False
+        self.parameters = {"BATT_CAPACITY": 5200.0, "BATT_MONITOR": 4.0}
+        self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._parser: Any = dialect.MAVLink(None)
+
+    def run(self) -> None:
+        k = 0
+        while not self.is_over:
+            if k % 10 == 0:
+                self.send(heartbeat(True))
+            self.send(battery_status(Sample(0.0, 16.0 - k * 1e-4, 12.0, 25.0, k / 3000, 0.9, True), 0))
+            k += 1
+            time.sleep(0.1)
+            self.answer()
+
+    def send(self, message: Any) -> None:
+        self.line.sendto(message.pack(self._link), self.to)
+        self._link.seq = (self._link.seq + 1) % 256
+
+    def answer(self) -> None:
+        while True:
+            try:
+                data = self.line.recv(4096)
+            except (BlockingIOError, ConnectionRefusedError):
+                return
+            for message in self._parser.parse_buffer(data) or []:
+                kind, names = message.get_type(), []
+                if kind == "PARAM_REQUEST_LIST":
+                    names = list(self.parameters)
+                elif kind == "PARAM_REQUEST_READ":
+                    names = [message.param_id or list(self.parameters)[message.param_index]]
+                elif kind == "PARAM_SET":
+                    self.parameters[message.param_id] = message.param_value
+                    names = [message.param_id]
+                elif kind == "MISSION_REQUEST_LIST":
+                    self.send(dialect.MAVLink_mission_count_message(255, 230, len(MISSION)))
+                elif kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
+                    self.send(item(message.seq, kind == "MISSION_REQUEST_INT"))
+                for name in names:
+                    at, count = list(self.parameters).index(name), len(self.parameters)
+                    value = self.parameters[name]
+                    self.send(dialect.MAVLink_param_value_message(name.encode(), value, 9, count, at))
+
+
+def item(number: int, as_int: bool) -> Any:
+    """A waypoint of the mission."""
+    latitude, longitude, altitude = MISSION[number]
+    head = (255, 230, number, 3, 16, 0, 1, 0, 0, 0, 0)
+    if as_int:
+        return dialect.MAVLink_mission_item_int_message(*head, int(latitude * 1e7), int(longitude * 1e7), altitude)
+    return dialect.MAVLink_mission_item_message(*head, latitude, longitude, altitude)
+
+
+@pytest.fixture
+def ports() -> Iterator[tuple[int, int]]:
+    vehicle, station = free_port(), free_port()
+    autopilot = Autopilot(vehicle)
+    autopilot.start()
+    yield vehicle, station
+    autopilot.is_over = True
+    autopilot.join(2.0)
+
+
+def start(ports: tuple[int, int], folder: Path, *more: str) -> subprocess.Popen[bytes]:
+    arguments = [f"udpin:127.0.0.1:{ports[0]}", "--gcs", f"udpout:127.0.0.1:{ports[1]}", "--capacity-ah", "5", *more]
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "RUNTIME_DIRECTORY": str(folder)}
+    return subprocess.Popen([*PROGRAM, *arguments], env=env, stderr=subprocess.DEVNULL)
+
+
+def needs(module: str) -> None:
+    if subprocess.run([GCS_PYTHON, "-c", f"import {module}"], capture_output=True).returncode:
+        pytest.skip(f"`{module}` is not here: name an interpreter that has it with UAVBATT_GCS_PYTHON")
+
+
+@pytest.mark.parametrize(("feed", "battery_id"), [("proxy", 0), ("battery", 8)])
+def test_mavsdk_sees_the_time(ports: tuple[int, int], tmp_path: Path, feed: str, battery_id: int) -> None:
+    needs("mavsdk")
+    companion = start(ports, tmp_path, "--feed", feed)
+    # In battery mode the autopilot's own messages reach the station by another way: here, a heartbeat is enough.
+    other = Autopilot(ports[1])
+    if feed == "battery":
+        other.start()
+    try:
+        command = [GCS_PYTHON, "-c", SEEN_BY_MAVSDK, str(ports[1]), str(battery_id)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=40)
+    finally:
+        other.is_over = True
+        companion.terminate()
+        companion.wait(8.0)
+    assert "SEEN" in done.stdout, done.stdout[-500:] + done.stderr[-500:]
+
+
+def console(port: int, folder: Path, steps: list[tuple[str, str]]) -> str:
+    """What MAVProxy says to commands, each once the last is answered, or two seconds later."""
+    script = Path(GCS_PYTHON).with_name("mavproxy.py")
+    modules = "--default-modules=link,param,wp,cmdlong,arm,mode,battery,misc"
+    command = [GCS_PYTHON, str(script), f"--master=udpin:127.0.0.1:{port}", "--mav20", "--no-state", modules]
+    said, process = [], subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder
+    )
+    assert process.stdin is not None and process.stdout is not None
+    listener = threading.Thread(target=lambda: said.extend(iter(process.stdout.readline, "")), daemon=True)  # type: ignore[union-attr]
+    listener.start()
+    try:
+        for line, answer in steps:
+            if line:
+                process.stdin.write(line + "\n")
+                process.stdin.flush()
+            end_s = time.monotonic() + (20.0 if not line else 8.0 if answer else 2.0)
+            while (not answer or answer not in "".join(said)) and time.monotonic() < end_s:
+                time.sleep(0.1)
+    finally:
+        process.kill()
+        process.wait(10.0)
+        listener.join(5.0)
+    return "".join(said)
+
+
+def test_mavproxy_works_behind_the_proxy_as_without_it(ports: tuple[int, int], tmp_path: Path) -> None:
+    needs("MAVProxy")
+    steps = [("", "Received 2 parameters"), ("param set BATT_CAPACITY 4800", ""), ("param show BATT_CAPACITY", "4800"),
+             ("wp list", "123.0"), ("status BATTERY_STATUS", "BATTERY_STATUS {")]  # fmt: skip
+    direct = Autopilot(ports[1])
+    direct.start()
+    without = console(ports[1], tmp_path, steps)
+    direct.is_over = True
+    companion = start(ports, tmp_path, "--feed", "proxy")
+    try:
+        console(ports[1], tmp_path, [("", "Received 2 parameters")])  # until there is a time
+        behind = console(ports[1], tmp_path, steps)
+    finally:
+        companion.terminate()
+        companion.wait(8.0)
+
+    def lines(said: str, *wanted: str) -> list[str]:
+        found = [line.split("> ")[-1].strip() for line in said.splitlines() if any(w in line for w in wanted)]
+        return [line.split(" t=")[0] for line in found]  # without the time of day
+
+    asked = ("vehicle", "online", "Received", "BATT_CAPACITY", "Requesting", "waypoints", "47.1", "47.2")
+    assert lines(behind, *asked) == lines(without, *asked) and any("4800" in line for line in lines(behind, *asked))
+    assert any("123.0" in line for line in lines(behind, "47.2"))
+    (status,), (plain,) = lines(behind, "BATTERY_STATUS {"), lines(without, "BATTERY_STATUS {")
+    assert "time_remaining : 0," in plain and "time_remaining : 0," not in status
+
+
+def shown_in_chromium(url: str, folder: Path, width: int) -> str:
+    """The page's elements after its script has run, at a width in pixels; leaves a picture in the folder."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    picture = folder / f"{width}.png"
+    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--timeout=1500"]
+    command += [f"--user-data-dir={folder}", f"--window-size={width},900", f"--screenshot={picture}", "--dump-dom", url]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 8000
+    return done.stdout
+
+
+@pytest.mark.parametrize(("state", "width"), [("ok", 390), ("converging", 1280), ("refused", 390), ("stale", 1280)])
+def test_chromium_shows_every_state_as_it_is(tmp_path: Path, state: str, width: int) -> None:
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    rest = Sample(0.0, 16.7, 0.1, 25.0, 0.0, armed=False)
+    volts = 14.6 if state == "converging" else 16.0  # begun in the air on the flat of the curve
+    flight = [replace(rest, time_s=k / 2, voltage_V=volts, current_A=12.0, armed=True) for k in range(10, 40)]
+    ground = [replace(rest, time_s=k / 2) for k in range(10)]
+    bench.play({"ok": ground + flight, "converging": flight, "refused": ground, "stale": ground + flight}[state])
+    bench.now_s += 10.0 if state == "stale" else 0.1
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
+    page = shown_in_chromium(f"http://127.0.0.1:{port}/", tmp_path, width)
+    assert f'class="state {state}"' in page
+    known = state in ("ok", "converging")
+    assert ("<small>min</small>" in page, 'class="time unknown"' in page) == (known, not known)
+    reasons = {"ok": "", "converging": "known only to", "refused": "on the ground", "stale": "no telemetry for 10 s"}
+    assert reasons[state] in page

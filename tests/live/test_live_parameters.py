@@ -1,0 +1,145 @@
+"""A parameter that changes in the air counts when it is heard twice; live and in the replay of a telemetry log."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_bench import Bench
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from uavbatt.estimator import PackOptions
+from uavbatt.live.config import LinkSection, RecordSection
+from uavbatt.records import Sample
+from uavbatt.telemetry import read_log
+from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+OPTIONS = PackOptions()
+
+
+def parameter(name: str, value: float) -> Any:
+    return dialect.MAVLink_param_value_message(name.encode(), value, 9, 1, 0)
+
+
+def flying(**sections: Any) -> Bench:
+    """Half a minute in the air, with a capacity and a cut-off that the vehicle said on the ground."""
+    bench = Bench(OPTIONS, **sections)
+    bench.send(heartbeat(False))
+    bench.send(parameter("BATT_CAPACITY", 5000.0))
+    bench.send(parameter("BATT_CRT_VOLT", 13.2))
+    bench.fly(30.0)
+    return bench
+
+
+def resolved(bench: Bench) -> Any:
+    bench.fly(1.0, used=0.1)
+    return bench.daemon.batteries.tracked[0].estimator.resolved
+
+
+@pytest.mark.parametrize(
+    ("name", "forged", "what", "true"),
+    [("BATT_CAPACITY", 50_000.0, "capacity_Ah", 5.0), ("BATT_CRT_VOLT", 12.0, "cutoff_V", 13.2)],
+    ids=["one_forged_param_midflight", "one_forged_crt_midflight"],
+)
+def test_one_forged_parameter_midflight(name: str, forged: float, what: str, true: float) -> None:
+    """One frame, and the same frame twice more on its way: it does not count, and the page says that it waits."""
+    bench = flying()
+    before = bench.daemon.board.reports[0].remaining.remaining_lo_s
+    frame = bench.framed(parameter(name, forged))
+    for _ in range(3):
+        bench.link.incoming.append((frame, "fc"))
+        bench.daemon.turn()
+    assert getattr(resolved(bench), what) == pytest.approx(true)
+    assert bench.daemon.board.reports[0].remaining.remaining_lo_s == pytest.approx(before, rel=0.05)
+    (note,) = bench.daemon.board.notes
+    assert f"{name} changed in flight from {true * (1000 if 'CAP' in name else 1):g} to {forged:g}" in note
+    bench.send(parameter(name, true * (1000 if "CAP" in name else 1)))  # the vehicle says it as it was
+    bench.send(parameter(name, forged))
+    assert getattr(resolved(bench), what) == pytest.approx(true)
+    bench.send(parameter(name, forged))  # a second frame says the same
+    assert getattr(resolved(bench), what) == pytest.approx(forged / (1000 if "CAP" in name else 1))
+    assert bench.daemon.board.notes == ()
+
+
+def test_on_the_ground_and_for_the_first_time_a_parameter_counts_at_once() -> None:
+    bench = flying()
+    bench.send(parameter("BATT_LOW_VOLT", 14.0))  # never said before
+    assert resolved(bench).low_V == pytest.approx(14.0)
+    bench.send(heartbeat(False))
+    bench.send(parameter("BATT_CAPACITY", 4500.0))
+    assert resolved(bench).capacity_Ah == 4.5
+
+
+def test_a_change_in_flight_is_asked_for_at_once() -> None:
+    bench = flying(link=LinkSection(endpoint="x", gcs=["y"], request=True))
+    bench.link.sent.clear()
+    bench.send(parameter("BATT_CAPACITY", 50_000.0))
+    bench.daemon.turn()
+    sent = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
+    assert [m.param_id for m in sent if m.get_type() == "PARAM_REQUEST_READ"] == ["BATT_CAPACITY"]
+    bench.send(parameter("BATT_CAPACITY", 5000.0))  # the answer
+    assert resolved(bench).capacity_Ah == 5.0 and bench.daemon.board.notes == ()
+    bench.send(parameter("BATT_CAPACITY", 4800.0))
+    bench.daemon.turn()
+    bench.send(parameter("BATT_CAPACITY", 4800.0))  # the answer to another question
+    assert resolved(bench).capacity_Ah == 4.8
+
+
+def test_without_an_answer_it_is_asked_for_a_few_times_only() -> None:
+    bench = flying(link=LinkSection(endpoint="x", gcs=["y"], request=True))
+    bench.link.sent.clear()
+    bench.send(parameter("BATT_CAPACITY", 50_000.0))
+    bench.fly(20.0, used=0.1)
+    sent = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
+    asked = [m.param_id for m in sent if m.get_type() == "PARAM_REQUEST_READ" and m.param_id == "BATT_CAPACITY"]
+    assert 2 <= len(asked) <= 4
+
+
+def test_a_recording_begins_with_what_counts(tmp_path: Path) -> None:
+    """The next file of a flight does not begin with the value that was never believed; the replay agrees."""
+    bench = flying(record=RecordSection(folder=str(tmp_path), min_free_MB=0.0, max_file_MB=0.02))
+    bench.send(parameter("BATT_CAPACITY", 50_000.0))
+    bench.fly(120.0, used=0.1)
+    bench.daemon.close()
+    logs = sorted(tmp_path.glob("*.tlog"))
+    assert len(logs) >= 2
+    for log in logs:
+        assert {facts.capacity_Ah for _, facts in read_log(log).facts if facts.critical_voltage_V > 0} == {5.0}
+
+
+def log_of(path: Path, messages: list[Any], version: int) -> Path:
+    link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    data = b""
+    for k, message in enumerate(messages):
+        if isinstance(message, bytes):
+            frame = message
+        else:
+            frame = bytes(message.pack(link, force_mavlink1=version == 1))
+            link.seq = (link.seq + 1) % 256
+        data += struct.pack(">Q", 1_700_000_000_000_000 + k * 1_000_000) + frame
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_telemetry_log_is_read_by_the_same_rule(tmp_path: Path, version: int) -> None:
+    """Cut anywhere it gives the same facts up to the cut."""
+    row = battery_status(Sample(0.0, 16.0, 12.0, 25.0, 0.1), 0)
+    small, big = parameter("BATT_CAPACITY", 5000.0), parameter("BATT_CAPACITY", 50_000.0)
+    once = bytes(big.pack(dialect.MAVLink(None, srcSystem=1, srcComponent=1), force_mavlink1=version == 1))
+    messages = [heartbeat(False), small, row, heartbeat(True), once, row, once, row, small, big, row, big, row]
+    whole = read_log(log_of(tmp_path / "whole.tlog", messages, version)).facts
+    assert [(at_s, facts.capacity_Ah) for at_s, facts in whole] == [(1.0, 5.0), (11.0, 50.0)]
+    for cut in range(3, len(messages)):
+        part = read_log(log_of(tmp_path / "cut.tlog", messages[:cut], version)).facts
+        assert part == tuple(fact for fact in whole if fact[0] < cut)
+
+
+def test_the_vehicles_own_log_is_believed(tmp_path: Path) -> None:
+    """A DataFlash log is the vehicle's own record: nobody can have forged a line of it on the way."""
+    log = tmp_path / "own.BIN"
+    write_dataflash(log, [Sample(float(k), 16.0, 12.0, armed=True) for k in range(5)], {"BATT_CAPACITY": 5000.0})
+    assert read_log(log).facts[-1][1].capacity_Ah == 5.0

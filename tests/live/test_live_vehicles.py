@@ -1,0 +1,282 @@
+"""Several autopilots on one port, several senders of one identity: who is followed, and who is believed."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_bench import OPTIONS, Bench, FakeLink
+from live_rig import Station, free_port, running, until
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+from test_live_faults import GROUND_ROWS, flight, true_soc
+
+from uavbatt.battery import battery_file
+from uavbatt.estimator import PackOptions
+from uavbatt.live import proxy
+from uavbatt.live.config import Config, LinkSection, RecordSection, StateSection
+from uavbatt.live.daemon import Daemon
+from uavbatt.live.proxy_client import ProxyClient
+from uavbatt.live.web import content
+from uavbatt.mavlink.links import open_link
+from uavbatt.records import Sample
+from uavbatt.telemetry import read_log
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+
+def capacity(mAh: float) -> Any:
+    return dialect.MAVLink_param_value_message(b"BATT_CAPACITY", mAh, 9, 1, 0)
+
+
+def row(volts: float, amps: float = 12.0, drawn_Ah: float = 0.1) -> Any:
+    return battery_status(Sample(0.0, volts, amps, 25.0, drawn_Ah, armed=True), 0)
+
+
+def fly(bench: Bench, seconds: float, system: int = 1, volts: float = 16.0, sender: object = "fc") -> None:
+    for k in range(int(seconds * 5)):
+        if k % 5 == 0:
+            bench.send(heartbeat(True), system=system, sender=sender)
+        bench.send(row(volts, drawn_Ah=12.0 * bench.now_s / 3600.0 - 3.0), system=system, sender=sender)
+        bench.daemon.turn()
+        bench.now_s += 0.2
+
+
+@pytest.mark.parametrize("word", ["heartbeat", "one battery message", "parameter"])
+def test_wrong_vehicle_first(word: str) -> None:
+    """Three frames of system 42 before the real autopilot, then sound telemetry of system 1."""
+    bench = Bench()
+    said = {"heartbeat": heartbeat(False), "one battery message": row(24.0), "parameter": capacity(22000)}[word]
+    for _ in range(1 if word == "one battery message" else 3):
+        bench.send(said, system=42, sender="other")
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    bench.send(capacity(5000))
+    fly(bench, 20.0)
+    (report,) = bench.daemon.board.reports
+    assert report.system == 1 and report.at(bench.now_s).remaining_s > 0.0
+    assert "heard systems 42, 1; following 1" in bench.daemon.board.notes
+    assert bench.daemon._reader.parameters["BATT_CAPACITY"] == 5000.0
+    assert {m.get_srcSystem() for m in bench.to_gcs() if m.get_type() == "NAMED_VALUE_FLOAT"} == {1}
+
+
+def test_wrong_vehicle_first_through_the_process() -> None:
+    port, station = free_port(), Station()
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    arguments = [f"udpin:127.0.0.1:{port}", "--gcs", f"udpout:127.0.0.1:{station.port}", "--capacity-ah", "5"]
+    with running(*arguments) as process:
+        link: Any = dialect.MAVLink(None, srcSystem=42, srcComponent=1)
+        assert process.stderr is not None and "listening" in process.stderr.readline()
+        for system in (42, 42, 42, *[1] * 70):  # longer than the load takes to show itself
+            link.srcSystem = system
+            line.sendto(bytes(heartbeat(True).pack(link)), ("127.0.0.1", port))
+            if system == 1:
+                line.sendto(bytes(row(16.0).pack(link)), ("127.0.0.1", port))
+            time.sleep(0.1)
+        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60, 25.0)
+        assert said.get_srcSystem() == 1
+        process.terminate()
+        assert "uavbatt: heard systems 42, 1; following 1\n" in process.stderr.readlines()
+
+
+def test_a_vehicle_that_speaks_is_not_let_go_while_it_is_heard(tmp_path: Path) -> None:
+    """Another's telemetry beside ours, and ours without a battery message for a minute: it is still ours."""
+    bench = Bench()
+    fly(bench, 5.0)
+    for _ in range(60):
+        bench.send(heartbeat(True))
+        bench.send(row(22.0), system=42, sender="other")
+        bench.send(row(22.0), system=42, sender="other")
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    (report,) = bench.daemon.board.reports
+    assert (report.system, report.at(bench.now_s).status) == (1, "stale")
+    fly(bench, 5.0)
+    assert bench.daemon.board.reports[0].estimate.voltage_V == pytest.approx(16.0)
+
+
+def test_a_silent_vehicle_gives_way_to_one_that_speaks(tmp_path: Path) -> None:
+    """Nothing of the first is left with the second: pack, trend, alarms, recording, the system of our own frames."""
+    state = StateSection(file=str(tmp_path / "state.json"))
+    bench = Bench(PackOptions(), record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), state=state)
+    bench.send(capacity(5000))
+    fly(bench, 20.0)
+    bench.now_s += 11.0
+    bench.send(heartbeat(True), system=42, sender="other")
+    bench.send(capacity(9000), system=42, sender="other")
+    fly(bench, 1.0, system=42, volts=15.9, sender="other")
+    bench.station.sent.clear()
+    fly(bench, 19.0, system=42, volts=15.9, sender="other")
+    (report,) = bench.daemon.board.reports
+    resolved = bench.daemon.batteries.tracked[0].estimator.resolved
+    assert report.system == 42 and resolved is not None and resolved.capacity_Ah == 9.0
+    assert "heard systems 1, 42; following 42" in bench.daemon.board.notes
+    assert {m.get_srcSystem() for m in bench.to_gcs()} == {42}
+    oldest_s = bench.daemon.board.trend.lines(bench.now_s)[0][0][0]
+    assert oldest_s is not None and oldest_s < 21.0
+    fly(bench, 5.0)  # the first is back: the second is not silent
+    assert bench.daemon.board.reports[0].system == 42
+    bench.daemon.close()
+    logs = sorted(tmp_path.glob("*.tlog"))
+    assert [read_log(log).identity.system for log in logs] == [1, 42]
+    assert read_log(logs[1]).facts[0][1].capacity_Ah == 9.0
+    assert json.loads(Path(state.file).read_text())["parameters"]["BATT_CAPACITY"] == 9000.0
+
+
+def test_the_system_that_is_asked_for_is_waited_for() -> None:
+    bench = Bench(link=LinkSection(endpoint="x", gcs=["y"], system=7))
+    fly(bench, 3.0)
+    assert bench.daemon.board.reports == ()
+    assert bench.daemon.board.notes == ("heard system 1; waiting for system 7",)
+    fly(bench, 3.0, system=7)
+    assert [r.system for r in bench.daemon.board.reports] == [7]
+    bench.now_s += 60.0
+    fly(bench, 3.0)
+    assert bench.daemon.board.reports[0].system == 7
+
+
+def test_an_autopilot_that_sends_no_battery_is_asked_for_it() -> None:
+    bench = Bench(link=LinkSection(endpoint="x", gcs=["y"], request=True))
+    for _ in range(3):
+        bench.send(heartbeat(False), system=5)
+        bench.daemon.turn()
+        bench.now_s += 1.0
+    asked = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
+    assert {m.target_system for m in asked if m.get_type() == "COMMAND_LONG"} == {5}
+
+
+def test_every_system_on_one_port_takes_no_memory_for_ever() -> None:
+    bench = Bench()
+    fly(bench, 2.0)
+    for system in range(2, 255):
+        bench.send(heartbeat(True), system=system, sender="many")
+        bench.send(row(16.0), system=system, sender="many")
+    bench.daemon.turn()
+    fly(bench, 2.0)
+    assert len(bench.daemon._reader._vehicles) <= 16 and bench.daemon.board.reports[0].system == 1
+
+
+class Source:
+    """One socket of its own that speaks as system 1 component 1."""
+
+    def __init__(self, port: int) -> None:
+        self._line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._line.bind(("127.0.0.1", 0))
+        self._to = ("127.0.0.1", port)
+        self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.name = f"127.0.0.1:{self._line.getsockname()[1]}"
+
+    def send(self, *messages: Any) -> None:
+        for message in messages:
+            self._line.sendto(bytes(message.pack(self._link)), self._to)
+            self._link.seq = (self._link.seq + 1) % 256
+
+
+@contextmanager
+def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLink]]:
+    """A daemon on a real socket with a clock of the test, two who send to it, and the ground station."""
+    port, station, now_s = free_port(), FakeLink(), [1000.0]
+    settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
+    link = open_link(f"udpin:127.0.0.1:{port}")
+    daemon = Daemon(settings, battery_file.read("lipo-generic"), OPTIONS, link, [station], clock_s=lambda: now_s[0])
+    yield daemon, now_s, Source(port), Source(port), station
+    daemon.close()
+
+
+def taken(daemon: Daemon, frames: int) -> None:
+    """Turn until that many more frames were found."""
+    wanted = daemon.board.counts.get("frames", 0) + frames
+    until(lambda: (daemon.turn(), daemon.board.counts["frames"] >= wanted)[1], 5.0)
+
+
+@pytest.mark.parametrize("what", ["voltage", "current", "charge drawn"])
+def test_two_sources_of_one_battery_that_disagree_are_refused(what: str) -> None:
+    forged = {"voltage": row(16.4), "current": row(15.8, 3.0), "charge drawn": row(15.8, 12.0, 0.5)}[what]
+    with two_sources() as (daemon, now_s, true, false, station):
+        for k in range(150):
+            true.send(heartbeat(True), row(15.8))
+            is_forged = 50 <= k < 100
+            if is_forged:
+                false.send(heartbeat(True), forged)
+            taken(daemon, 4 if is_forged else 2)
+            shown = daemon.board.reports[0].at(now_s[0]) if daemon.board.reports else None
+            if k in (49, 149):
+                assert shown is not None and shown.remaining_s > 0.0, k
+            if 60 < k < 100:
+                assert shown is not None and shown.status == "refused" and shown.remaining_s != shown.remaining_s, k
+            if k == 99:
+                now = content(daemon.board, now_s[0])
+                assert f"disagree on battery 0: {what}" in now["notes"][0]
+                assert true.name in now["notes"][0] and false.name in now["notes"][0]
+                assert (now["batteries"][0]["soc"], now["batteries"][0]["remaining_s"]) == (None, None)
+            now_s[0] += 0.25
+        assert daemon.board.counts["rows"] == 150  # the second sender's are not taken in
+        texts = [dialect.MAVLink(None).decode(bytearray(data)) for data in station.sent]
+        said = [m.text for m in texts if m.get_type() == "STATUSTEXT"]
+        assert said == ["Battery 0: time unknown, two senders disagree"]
+
+
+def test_one_autopilot_on_two_ways_is_one() -> None:
+    """The same rows by two addresses; when the first falls silent the second goes on, with the same estimate."""
+    with two_sources() as (daemon, now_s, first, second, _):
+        for k in range(100):
+            words = heartbeat(True), row(16.0 - 0.3 * (k % 3), 12.0 + 10.0 * (k % 3), 0.001 * k)
+            senders = [first, second] if k < 50 else [second]
+            for sender in senders:
+                sender.send(*words)
+            taken(daemon, 2 * len(senders))
+            now_s[0] += 0.25
+        assert daemon.board.notes == () and daemon.board.counts["rows"] >= 90
+        assert daemon.board.reports[0].at(now_s[0]).remaining_s > 0.0
+        assert daemon.board.reports[0].rows == daemon.board.counts["rows"]  # never begun anew
+
+
+def test_the_proxy_tells_the_estimator_who_sends(tmp_path: Path) -> None:
+    port = free_port()
+    settings = proxy.Settings(f"udpin:127.0.0.1:{port}", [], str(tmp_path / "control"))
+    served, client, sources = proxy.Proxy(settings), ProxyClient(settings), (Source(port), Source(port))
+    heard: list[object] = []
+
+    def turn() -> int:
+        served.turn(0.0)
+        heard.extend(sender for _, sender in client.read(0.0))
+        return len(heard)
+
+    until(lambda: (turn(), client.pid)[1], 5.0)
+    for source in 2 * sources:
+        before = len(heard)
+        source.send(row(16.0))
+        while turn() == before:
+            time.sleep(0.01)
+    client.close()
+    served.close()
+    assert heard == [source.name for source in sources] * 2
+
+
+def test_a_sender_without_a_battery_does_not_shut_out_the_one_that_has_it() -> None:
+    bench = Bench()
+    for _ in range(20):
+        bench.send(heartbeat(True), sender="first, mute")
+        bench.send(row(16.0), sender="second")
+        bench.daemon.turn()
+        bench.now_s += 0.5
+    assert bench.daemon.board.counts["rows"] == 20
+
+
+def test_silence30h_pack_45(tmp_path: Path) -> None:
+    """Landed, silent for 30 h, then a pack at 45 %: neither live's clock leaps, nor its recording's."""
+    bench = Bench(OPTIONS, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
+    bench.play(flight())
+    bench.now_s += 30.0 * 3600.0
+    another = flight(0.45, seed=5)[: GROUND_ROWS + 60]
+    bench.play(another)
+    report = bench.daemon.board.reports[0]
+    assert report.estimate.time_s > 30.0 * 3600.0
+    assert report.estimate.soc == pytest.approx(true_soc(another, 0.45), abs=0.04)
+    bench.daemon.close()
+    (log,) = tmp_path.glob("*.tlog")
+    assert read_log(log).samples[-1].time_s == pytest.approx(report.estimate.time_s, abs=1e-4)

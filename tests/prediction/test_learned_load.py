@@ -1,0 +1,201 @@
+"""The load to come, learned: resampled from where the flight stands, scaled, stitched; few flights are wide."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
+from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
+from uavbatt.prediction.load import (
+    GUST_MEMORY_S,
+    MANOEUVRE_MEMORY_S,
+    Load,
+    Now,
+    RecentLoad,
+    Scenarios,
+    Swings,
+    equal_levels,
+    shown_shares,
+)
+from uavbatt.prediction.load_library import (
+    FEW_FLIGHTS,
+    FEW_SPREAD,
+    GRID_S,
+    OWN_SCALING,
+    OWN_SPREAD,
+    LearnedLoad,
+    UnknownAircraft,
+    learned_load,
+)
+
+STEP_S = 5.0
+
+
+def past(power_W: list[float], start_soc: float = 1.0, end_soc: float = 0.1) -> Trace:
+    """A past flight with a row every 10 s; its charge falls evenly."""
+    soc = np.linspace(start_soc, end_soc, len(power_W)).tolist()
+    return Trace(time_s=[10.0 * k for k in range(len(power_W))], power_W=power_W, soc=soc)
+
+
+def library(*traces: Trace) -> LearnedLoad:
+    phases = Phases(take_off_W=1.0, flight_W=1.0, last_minute_W=1.0)
+    return learned_load(VehicleFile(name="a", battery="b", phases=phases, traces=list(traces)))
+
+
+def now(since_s: float = 0.0, soc: float = 1.0, flight_W: float = 300.0, recent_W: float = 300.0) -> Now:
+    return Now(since_s, since_s, soc, flight_W, RecentLoad(since_s, recent_W, recent_W))
+
+
+def middle_W(scenarios: Scenarios) -> np.ndarray:  # type: ignore[type-arg]
+    """[steps, flights] at the middle of the three levels."""
+    return scenarios.power_W.reshape(scenarios.power_W.shape[0], -1, 3)[:, :, 1]
+
+
+# --- from where the flight stands --------------------------------------------------------------------------------
+
+
+def test_traces_start_where_the_flight_stands() -> None:
+    """A ramp that rises 1 W/s: time and charge agree on the place, so the power to come starts there."""
+    ramp = [100.0 + 10.0 * k for k in range(91)]  # 900 s, charge falls 0.001 per s
+    load = library(past(ramp))
+    for since_s in (0.0, 200.0, 500.0):
+        mean_W = 100.0 + since_s / 2.0
+        made = load.scenarios(now(since_s, 1.0 - 0.001 * since_s, mean_W), STEP_S, 10)
+        expected_W = 100.0 + since_s + STEP_S * (np.arange(10) + 0.5)
+        assert middle_W(made)[:, 0] == pytest.approx(expected_W, rel=0.03)
+
+
+def test_time_and_charge_count_half_each() -> None:
+    ramp = [100.0 + 10.0 * k for k in range(91)]
+    made = library(past(ramp)).scenarios(now(200.0, 0.6, 100.0 + 300.0 / 2.0), STEP_S, 4)
+    assert middle_W(made)[0, 0] == pytest.approx(100.0 + 300.0 + 2.5, rel=0.03)  # between 200 s and 400 s
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.0, 1.3])
+def test_half_way_to_this_flights_power(ratio: float) -> None:
+    made = library(past([250.0] * 60)).scenarios(now(100.0, 0.85, 250.0 * ratio), STEP_S, 5)
+    assert middle_W(made)[:, 0] == pytest.approx(250.0 * ratio**OWN_SCALING)
+    assert OWN_SCALING == 0.5
+
+
+def test_every_flight_has_the_same_weight_at_three_levels() -> None:
+    load = library(*(past([100.0 * k] * 60) for k in (1, 2, 3)))
+    made = load.scenarios(now(flight_W=200.0), STEP_S, 7)
+    assert made.power_W.shape == (7, 9) and made.dt_s.tolist() == [STEP_S] * 7
+    assert made.weight == pytest.approx(np.full(9, 1.0 / 9.0))
+    assert load.typical_W(now()) == pytest.approx(200.0, rel=0.35)
+
+
+# --- beyond the landing ------------------------------------------------------------------------------------------
+
+
+def test_a_flight_that_landed_goes_on_as_another_did_from_its_charge() -> None:
+    """The first lands at half its charge after 300 s at 100 W; the second asks 400 W below half its charge."""
+    short = past([100.0] * 31, 1.0, 0.5)
+    long = past([100.0] * 50 + [400.0] * 51, 1.0, 0.0)
+    load = library(short, long)
+    grid_s = GRID_S * np.arange(load.power_W.shape[1])
+    assert load.landed_s.tolist() == [300.0, 1000.0]
+    assert load.power_W[0][grid_s <= 300.0] == pytest.approx(100.0)
+    assert load.power_W[0][(grid_s > 330.0) & (grid_s < 800.0)] == pytest.approx(400.0)
+    assert load.soc[0][grid_s == 300.0] == pytest.approx(0.5, abs=0.01)
+    assert (np.diff(load.soc, axis=1) < 0.0).all()
+
+
+def test_the_last_one_goes_on_at_its_last_two_minutes() -> None:
+    load = library(past([100.0] * 40 + [200.0] * 13))
+    assert load.power_W[0, -1] == pytest.approx(200.0)
+    made = load.scenarios(now(5000.0, 0.0, 120.0), STEP_S, 20)
+    assert np.isfinite(made.power_W).all() and made.power_W.min() > 0.0
+
+
+# --- how wide ----------------------------------------------------------------------------------------------------
+
+
+def test_few_flights_widen() -> None:
+    few, many = (library(*[past([250.0] * 60)] * n) for n in (FEW_FLIGHTS - 1, FEW_FLIGHTS))
+    spread = [float(np.std(np.log(load.scenarios(now(), STEP_S, 3).power_W[0]))) for load in (few, many)]
+    assert spread[0] == pytest.approx(float(np.std(np.log(equal_levels(FEW_SPREAD, 3)))))
+    assert spread[1] == pytest.approx(float(np.std(np.log(equal_levels(OWN_SPREAD, 3)))))
+    assert width(few) > 1.3 * width(many)
+
+
+def test_an_unknown_aircraft_is_wider_than_its_own_library() -> None:
+    rng = np.random.default_rng(2)
+    own = library(*(past((280.0 * np.exp(0.05 * rng.standard_normal(60))).tolist()) for _ in range(12)))
+    assert width(UnknownAircraft()) > 1.3 * width(own)
+    surge = library(*(past([280.0] * 30 + [280.0 * rng.uniform(1.0, 1.4)] * 40) for _ in range(12)))
+    assert width(surge) > 1.1 * width(own)  # flights that ended differently are less sure
+
+
+def test_an_unknown_aircraft_expects_a_surge() -> None:
+    made = UnknownAircraft().scenarios(now(300.0), STEP_S, 100)
+    assert made.weight.sum() == pytest.approx(1.0) and made.power_W.shape[1] == made.weight.size
+    ahead_W = made.power_W @ made.weight
+    early_W, late_W = ahead_W[:10].mean(), ahead_W[45:55].mean()
+    assert early_W == pytest.approx(300.0, rel=0.1) and 1.03 * early_W < late_W < 1.3 * early_W
+    assert UnknownAircraft().typical_W(now(flight_W=200.0, recent_W=400.0)) == pytest.approx(300.0)
+
+
+def shown(swings: Swings) -> RecentLoad:
+    """What a flight with these swings shows on average."""
+    slow, fast = shown_shares()
+    variance, gust_variance = slow * swings.manoeuvres**2 + fast * swings.gusts**2
+    return RecentLoad(300.0, 300.0, 300.0, float(variance), 300.0, float(gust_variance))
+
+
+@pytest.mark.parametrize("swings", [Swings(0.15, 0.1), Swings(0.0, 0.2), Swings(0.25, 0.0), Swings(0.05, 0.3)])
+def test_swings_are_what_the_averages_show_of_them(swings: Swings) -> None:
+    assert shown(swings).swings == pytest.approx(swings, abs=1e-9)
+
+
+def test_before_it_has_shown_any_a_flight_swings_a_little() -> None:
+    assert RecentLoad().swings == pytest.approx((0.15, 0.10), abs=0.005)
+
+
+def test_the_averages_show_the_share_that_is_claimed() -> None:
+    """Ten hours of a power that wanders with a memory of 40 s and of 8 s, followed row by row."""
+    random, memory = np.random.default_rng(4), np.exp(-1.0 / np.array([MANOEUVRE_MEMORY_S, GUST_MEMORY_S]))
+    swing, recent, found = np.zeros(2), RecentLoad(), []
+    for k, fresh in enumerate(random.standard_normal((36000, 2)) * np.sqrt(1.0 - memory**2)):
+        swing = memory * swing + fresh
+        recent = recent.after(float(k), 300.0 * (1.0 + 0.08 * float(swing[0]) + 0.05 * float(swing[1])))
+        found.append((recent.variance, recent.gust_variance))
+    seen = np.mean(found[1000:], axis=0)
+    expected = shown(Swings(0.08, 0.05))
+    assert seen == pytest.approx([expected.variance, expected.gust_variance], rel=0.12)
+
+
+def test_a_load_that_scatters_by_a_quarter_widens_the_forecast_of_an_unknown_aircraft_by_half() -> None:
+    """Against one that scatters by a twentieth, half of the variance in gusts and half in manoeuvres."""
+    calm, scattered = (
+        width(UnknownAircraft(), shown(Swings(sd / math.sqrt(2.0), sd / math.sqrt(2.0)))) for sd in (0.05, 0.25)
+    )
+    assert scattered > 1.5 * calm
+
+
+CALM = RecentLoad(0.0, 280.0, 280.0, 0.05**2)
+
+
+def width(load: Load, recent: RecentLoad = CALM) -> float:
+    """Width of the forecast with this load for a pack at 70 % that is well known."""
+    found = forecast(load, recent)
+    return found.hi_s - found.lo_s
+
+
+def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
+    mean, sd = np.zeros(SIZE), np.full(SIZE, 1e-6)
+    mean[C.SOC], mean[C.CORE], mean[C.SENSOR], sd[C.SOC] = 0.7, 25.0, 25.0, 0.01
+    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    forecaster = Forecaster(pack, Settings(load))
+    forecaster._load, forecaster._flown_s, forecaster._flown_J = recent, 200.0, 56000.0
+    forecaster._took_off_s = -200.0
+    found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)
+    assert found is not None and math.isfinite(found.median_s)
+    return found

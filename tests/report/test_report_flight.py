@@ -1,0 +1,188 @@
+"""The flight page on made-up replays: ordinary, refused throughout, without temperature, without anything."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from uavbatt.battery import battery_file
+from uavbatt.estimator import Resolved
+from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
+from uavbatt.replay import Checkpoint, Outcome, Step
+from uavbatt.report.flight import flight_report
+from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
+
+RESOLVED = Resolved("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
+NO_OUTCOME = Outcome(0, NAN, NAN, NAN, NAN, NAN, NAN, NAN, ())
+HOSTILE = "<script>alert(1)</script>\"'&\x00\u202e\ud800.BIN"
+REFUSAL = "on the ground or no load"
+
+
+def step(time_s: float, **changed: object) -> Step:
+    """One ordinary row, changed as asked; `refused` refuses the forecast with its value as the reason."""
+    reason = str(changed.pop("refused", ""))
+    remaining = Remaining(time_s, 500.0 - time_s / 2, 300.0, 700.0, NAN, Status.OK)
+    if reason:
+        remaining = replace(remaining, status=Status.REFUSED, reason=reason)
+    estimate = Estimate(
+        time_s, 0.8, 0.02, 11.5, 20.0, 25.0, 230.0, 0.01, 0.8, Status.OK, predicted_voltage_V=11.49, core_temp_C=26.0
+    )
+    return Step(replace(estimate, **changed), remaining)  # type: ignore[arg-type]
+
+
+def render(
+    steps: list[Step], outcome: Outcome = NO_OUTCOME, source: str = "flight.BIN", notes: tuple[str, ...] = ()
+) -> str:
+    flight = Flight(source, "csv", tuple(Sample(s.estimate.time_s, 11.5) for s in steps), notes=notes, skipped_bytes=7)
+    html = flight_report(flight, steps, RESOLVED, outcome, battery_file.read("lipo-generic"))
+    found = list(ElementTree.fromstring(html.partition("\n")[2].encode("utf-8")).iter())
+    assert not any(e.tag == "script" or "src" in e.attrib for e in found)
+    assert all(e.attrib["href"].startswith("#") for e in found if "href" in e.attrib)
+    return html
+
+
+def test_an_ordinary_flight_shows_the_answer_the_figures_and_the_sources() -> None:
+    points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0), Checkpoint("120 s before", 120.0, NAN, NAN, NAN))
+    outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.25, 0.9, points)
+    html = render([step(float(t), warnings=("mind the cold",)) for t in range(600)], outcome, notes=("a note",))
+    assert "held 0.10 ± 0.04 of its charge" in html
+    assert "ended by its battery 9 min 10 s after" in html
+    assert "50 s too long, truth inside" in html
+    assert "the forecast was refused" in html
+    assert "refused: a miss" in html
+    assert html.count("<svg") == 6
+    assert "7 unreadable bytes" in html
+    assert "mind the cold (all rows)" in html
+    assert "a note" in html
+    assert "2.65 Ah (from: vehicle)" in html
+    assert "Generic: a prior" in html
+
+
+def test_refused_stretches_are_said_with_their_reason_and_hidden_from_the_figures() -> None:
+    run = [step(float(t), **({"refused": REFUSAL} if t < 30 else {})) for t in range(100)]
+    html = render(run)
+    assert REFUSAL in html
+    assert "0 s to 30 s" in html
+    assert "refused (hatched)" in html
+    assert np.isnan(rows(run).remaining_s[:30]).all()
+    assert np.isfinite(rows(run).remaining_s[30:]).all()
+
+
+def test_a_flight_with_nothing_but_refusals_has_a_page() -> None:
+    run = [step(float(t), refused="r", status=Status.REFUSED, reason="no current in this row") for t in range(50)]
+    html = render(run)
+    assert "The state of charge was refused throughout." in html
+    assert "The remaining time was refused throughout." in html
+    assert "No state of charge could be given" in html
+    assert "no current in this row" in html
+
+
+def test_a_flight_without_temperature_says_that_the_core_is_a_guess() -> None:
+    assert "No pack temperature in the log" in render([step(float(t), temp_C=NAN) for t in range(50)])
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_nan_everywhere_is_a_page_without_figures(count: int) -> None:
+    nothing = dict.fromkeys(
+        ("soc", "soc_sd", "voltage_V", "current_A", "temp_C", "power_W", "innovation_V", "nis", "predicted_voltage_V",
+         "core_temp_C"), NAN)  # fmt: skip
+    blank = Remaining(0.0, NAN, NAN, NAN, NAN, Status.OK)
+    html = render([Step(step(float(t), **nothing).estimate, blank) for t in range(count)])
+    assert "<svg" not in html
+    assert "nan" not in html.lower()
+
+
+def test_unbounded_intervals_and_a_single_row_draw() -> None:
+    wide = [Step(s.estimate, replace(s.remaining, remaining_hi_s=math.inf)) for s in (step(0.0), step(1.0))]
+    assert "<svg" in render(wide)
+    assert "<svg" in render(wide[:1])
+
+
+def test_hostile_names_and_reasons_stay_text() -> None:
+    html = render([step(0.0, warnings=(HOSTILE,)), step(1.0, refused=HOSTILE)], source=HOSTILE, notes=(HOSTILE,))
+    assert "<script" not in html
+
+
+def test_a_long_flight_stays_small() -> None:
+    rng = np.random.default_rng(1)
+    volts, amps = 11.5 + rng.normal(0, 0.2, 20_000), 20 + rng.normal(0, 3, 20_000)
+    run = [
+        step(0.1 * i, voltage_V=float(v), current_A=float(a), predicted_voltage_V=float(v) + 0.02, **_odd(i))
+        for i, (v, a) in enumerate(zip(volts, amps, strict=True))
+    ]
+    html = render(run)
+    assert len(html.encode()) < 2_000_000
+    assert html.count("<tr>") < 100
+
+
+def _odd(i: int) -> dict[str, object]:
+    return {"refused": f"spread {i} s too wide"} if i % 7 == 0 else {}
+
+
+def test_thinning_keeps_every_extreme_and_bands_never_get_narrower() -> None:
+    time_s = np.arange(50_000.0)
+    values = np.sin(time_s / 300.0)
+    values[31_234], values[7_777], values[40_000:40_100] = 9.0, -9.0, np.nan
+    t, y = thinned(time_s, values)
+    assert t.size < 6_000
+    assert (np.diff(t) > 0).all()
+    assert (np.nanmax(y), np.nanmin(y)) == (9.0, -9.0)
+    assert np.isnan(y).any()
+    at, low, high = outer(time_s, values - 1.0, values + 1.0)
+    assert np.nanmax(high) == 10.0
+    assert np.nanmin(low) == -10.0
+    assert at.size < 2_000
+    dense = np.interp(time_s[:30_000], at, high)
+    assert (dense >= np.interp(time_s[:30_000], time_s, values)).all()
+
+
+def test_nothing_is_drawn_across_a_gap_and_the_gap_is_named() -> None:
+    run = [step(float(t)) for t in (*range(50), *range(200, 250))]
+    (gap,) = stretches(run)
+    assert (gap.begin_s, gap.end_s, gap.rows) == (49.0, 200.0, 0)
+    columns = with_gaps(rows(run))
+    assert np.isnan(columns.voltage_V[50])
+    assert columns.time_s.size == 101
+    assert "no row in the log" in render(run)
+
+
+def test_reasons_that_differ_in_numbers_are_one_stretch_and_many_stretches_run_together() -> None:
+    (only,) = stretches([step(float(t), refused=f"known to ±{t} %") for t in range(20)])
+    assert (only.rows, only.reason, only.last_reason) == (20, "known to ±0 %", "known to ±19 %")
+    flicker = [step(float(t), **({"refused": REFUSAL} if t % 2 else {})) for t in range(1000)]
+    found = stretches(flicker)
+    assert len(found) <= MOST_STRETCHES
+    assert sum(s.rows for s in found) == 500
+
+
+def test_the_expected_innovation_comes_back_from_the_nis() -> None:
+    innovation, sd = np.array([0.02, -0.05, 0.01]), np.array([0.03, 0.04, 0.02])
+    nis = (innovation / sd) ** 2
+    alone = innovation_sd(innovation, nis, np.full(3, np.nan))
+    assert alone == pytest.approx(sd)
+    with_temp = innovation_sd(innovation, nis + 0.5, np.full(3, 25.0))
+    assert (with_temp <= sd.max()).all()
+
+
+@dataclass(frozen=True)
+class Bare:
+    """The least that the page needs of an outcome: any object of that shape will do."""
+
+    rows: int = 1
+    duration_s: float = NAN
+    end_voltage_V: float = NAN
+    end_soc: float = NAN
+    end_soc_sd: float = NAN
+    end_of_flight_s: float = NAN
+    refused_in_air: float = NAN
+    mean_nis: float = NAN
+    checkpoints: tuple[Checkpoint, ...] = ()
+
+
+def test_the_page_needs_shapes_not_the_replay_itself() -> None:
+    battery = battery_file.read("lipo-generic")
+    assert "<svg" in flight_report(Flight("a", "csv", ()), [step(0.0), step(1.0)], RESOLVED, Bare(), battery)

@@ -1,0 +1,186 @@
+"""The whole stage on both data sets: verdicts, claims, what ships, JSON; and what it must refuse."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Judged
+
+from uavbatt import dataset
+from uavbatt.battery import battery_file
+from uavbatt.dataset import DataSet
+from uavbatt.errors import NotEnoughData
+from uavbatt.validation import as_json, gate, paper, precision_claims
+from uavbatt.validation.gate import Claim, Limits
+from uavbatt.validation.validate import Validation, validate
+
+
+@pytest.fixture(scope="module")
+def study(judged_study: Judged) -> Validation:
+    return judged_study.found
+
+
+@pytest.fixture(scope="module")
+def lab(shared_data: Path) -> Validation:
+    return validate(dataset.load(shared_data / "truth" / "lab"))
+
+
+def claim(v: Validation, name: str, ambient_C: float = 25.0) -> Claim:
+    return next(c for c in v.claims if c.claim.startswith(name) and c.ambient_C == ambient_C)
+
+
+def repeats_only(data: DataSet, runs: int) -> DataSet:
+    return replace(data, runs=tuple(r for r in data.at(25.0) if r.sample != "T1" and r.run <= runs))
+
+
+def test_the_study_s_model_passes_at_25_degrees_and_ships(study: Validation) -> None:
+    gating = {c.claim: c.verdict for c in study.claims if c.gates}
+    assert gating == {
+        "voltage bias (intermediate precision)": "pass",
+        "time of 10 V": "pass",
+        "time of the knee": "pass",
+        "repeatability": "pass",
+    }
+    assert study.verdict == "pass"
+    assert study.battery is not None
+    assert study.battery.certificate.validated_ambient_C == [25.0]
+
+
+def test_the_study_says_nothing_of_other_packs(study: Validation) -> None:
+    found = claim(study, "reproducibility")
+    assert found.verdict == "not enough data"
+    assert not found.gates
+    assert "depend on each other" in found.reason
+
+
+def test_repeatability_counts_dependent_samples_once_and_warns_of_the_drift(study: Validation) -> None:
+    found = claim(study, "repeatability")
+    assert found.statistics["degrees_of_freedom"] == 9.0
+    assert found.statistics["A_r"] == pytest.approx(1.96 / math.sqrt(18.0))
+    assert "drifts from run to run" in found.reason
+
+
+def test_every_other_temperature_has_its_claim_and_none_passes(study: Validation) -> None:
+    others = [c for c in study.claims if c.ambient_C != 25.0]
+    assert [c.ambient_C for c in others] == [t for t in study.dataset.ambients_C if t != 25.0]
+    assert "pass" not in {c.verdict for c in others}
+    assert not any(c.gates for c in others)
+    single = claim(study, "voltage bias", 10.0)
+    assert single.verdict == "not enough data"
+    assert np.isnan(single.half_width).all() and np.isfinite(single.bias).all()
+    near = claim(study, "voltage bias", -5.0)
+    assert near.verdict == "fail"  # a model fitted at 25 °C alone is 0.4 V low in the first minutes
+    assert np.isfinite(near.half_width).all()
+
+
+def test_the_rival_is_gated_on_the_same_readings(study: Validation) -> None:
+    (rival,), (claims,) = study.rivals, study.rival_claims
+    assert rival.model == "regression"
+    assert np.array_equal(rival.measured_V, study.held.measured_V)
+    names = [c.claim for c in claims if c.ambient_C == 25.0]
+    assert names == [c.claim for c in study.claims if c.ambient_C == 25.0 and "abilit" not in c.claim][: len(names)]
+
+
+def test_what_ships_can_be_read_and_names_what_it_does_not_vouch_for(study: Validation, tmp_path: Path) -> None:
+    assert study.battery is not None
+    path = battery_file.write(study.battery, tmp_path / "x.battery.toml")
+    read = battery_file.read(path)  # a verdict `fail` would be refused
+    assert read.certificate.data_sha256 == study.dataset.sha256
+    assert any("not vouched for" in r and "-5" in r for r in read.battery.remarks)
+
+
+def test_a_limit_that_the_model_does_not_meet_ships_nothing() -> None:
+    small = repeats_only(dataset.load(), 4)
+    found = validate(small, Limits(voltage_V=0.01), close_loop=False)
+    assert found.verdict == "fail"
+    assert found.battery is None
+
+
+def test_by_the_paper_the_corridor_decides() -> None:
+    found = validate(repeats_only(dataset.load(), 4), close_loop=False, method="paper")
+    assert [c.claim for c in found.claims if c.gates] == ["inside the corridor x̄ ± C"]
+
+
+def test_three_occasions_are_too_few_to_know_the_repeatability() -> None:
+    found = validate(repeats_only(dataset.load(), 3), close_loop=False)
+    assert claim(found, "repeatability").verdict == "not enough data"
+    assert found.verdict != "pass"
+
+
+def test_a_set_without_repeats_is_not_enough_data() -> None:
+    data = dataset.load()
+    for runs in (
+        tuple(r for r in data.runs if r.sample == "T1"),
+        tuple(r for r in data.at(25.0) if r.run <= 2 and r.sample != "T1"),
+    ):
+        with pytest.raises(NotEnoughData, match="repeated"):
+            validate(replace(data, runs=runs))
+
+
+def test_json_holds_every_number_and_no_nan(study: Validation) -> None:
+    values = as_json.to_builtins(study, paper.replay(study.dataset, 25.0))
+    text = json.dumps(values, allow_nan=False)
+    again = json.loads(text)
+    assert {"claims", "precision", "corridors", "findings", "drifts", "rivals", "temperatures", "paper"} <= set(again)
+    assert len(again["claims"]) == len(study.claims)
+    assert again["precision"][0]["precision"]["s_r"] == study.precision[0].precision.s_r
+    assert again["precision"][0]["precision"]["A_r"] > 0.0
+    assert again["claims"][0]["budget"]["rows"][0]["source"] == "scatter of the occasions"
+    assert again["corridors"]["10"]["C"][0] is None
+    assert again["paper"]["agreements"][0]["agree"] == 45
+    assert again["dataset"]["sha256"] == study.dataset.sha256
+
+
+def test_samples_that_are_copies_are_dependent_and_independent_ones_are_not() -> None:
+    rng = np.random.default_rng(3)
+    fresh = rng.normal(0.0, 1.0, (8, 3, 6))
+    copied = np.repeat(rng.normal(0.0, 1.0, (8, 1, 6)), 3, axis=1) + 0.1 * fresh
+    assert precision_claims.dependence(fresh).dependent is False
+    assert precision_claims.dependence(copied).dependent is True
+    assert precision_claims.dependence(fresh[:3, :2]).dependent is None
+
+
+def test_independent_samples_are_called_dependent_as_rarely_as_declared() -> None:
+    rng = np.random.default_rng(4)
+    called = [precision_claims.dependence(rng.normal(size=(5, 3, 4))).dependent for _ in range(60)]
+    assert sum(bool(c) for c in called) <= 3
+
+
+def test_reproducibility_is_judged_with_three_independent_samples_and_a_bad_one_stops_it() -> None:
+    rng = np.random.default_rng(6)
+    base = validate(repeats_only(dataset.load(), 4), close_loop=False)
+    time_s, curve = base.held.time_s, base.held.measured_V.mean(axis=(0, 1))
+    known = base.dataset.uncertainty
+
+    def judged(between_V: float) -> str:
+        offset = between_V * np.array([-1.0, 0.0, 1.0])[None, :, None]
+        values = curve + offset + rng.normal(0.0, 0.01, (8, 3, time_s.size))
+        held = replace(base.held, measured_V=values, model_V=np.broadcast_to(curve, values.shape))
+        levels = dataset.Levels(25.0, "voltage_V", ("a", "b", "c"), tuple(range(8)), time_s, values)
+        wide = Limits(precision_A_R=10.0)
+        return precision_claims.reproducibility_claim(held, levels, wide, 9.3, known).verdict
+
+    assert judged(0.0) == "pass"
+    assert judged(0.1) == "not enough data"
+
+
+def test_the_lab_set_is_judged_under_load_and_at_rest_apart(lab: Validation) -> None:
+    assert lab.held.at_rest.tolist() == [True] + [False] * (lab.held.time_s.size - 1)
+    assert claim(lab, "voltage bias").verdict == "pass"
+    assert np.abs(claim(lab, "voltage bias").bias[0]) < 0.05  # at rest, where a window across the step was 0.2 V off
+    assert claim(lab, "repeatability").verdict == "pass"
+    assert claim(lab, "reproducibility").verdict == "pass"
+    assert abs(claim(lab, "time of 13.33 V").bias[0]) < 6.0
+    assert lab.temperatures is None
+
+
+def test_the_lab_set_ships_if_and_only_if_every_gating_claim_passes(lab: Validation) -> None:
+    assert lab.verdict == gate.overall(lab.claims) == "pass"
+    assert lab.battery is not None
+    assert lab.battery.battery.capacity_Ah == 5.0
+    assert json.dumps(as_json.to_builtins(lab), allow_nan=False)

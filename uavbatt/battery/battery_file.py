@@ -1,0 +1,214 @@
+"""The battery file `NAME.battery.toml`: what one type of battery can give, and why it may be believed.
+
+Sections: [battery], [parameters], [[effects]], [discrepancy], [corridor], [certificate]. The certificate's
+`content_sha256` is the hash of the canonical JSON of everything else but the date and the tool's version: an
+integrity check, so that no edit goes unnoticed. It is not a signature.
+
+A file whose content is not what was sealed, or whose gate said fail, is refused; let through all the same, its status
+is `edited` from here on, whatever it says of itself: every output names the status.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from datetime import date
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from uavbatt import __version__
+from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.sections import (
+    HIGHEST_CELL_V,
+    LOWEST_CELL_V,
+    Battery,
+    BatteryFile,
+    Certificate,
+    Corridor,
+    Discrepancy,
+    EffectEntry,
+    ParameterTable,
+    Verdict,
+)
+from uavbatt.errors import BadInput, Uncertified, misread
+from uavbatt.files import atomic_write
+
+__all__ = [
+    "Battery",
+    "BatteryFile",
+    "Certificate",
+    "Corridor",
+    "Discrepancy",
+    "EffectEntry",
+    "ParameterTable",
+    "Verdict",
+    "content_hash",
+    "packaged",
+    "read",
+    "sealed",
+    "write",
+]
+
+SUFFIX = ".battery.toml"
+MOST_BYTES = 5_000_000
+EMPTY_KNOT, FULL_KNOT = 0.2, 0.8  # beyond its outer knots the open-circuit voltage goes on straight
+STEEPEST_V = 300.0  # volts per unit of charge: an emptied cell falls by 10 to 100
+
+
+def content_hash(file: BatteryFile) -> str:
+    """SHA-256 of the canonical JSON of everything but the hash itself, the date and the tool's version."""
+    content: dict[str, Any] = msgspec.to_builtins(file)
+    for key in ("content_sha256", "date", "tool_version"):
+        del content["certificate"][key]
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def sealed(file: BatteryFile) -> BatteryFile:
+    """The file with today's date, this version and the hash of its content."""
+    dated = msgspec.structs.replace(file.certificate, date=date.today().isoformat(), tool_version=__version__)
+    dated = msgspec.structs.replace(dated, content_sha256=content_hash(file))
+    return msgspec.structs.replace(file, certificate=dated)
+
+
+def write(file: BatteryFile, path: Path) -> Path:
+    """Seal and write the file, whole or not at all; returns the path."""
+    content = _without_none(msgspec.to_builtins(sealed(file)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path, "wb") as stream:
+        tomli_w.dump(content, stream)
+    return path
+
+
+def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> BatteryFile:
+    """Read a packaged battery by name (`lpab-3s`) or a file by path.
+
+    Raises BadInput when it is missing or malformed, Uncertified when its hash does not match its content or a
+    verdict is `fail`; `allow_uncertified` lets it through, and its status is `edited` then.
+    """
+    text, origin = _text(str(name_or_path))
+    try:
+        file = msgspec.toml.decode(text, type=BatteryFile)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        raise misread(origin, error, "a battery file (see README, `battery file`)") from None
+    _check_values(file, origin)
+    problem = _why_uncertified(file)
+    if problem and not allow_uncertified:
+        raise Uncertified(f"{origin}: {problem}; --allow-uncertified reads it all the same")
+    return _let_through(file) if problem else file
+
+
+def _why_uncertified(file: BatteryFile) -> str:
+    """What keeps the certificate from being believed; empty when it may be."""
+    if file.certificate.content_sha256 != content_hash(file):
+        return (
+            "certificate.content_sha256: expected the hash of the file's content, so the file was edited after it was "
+            "written"
+        )
+    for verdict in file.certificate.verdicts:
+        if verdict.verdict == "fail":
+            return f"certificate verdict `{verdict.claim}`: expected pass, it is fail"
+    return "certificate.status: expected certified, fitted or generic, it is edited" if file.status == "edited" else ""
+
+
+def _let_through(file: BatteryFile) -> BatteryFile:
+    """The file marked as what it is; claims that were made for another content are gone, those that failed stay."""
+    actual = content_hash(file)
+    if file.certificate.content_sha256 != actual:
+        made = msgspec.structs.replace(file.certificate, verdicts=[], statistics={}, validated_ambient_C=[])
+    else:
+        made = file.certificate
+    edited = msgspec.structs.replace(made, status="edited", content_sha256=actual)
+    return msgspec.structs.replace(file, certificate=edited)
+
+
+def packaged() -> list[str]:
+    """Names of the battery files that come with the package."""
+    folder = resources.files("uavbatt") / "data" / "batteries"
+    return sorted(entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX))
+
+
+def _text(name_or_path: str) -> tuple[bytes, str]:
+    path = Path(name_or_path)
+    if not path.exists() and "/" not in name_or_path and not name_or_path.endswith(".toml"):
+        entry = resources.files("uavbatt") / "data" / "batteries" / f"{name_or_path}{SUFFIX}"
+        if entry.is_file():
+            return entry.read_bytes(), name_or_path
+        raise BadInput(name_or_path, "", f"a battery file or one of the packaged: {', '.join(packaged())}")
+    if not path.exists():
+        raise BadInput(path, "", "a battery file that exists")
+    if path.is_dir():
+        raise BadInput(path, "", "a battery file, not a directory")
+    with path.open("rb") as file:
+        text = file.read(MOST_BYTES + 1)
+    if len(text) > MOST_BYTES:
+        raise BadInput(path, "", f"a battery file of at most {MOST_BYTES // 1_000_000} MB")
+    return text, str(path)
+
+
+def _check_values(file: BatteryFile, origin: str) -> None:
+    """What types and ranges of the keys cannot say: finite throughout, ascending, of one length, fitting each other."""
+    for place, number in _numbers(msgspec.to_builtins(file)):
+        if not math.isfinite(number):
+            raise BadInput(origin, place, f"a finite number, got {number}")
+    table = file.parameters
+    for axis, values in (("ocv_soc", "ocv_V"), ("resistance_soc", "resistance_ohmAh")):
+        soc, column = getattr(table, axis), getattr(table, values)
+        if len(soc) != len(column) or any(b <= a for a, b in pairwise(soc)):
+            raise BadInput(origin, f"parameters.{axis}", f"ascending knots, as many as in {values}")
+    if table.ocv_soc[0] > EMPTY_KNOT or table.ocv_soc[-1] < FULL_KNOT:
+        raise BadInput(origin, "parameters.ocv_soc", f"knots from {EMPTY_KNOT} or below to {FULL_KNOT} or above")
+    if any(b <= a for a, b in pairwise(table.ocv_V)):
+        raise BadInput(origin, "parameters.ocv_V", "a voltage that rises with the charge")
+    knots = zip(pairwise(table.ocv_soc), pairwise(table.ocv_V), strict=True)
+    if any((d - c) > STEEPEST_V * (b - a) for (a, b), (c, d) in knots):
+        said = f"no step steeper than {STEEPEST_V:g} V per unit of charge"
+        raise BadInput(origin, "parameters.ocv_V", said)
+    for name in ("cutoff_V", "low_V"):
+        volts = getattr(file.battery, name)
+        if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
+            limits = f"{LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V for each of {file.battery.cells_series} cells"
+            raise BadInput(origin, f"battery.{name}", f"{limits}, got {volts:g} V for the pack")
+    corridor = file.corridor
+    if corridor is not None and not len(corridor.time_s) == len(corridor.mean_V) == len(corridor.limit_V):
+        raise BadInput(origin, "corridor", "time_s, mean_V and limit_V of one length")
+    for entry in file.effects:
+        _check_effect(entry, origin)
+
+
+def _check_effect(entry: EffectEntry, origin: str) -> None:
+    known = EFFECTS.get(entry.name)
+    if known is None:
+        raise BadInput(origin, f"effects: {entry.name}", f"one of {', '.join(EFFECTS)}")
+    bounds = {q.name: (q.low, q.high) for q in known.quantities}
+    for name, value in entry.parameters.items():
+        if name not in bounds:
+            raise BadInput(origin, f"effects: {entry.name}.{name}", f"one of {', '.join(bounds)}")
+        if not bounds[name][0] <= value <= bounds[name][1]:
+            raise BadInput(origin, f"effects: {entry.name}.{name}", f"a value in {bounds[name]}, got {value}")
+
+
+def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
+    """Every float of the content with the place it stands at."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _numbers(inner, f"{place}.{key}" if place else key)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _numbers(inner, place)
+    elif isinstance(value, float):
+        yield place, value
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null: an absent key says the same."""
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list) else value

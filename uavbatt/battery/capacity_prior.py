@@ -1,0 +1,68 @@
+"""How much charge packs in service hold: the prior over a pack's capacity, as a bank of members.
+
+A season takes 10 to 25 % of a pack's capacity, and nobody writes it down: a pack that nobody measured holds between
+0.7 and 1.05 of what is printed on it. Rarely it is quite another pack than stated, or the current sensor reads low or
+high, which looks the same. A Gaussian around 1 cannot say that, and a filter linearised at one capacity does not see
+the knee of a smaller one. So the belief is a sum of Gaussians, one every tenth of the capacity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.scaling import Pack
+
+MEMBERS = 13
+SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
+NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
+REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
+OVERLAP = 0.6  # sd of a member as a share of the distance to the next
+# A capacity stated ten times too large, and what lies between.
+ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
+# Shares, means and sds of ln(capacity / stated): packs as good as new, packs in service, and those of which something
+# stated is wrong.
+PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
+
+
+class Capacities(NamedTuple):
+    """Members of the prior, [members] each: ln of the capacity scale, its sd within the member, its weight.
+
+    And ln of the resistance scale with its sd, which are the same in all members of a pack that nobody met before.
+    """
+
+    log_scale: Array
+    sd: Array
+    weight: Array
+    log_resistance: Array
+    resistance_sd: Array
+
+
+def capacities(pack: Pack) -> Capacities:
+    """The prior of a pack that nobody measured; `pack.capacity_scale_sd` widens it."""
+    widest = math.hypot(PRIOR[1][2], pack.capacity_scale_sd)
+    scale = np.linspace(min(SMALLEST, -REACH * widest), max(LARGEST, REACH * widest), MEMBERS)
+    weight = np.zeros(MEMBERS)
+    for share, mean, own_sd in PRIOR:
+        above = math.hypot(own_sd, pack.capacity_scale_sd)
+        short_sd = pack.capacity_short_sd * (1.0 if mean < 0.0 else NEW_SHORT)
+        sd = np.where(scale > mean, above, math.hypot(above, short_sd))
+        weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
+    weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
+    member_sd = np.full(MEMBERS, OVERLAP * float(scale[1] - scale[0]))
+    return Capacities(
+        np.concatenate([ABSURD, scale]),
+        np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
+        np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
+        np.zeros(len(ABSURD) + MEMBERS),
+        np.full(len(ABSURD) + MEMBERS, pack.resistance_scale_sd),
+    )
+
+
+def known_capacity(pack: Pack) -> Capacities:
+    """One member, around what is stated: for a pack that was measured."""
+    capacity_sd, resistance_sd = np.full(1, pack.capacity_scale_sd), np.full(1, pack.resistance_scale_sd)
+    return Capacities(np.zeros(1), capacity_sd, np.ones(1), np.zeros(1), resistance_sd)

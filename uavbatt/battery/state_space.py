@@ -1,0 +1,133 @@
+"""What is known of a pack at one instant: a mean and a covariance over eight named components.
+
+The components are the cell's state, two slow scales that tell this pack from its type, and the model's own
+slowly wandering error, so that a filter does not take a misfit of the model for knowledge:
+
+    soc, polarisation_V, diffusion_V, core_C, sensor_C    state of an average cell
+    log_resistance, log_capacity                          ln of this pack's scale against the battery file
+    bias_V                                                discrepancy per cell, an Ornstein-Uhlenbeck process
+
+`transition` and `voltage` act on columns: x [8] or [8, batch]. Filter and forecast share them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery import equations as eq
+from uavbatt.battery import model
+from uavbatt.battery.equations import Number
+from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.pack import Installation, c_rate, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.scaling import Pack
+
+
+class C(IntEnum):
+    """Index of a component in the vector."""
+
+    SOC = 0
+    POLARISATION = 1
+    DIFFUSION = 2
+    CORE = 3
+    SENSOR = 4
+    LOG_RESISTANCE = 5
+    LOG_CAPACITY = 6
+    BIAS = 7
+
+
+SIZE = len(C)
+DOUBT_LENGTH = 1.0  # of the charge
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """A belief is a sum of Gaussians at `time_s`; each member holds another capacity of the pack for likely.
+
+    means [members, 8], covariances [members, 8, 8], weights [members] with sum 1; the ambient temperature [°C] is
+    the one that the heat flows to.
+    """
+
+    time_s: float
+    means: Array
+    covariances: Array
+    weights: Array
+    ambient_C: float
+
+    @classmethod
+    def gaussian(cls, time_s: float, mean: Array, covariance: Array, ambient_C: float) -> Belief:
+        """A belief of one member: mean [8], covariance [8, 8]."""
+        return cls(time_s, mean[None], covariance[None], np.ones(1), ambient_C)
+
+    @property
+    def mean(self) -> Array:
+        """Mean [8] of the whole sum."""
+        return np.asarray(self.weights @ self.means)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance [8, 8] of the whole sum: within the members and between their means."""
+        return mixed_covariance(self.means, self.covariances, self.weights)
+
+
+def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
+    """Covariance [8, 8] of a sum of Gaussians."""
+    apart = means - weights @ means
+    return np.asarray(np.tensordot(weights, covariances, 1) + (apart.T * weights) @ apart)
+
+
+class Unpacked(NamedTuple):
+    """One belief vector as the model's own records."""
+
+    cell: Parameters
+    installation: Installation
+    state: State
+
+
+def unpack(pack: Pack, x: Array) -> Unpacked:
+    """The model's records for the columns of x, the pack's scales applied."""
+    installation = pack.installation._replace(
+        capacity_Ah=pack.installation.capacity_Ah * np.exp(x[C.LOG_CAPACITY]),
+    )
+    cell = grown(pack.cell, installation)
+    cell = cell._replace(resistance_gain=cell.resistance_gain * np.exp(x[C.LOG_RESISTANCE]))
+    state = State(x[C.SOC], x[C.POLARISATION], x[C.DIFFUSION], x[C.CORE], x[C.SENSOR])
+    return Unpacked(cell, installation, state)
+
+
+def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: float) -> Array:
+    """The columns `dt_s` later, `current_A` (true, of the pack) held; any step from 0.05 s to minutes."""
+    now = unpack(pack, x)
+    later = model.advance(now.cell, now.state, c_rate(now.installation, current_A), ambient_C, dt_s)
+    out = x.copy()
+    out[C.SOC], out[C.POLARISATION], out[C.DIFFUSION] = later.soc, later.polarisation_V, later.diffusion_V
+    out[C.CORE], out[C.SENSOR] = later.core_C, later.sensor_C
+    out[C.BIAS] = eq.relax(x[C.BIAS], 0.0, dt_s, pack.bias_tau_s)
+    return out
+
+
+def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
+    """Variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
+
+    The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another.
+    """
+    position = (soc - model.LOWEST_SOC) / model.GRID_STEP
+    index = eq.segment(position, model.LAST_POSITION)
+    share = np.minimum(np.maximum(position, 0.0), model.LAST_POSITION) - index
+    return eq.interpolated(pack.ocv_sd_V, index, share) ** 2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
+
+
+def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
+    """Voltage that the telemetry should report [V] under a true pack current [A], the discrepancy included."""
+    return reported_voltage(pack, unpack(pack, x), x[C.BIAS], current_A)
+
+
+def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
+    """`voltage` of a vector that is unpacked already."""
+    if pack.sag_compensated:
+        current_A = 0.0 * current_A
+    true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
+    return metered_voltage(now.installation, true_V + now.installation.cells * bias_V)

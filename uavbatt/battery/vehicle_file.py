@@ -1,0 +1,83 @@
+"""The vehicle file `NAME.vehicle.toml`: what one aircraft asks of its battery, learned from how it flew.
+
+Small, numbers only: mean power by phase, and the power traces of past flights, each with its state of charge, so
+that a forecast can ask "what did this aircraft do from here on?".
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tomli_w
+
+from uavbatt.errors import BadInput, misread
+from uavbatt.files import atomic_write
+
+SUFFIX = ".vehicle.toml"
+MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
+
+Watts = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
+Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Points = msgspec.Meta(min_length=2, max_length=MOST_POINTS)
+
+
+class Trace(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One past flight from take-off to landing: time since take-off [s], power [W], state of charge."""
+
+    time_s: Annotated[list[Seconds], Points]
+    power_W: Annotated[list[Watts], Points]
+    soc: Annotated[list[Share], Points]
+
+
+class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Mean power [W] over the flights: the first minute, the whole, the last minute."""
+
+    take_off_W: Watts
+    flight_W: Watts
+    last_minute_W: Watts
+
+
+class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The whole file."""
+
+    name: str
+    battery: str
+    phases: Phases
+    traces: Annotated[list[Trace], msgspec.Meta(max_length=MOST_TRACES)]
+    source: str = ""
+
+
+def write(file: VehicleFile, path: Path) -> Path:
+    """Write the file, whole or not at all; returns the path."""
+    with atomic_write(path, "wb") as stream:
+        tomli_w.dump(msgspec.to_builtins(file), stream)
+    return path
+
+
+def read(path: str | Path) -> VehicleFile:
+    """Read and check a vehicle file; BadInput names the file and the place."""
+    source = Path(path)
+    if not source.is_file():
+        raise BadInput(path, "", "a vehicle file that exists")
+    with source.open("rb") as stream:
+        text = stream.read(MOST_BYTES + 1)
+    if len(text) > MOST_BYTES:
+        raise BadInput(path, "", f"a vehicle file of at most {MOST_BYTES // 1_000_000} MB")
+    try:
+        file = msgspec.toml.decode(text, type=VehicleFile)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        raise misread(path, error, "a vehicle file") from None
+    if not file.traces:
+        raise BadInput(path, "traces", "at least one past flight")
+    for number, trace in enumerate(file.traces):
+        if not len(trace.time_s) == len(trace.power_W) == len(trace.soc):
+            raise BadInput(path, f"traces[{number}]", "time_s, power_W and soc of one length")
+        if any(b <= a for a, b in pairwise(trace.time_s)):
+            raise BadInput(path, f"traces[{number}].time_s", "ascending times")
+        if max(trace.power_W) <= 0.0:
+            raise BadInput(path, f"traces[{number}].power_W", "the powers of a flight, found none above 0 W")
+    return file

@@ -1,0 +1,148 @@
+"""The effects that a residual may be traced to: what is refitted, from where, how far.
+
+A candidate is a named effect with the quantities that its refit frees. In the solver's space a quantity is u with
+
+    value = start + scale·u            or            value = start·exp(scale·u)
+
+and bounds on the value. What belongs to the aircraft (wiring, sensors, start) is always a candidate; a cell effect is
+one as long as the battery file lacks it, but for the sensor's lag, which a file states for another mounting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.effects import EFFECTS, Effect, Quantity
+from uavbatt.battery.model import Array, Parameters
+from uavbatt.battery.pack import Installation
+
+QUANTITIES = tuple(q for effect in EFFECTS.values() for q in effect.quantities)
+INDEX = {q.name: i for i, q in enumerate(QUANTITIES)}
+UNITS = {q.name: q.unit for q in QUANTITIES}
+ALWAYS = ("temperature_lag", "polarisation", "slow_diffusion", "temperature_resistance")
+ONE_WAY = ("fade", "growth")  # packs age in one direction
+NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
+
+
+@dataclass(frozen=True, slots=True)
+class Freed:
+    """One quantity that a refit moves: index in QUANTITIES, start, scale of u, bounds of the value."""
+
+    index: int
+    start: float
+    scale: float
+    low: float
+    high: float
+    log: bool
+    nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
+    estimated: bool = True  # a nuisance that is not counts in the standard errors only
+
+    def value(self, u: Array) -> Array:
+        """The value at u, kept within the bounds."""
+        raw = self.start * np.exp(self.scale * u) if self.log else self.start + self.scale * u
+        kept: Array = np.clip(raw, self.low, self.high)
+        return kept
+
+    def at(self, value: float) -> float:
+        """The u of a value."""
+        return float(np.log(value / self.start) if self.log else value - self.start) / self.scale
+
+    def bounds_u(self) -> tuple[float, float]:
+        """The bounds in u."""
+        if not self.log:
+            return (self.low - self.start) / self.scale, (self.high - self.start) / self.scale
+        return float(np.log(self.low / self.start) / self.scale), float(np.log(self.high / self.start) / self.scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One or several effects refitted together; `free_start` gives every record its own starting charge."""
+
+    names: tuple[str, ...]
+    freed: tuple[Freed, ...]
+    free_start: bool = False
+    last: int = 0  # quantities of the effect that was added last
+    resized: bool = False  # the effect added last is in the battery file already, with another size
+
+    @property
+    def name(self) -> str:
+        """The effect that was added last."""
+        return self.names[-1] if self.names else "none"
+
+    def plus(self, other: Candidate) -> Candidate:
+        """Both together."""
+        free_start = self.free_start or other.free_start
+        return Candidate(self.names + other.names, self.freed + other.freed, free_start, other.last, other.resized)
+
+
+NOTHING = Candidate((), ())
+
+# What the battery file itself may be wrong by, the same for all records, and a reading of current and voltage that is
+# not quite simultaneous. Each of them looks like an effect; only what goes beyond is one. A file fitted to metered
+# records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
+CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
+CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
+
+
+def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
+    """Errors of the battery file that all records share, in u with sd 1."""
+    table = file.parameters
+    capacity_sd = CAPACITY_SHARE * table.capacity_scale_sd
+    resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
+    if file.is_measured and table.c_rate is None:
+        capacity_sd, resistance_sd = min(capacity_sd, CAPACITY_SD), min(resistance_sd, RESISTANCE_SD)
+    return (
+        _nuisance("fade", capacity_sd),
+        _nuisance("growth", resistance_sd),
+        _nuisance("delay_s", DELAY_SD_S, estimated=True),
+    )
+
+
+def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:
+    return Freed(INDEX[name], 0.0, sd, -6.0 * sd, 6.0 * sd, log=False, nuisance=True, estimated=estimated)
+
+
+def base_values(cell: Parameters, installation: Installation) -> Array:
+    """Every quantity as the battery file has it."""
+    known = {**cell._asdict(), **installation._asdict()}
+    return np.array([float(known.get(q.name, 0.0)) for q in QUANTITIES])
+
+
+def candidates(
+    file: BatteryFile, base: Array, *, has_temperature: bool, idle_A: float, without: tuple[str, ...]
+) -> list[Candidate]:
+    """Every effect worth trying on a battery of this file.
+
+    idle_A : what the current sensor reports at rest: it adds no more than that, since no pack charges on the ground.
+    """
+    listed = {entry.name for entry in file.effects}
+    found = []
+    for effect in EFFECTS.values():
+        if effect.name in without or (effect.name in listed and effect.name not in ALWAYS):
+            continue
+        if effect.name in NEEDS_TEMPERATURE and not has_temperature:
+            continue
+        if effect.name == "initial_charge":  # each flight was charged by itself
+            found.append(Candidate((effect.name,), (), free_start=True))
+            continue
+        free = [q for q in effect.quantities if q.prior_sd > 0.0]
+        free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
+        freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
+        if effect.name == "current_offset":
+            freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
+        resized = effect.name in listed and effect.name != "temperature_lag"
+        found.append(Candidate((effect.name,), freed, last=len(freed), resized=resized))
+    return found
+
+
+def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
+    """From the file's value where the quantity has an "off"; else from its prior."""
+    listed = len(effect.quantities) == 1 or base != quantity.neutral
+    start = base if listed else quantity.prior
+    log = quantity.log and start > 0.0
+    scale = quantity.prior_sd if log or not quantity.log else max(quantity.prior, 1e-6)
+    low = max(quantity.low, 1e-3 * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
+    return Freed(INDEX[quantity.name], float(start), scale, low, quantity.high, log)

@@ -1,0 +1,199 @@
+"""Close the loop: the extended battery file, and the error before and after on records that were left out.
+
+Each record is predicted with the values that the other records give, so that none judges itself. Remaining time is
+judged by a replay of the log with its own load known (`--load log`): what is left is the battery's error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from uavbatt.battery.battery_file import BatteryFile, Certificate, EffectEntry, Verdict
+from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import true_current
+from uavbatt.battery.scaling import pack_of
+from uavbatt.diagnosis import residual
+from uavbatt.diagnosis.candidates import QUANTITIES
+from uavbatt.diagnosis.diagnosis import Diagnosis
+from uavbatt.diagnosis.heldout import left_out, open_loop
+from uavbatt.diagnosis.problem import Refit
+from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.fitting.assemble import rounded
+from uavbatt.prediction.load import LoggedLoad
+from uavbatt.records import NAN, Flight
+from uavbatt.replay import steps
+from uavbatt.scoring.scores import end_of_flight
+
+ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """Errors on held-out records; NaN where it cannot be judged (no end of flight in the log, no temperature)."""
+
+    voltage_rmse_V: float
+    temp_rmse_K: float
+    remaining_mae_s: float
+    coverage: float
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """Before, after, and what was held out for it."""
+
+    before: Error
+    after: Error
+    held_out: tuple[str, ...]
+
+
+def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
+    """Effect -> quantity -> value for values [freed] of a refit."""
+    known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
+    return {
+        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known}
+        for name in fit.candidate.names
+    }
+
+
+def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors: dict[str, float]) -> BatteryFile:
+    """The file with effects added or resized; an effect without a shared value (each flight's start) is left out."""
+    entries = {entry.name: entry for entry in file.effects}
+    for name, values in effects.items():
+        if not values:
+            continue
+        old = entries.get(name)
+        neutral = {q.name: q.prior if q.prior_sd == 0.0 else q.neutral for q in EFFECTS[name].quantities}
+        parameters = {**(old.parameters if old else neutral), **values}
+        entries[name] = EffectEntry(
+            name=name,
+            parameters={k: rounded(v) for k, v in parameters.items()},
+            standard_error={
+                **(old.standard_error if old else {}),
+                **{k: rounded(errors[k]) for k in values if k in errors},
+            },
+        )
+    return msgspec.structs.replace(file, effects=list(entries.values()))
+
+
+def extended(file: BatteryFile, found: Diagnosis) -> BatteryFile:
+    """The battery file with what was found; flights alone do not certify it. The file itself when nothing was."""
+    if found.verdict == "no_missing_effect":
+        return file
+    fit = found.after
+    names = [QUANTITIES[f.index].name for f in fit.candidate.freed]
+    errors = dict(zip(names, map(float, fit.errors()), strict=True)) if names else {}
+    values = fit.values()[0] if names else np.zeros(0)
+    by_name = values_by_name(fit, values)
+    new = with_effects(file, by_name, errors)
+    left = file.discrepancy
+    if found.verdict == "undeclared_effect":  # what is not explained widens every interval
+        share = file.battery.cells_series / float(found.problem.pack.installation.cells)
+        left = msgspec.structs.replace(
+            left,
+            voltage_rmse_V=rounded(max(left.voltage_rmse_V, residual.size_V(found.residual_after) * share)),
+            temperature_rmse_K=rounded(max(left.temperature_rmse_K, _known(residual.size_K(found.residual_after)))),
+            source=f"{left.source}; widened by what diagnosis left unexplained",
+        )
+    carried = [n for n in fit.candidate.names if by_name[n]]
+    remark = f"diagnosed on {len(found.problem.evidence.names)} records: {', '.join(carried) or 'nothing to add'}"
+    lost = [n for n in fit.candidate.names if not by_name[n]]
+    remarks = [*file.battery.remarks, remark, *(f"found, but each flight has its own: {n}" for n in lost)]
+    return msgspec.structs.replace(
+        new,
+        battery=msgspec.structs.replace(file.battery, remarks=remarks),
+        discrepancy=left,
+        certificate=Certificate(status=_ungated(file), data_sha256=file.certificate.data_sha256),
+    )
+
+
+def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> BatteryFile:
+    """The extended file with the gate's verdicts: `certified` when all pass and nothing is left unexplained."""
+    passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts)
+    certificate = msgspec.structs.replace(
+        new.certificate,
+        status="certified" if passed and found.verdict != "undeclared_effect" else _ungated(new),
+        validated_ambient_C=sorted({v.ambient_C for v in verdicts if v.ambient_C is not None}) if passed else [],
+        verdicts=verdicts,
+    )
+    return msgspec.structs.replace(new, certificate=certificate)
+
+
+def _ungated(file: BatteryFile) -> Literal["fitted", "edited"]:
+    """The status of what no gate has passed: from data, but what rests on an edited file is no better than that."""
+    return "edited" if file.status == "edited" else "fitted"
+
+
+def _known(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def remaining(flight: Flight, file: BatteryFile, options: PackOptions) -> tuple[list[float], list[bool]]:
+    """Absolute errors [s] and hits of the interval of one flight's forecasts; empty when the log has no end."""
+    thin, last = [], -math.inf
+    for s in flight.samples:
+        if s.time_s - last >= ROW_S - 1e-6:
+            thin.append(s)
+            last = s.time_s
+    rows = [s for s in thin if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
+    time_s, volts, amps = (np.array([getattr(s, n) for s in rows]) for n in ("time_s", "voltage_V", "current_A"))
+    loaded_A = float(np.percentile(amps, 90)) / 3.0
+    cutoff_V = options.cutoff_V
+    end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A)
+    if not math.isfinite(end_s):
+        return [], []
+    pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
+    true_V = (volts - pack.offset_V) / pack.gain_V
+    load = LoggedLoad(time_s, np.maximum(true_V * true_current(pack, amps, volts), 0.0))
+    estimator = Estimator(file, replace(options, load=load, forecast_period_s=FORECAST_S))
+    take_off_s = float(time_s[amps > loaded_A][0])
+    errors, hits, due = [], [], take_off_s + SETTLING_S
+    for step in steps(replace(flight, samples=tuple(thin)), estimator):
+        line = step.remaining
+        if line.time_s < due or line.time_s >= end_s:
+            continue
+        due += FORECAST_S
+        true_s = end_s - line.time_s
+        known = math.isfinite(line.remaining_s)
+        errors.append(abs(line.remaining_s - true_s) if known else true_s)
+        hits.append(known and line.remaining_lo_s <= true_s <= line.remaining_hi_s)
+    return errors, hits
+
+
+def judge(
+    found: Diagnosis,
+    file: BatteryFile,
+    flights: list[Flight],
+    options: PackOptions,
+    progress: Callable[[str], None] | None = None,
+) -> Closed:
+    """Error before and after on every record, each left out in turn."""
+    problem, fit = found.problem, found.after
+    values = left_out(problem, fit)
+    by_name = dict(zip(problem.evidence.names, values, strict=True))
+    pairs: dict[str, tuple[list[float], list[bool]]] = {"before": ([], []), "after": ([], [])}
+    for flight in flights:
+        if flight.source not in by_name:
+            continue
+        if progress is not None:
+            progress(f"replay of {flight.source}")
+        new = with_effects(file, values_by_name(fit, by_name[flight.source]), {})
+        for key, used in (("before", file), ("after", new)):
+            if key == "after" and new is file:
+                continue
+            errors, hits = remaining(flight, used, options)
+            pairs[key][0].extend(errors)
+            pairs[key][1].extend(hits)
+    plain = open_loop(problem, found.before, [np.zeros(0)] * len(values))
+    fixed = open_loop(problem, fit, values)
+    return Closed(_error(*plain, *pairs["before"]), _error(*fixed, *pairs["after"]), problem.evidence.names)
+
+
+def _error(voltage_V: float, temp_K: float, errors: list[float], hits: list[bool]) -> Error:
+    return Error(voltage_V, temp_K, float(np.mean(errors)) if errors else NAN, float(np.mean(hits)) if hits else NAN)

@@ -1,0 +1,106 @@
+"""What all refits share, and what a refit gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.equations import REFERENCE_TEMP_C
+from uavbatt.battery.model import Array, resistance
+from uavbatt.battery.scaling import Pack
+from uavbatt.diagnosis.candidates import Candidate, Freed
+from uavbatt.diagnosis.evidence import Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class TableErrors:
+    """Errors of the file's OCV [V] and R0 (relative) at their knots, one standard deviation each."""
+
+    ocv_soc: Array
+    ocv_sd_V: Array
+    resistance_soc: Array
+    resistance_sd: Array
+
+    @property
+    def count(self) -> int:
+        """Number of knots."""
+        return self.ocv_soc.size + self.resistance_soc.size
+
+    def voltage(self, pack: Pack, soc: Array, current_A: Array, capacity_Ah: Array) -> Array:
+        """Change of pack voltage for one sd of every knot, [..., knots]."""
+        ocv = _hats(soc, self.ocv_soc) * self.ocv_sd_V
+        drop_V = (current_A / capacity_Ah * resistance(pack.cell, soc, REFERENCE_TEMP_C))[..., None]
+        ohm = -_hats(soc, self.resistance_soc) * self.resistance_sd * drop_V
+        both: Array = pack.installation.cells * np.concatenate([ocv, ohm], axis=-1)
+        return both
+
+
+def _hats(soc: Array, knots: Array) -> Array:
+    """Linear interpolation weights [..., knots], constant beyond the ends."""
+    inside = np.clip(soc, knots[0], knots[-1])
+    right = np.clip(np.searchsorted(knots, inside), 1, knots.size - 1)
+    share = (inside - knots[right - 1]) / (knots[right] - knots[right - 1])
+    out = np.zeros((*np.shape(soc), knots.size))
+    np.put_along_axis(out, (right - 1)[..., None], (1.0 - share)[..., None], axis=-1)
+    np.put_along_axis(out, right[..., None], share[..., None], axis=-1)
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What all refits share: the pack of the battery file, the records, the quantities' values there."""
+
+    pack: Pack
+    evidence: Evidence
+    base: Array
+    nuisances: tuple[Freed, ...] = ()
+    tables: TableErrors | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """One candidate at its best: values [records, quantities] (equal rows when shared), u [records, freed]."""
+
+    candidate: Candidate
+    columns: tuple[Freed, ...]  # shared errors of the file, then the candidate's quantities
+    u: Array
+    knots: Array  # [records, knots]: errors of the file's tables in standard deviations
+    v: Array
+    chi2: Array  # per record, priors of the nuisances included
+    moves: NDArray[np.bool_]  # which of columns and knots the fit moves
+    information: Array  # [records, columns and knots, same], nuisances eliminated
+    residual: Array  # whitened, [records, numbers]
+
+    @property
+    def total(self) -> float:
+        """Chi-square of all records."""
+        return float(np.sum(self.chi2))
+
+    def values(self) -> Array:
+        """Values of the candidate's quantities, [records, freed]."""
+        first = len(self.columns) - len(self.candidate.freed)
+        columns = [f.value(self.u[:, first + k]) for k, f in enumerate(self.candidate.freed)]
+        return np.stack(columns, axis=-1) if columns else np.zeros((len(self.u), 0))
+
+    def errors(self, *, own: bool = False, considered: bool = True) -> Array:
+        """Standard errors of `values`: [freed], or [records, freed] when each record has its own.
+
+        considered : add what the file's own errors n (unit sd, never estimated here) do to the estimate,
+        cov = A^-1 + A^-1 A_n A_n' A^-1 (Schmidt's consider covariance; Jazwinski 1970, section 8.4).
+        """
+        information = self.information if own else np.sum(self.information, axis=0)
+        moved = np.flatnonzero(self.moves)
+        a = information[..., moved[:, None], moved] + 1e-9 * np.eye(moved.size)
+        inverse = np.linalg.inv(a)
+        covariance = inverse
+        if considered:
+            shift = inverse @ information[..., moved[:, None], np.flatnonzero(~self.moves)]
+            covariance = inverse + shift @ np.swapaxes(shift, -1, -2)
+        sd_u = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+        kept = len(self.candidate.freed)
+        scale = np.array([f.scale for f in self.candidate.freed])
+        factor = np.where([f.log for f in self.candidate.freed], self.values(), 1.0)
+        out: Array = sd_u[..., moved.size - kept :] * scale * (factor if own else np.mean(factor, axis=0))
+        return out

@@ -1,0 +1,137 @@
+"""What the model leaves: per record and split by what might cause it.
+
+The size of a residual is that of its slow part, the mean of products of neighbouring rows: what is uncorrelated from
+row to row is the sensor's noise. Rows count by how flat the voltage is there, as in the [discrepancy] of a file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.initial_state import IDLE_C_RATE
+from uavbatt.battery.model import Array
+from uavbatt.diagnosis.evidence import Evidence
+from uavbatt.diagnosis.simulation import Shown
+
+PARTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Measured minus modelled of one record at its real rows: voltage [V], temperature [K], and what they go with."""
+
+    name: str
+    time_s: Array
+    voltage_V: Array
+    temp_K: Array
+    flatness: Array
+    current_A: Array
+    soc: Array
+    temp_C: Array
+    rest: NDArray[np.bool_]
+
+    @property
+    def voltage_rmse_V(self) -> float:
+        """Size of the slow part under load [V]."""
+        error = (self.voltage_V * self.flatness)[~self.rest]
+        return float(np.sqrt(max(float(np.mean(error[:-1] * error[1:])), 0.0))) if error.size > 2 else float("nan")
+
+    @property
+    def temp_rmse_K(self) -> float:
+        """Size of the temperature residual [K]; NaN when not measured."""
+        known = self.temp_K[np.isfinite(self.temp_K)]
+        return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def residuals(evidence: Evidence, shown: Shown, variant: int = 0) -> list[Residual]:
+    """The residuals of every record under one simulated variant."""
+    stack = evidence.stack
+    out = []
+    for j, (name, volts) in enumerate(zip(evidence.names, evidence.volts, strict=True)):
+        rows = volts.rows
+        amps = stack.current_A[rows, j]
+        loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
+        sigma = stack.sigma_V[rows, j]
+        out.append(
+            Residual(
+                name=name,
+                time_s=stack.time_s[rows, j],
+                voltage_V=stack.voltage_V[rows, j] - shown.voltage_V[rows, variant, j],
+                temp_K=stack.temp_C[rows, j] - shown.temp_C[rows, variant, j],
+                flatness=float(np.min(sigma)) / sigma,
+                current_A=amps,
+                soc=shown.soc[rows, variant, j],
+                temp_C=stack.temp_C[rows, j],
+                rest=~loaded,
+            )
+        )
+    return out
+
+
+def size_V(found: list[Residual]) -> float:
+    """Size of the voltage residual over all records [V]."""
+    return float(np.sqrt(np.nanmean([r.voltage_rmse_V**2 for r in found])))
+
+
+def size_K(found: list[Residual]) -> float:
+    """Size of the temperature residual over all records [K]; NaN when none was measured."""
+    sizes = np.array([r.temp_rmse_K for r in found])
+    return float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else float("nan")
+
+
+def structure(evidence: Evidence, whitened: Array) -> float:
+    """How much of the whitened voltage residual [records, numbers] hangs together from row to row.
+
+    Mean square over half the mean squared successive difference (the inverse of von Neumann's ratio, 1941): 1 for
+    what is independent whatever its size, more where the model follows the wrong shape.
+    """
+    squares, steps = 0.0, 0.0
+    for volts, row in zip(evidence.volts, whitened, strict=True):
+        numbers = row[: volts.rows.size]
+        squares += float(np.mean(numbers**2))
+        steps += float(np.mean(np.diff(numbers) ** 2)) / 2.0
+    return squares / max(steps, 1e-12)
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Where the residual lives: shares of its variance that one variable explains, and how long it lasts."""
+
+    variable: str
+    share: float
+    time_scale_s: float
+
+
+def shape(found: list[Residual]) -> Shape:
+    """The variable whose thirds explain most of the voltage residual, and its correlation time."""
+    error = np.concatenate([(r.voltage_V * r.flatness)[~r.rest] for r in found])
+    since = np.concatenate([(r.time_s - r.time_s[0])[~r.rest] for r in found])
+    columns = {
+        "current": np.concatenate([r.current_A[~r.rest] for r in found]),
+        "state of charge": np.concatenate([r.soc[~r.rest] for r in found]),
+        "temperature": np.concatenate([r.temp_C[~r.rest] for r in found]),
+        "time since take-off": since,
+    }
+    shares = {name: _explained(error, by) for name, by in columns.items() if np.isfinite(by).all()}
+    best = max(shares, key=lambda k: shares[k])
+    return Shape(best, shares[best], float(np.median([_lasting(r) for r in found])))
+
+
+def _explained(error: Array, by: Array) -> float:
+    """Share of the mean square that the means of PARTS equal groups explain."""
+    group = np.searchsorted(np.quantile(by, np.arange(1, PARTS) / PARTS), by)
+    means = np.array([error[group == g].mean() if (group == g).any() else 0.0 for g in range(PARTS)])
+    return float(np.mean(means[group] ** 2) / max(float(np.mean(error**2)), 1e-12))
+
+
+def _lasting(found: Residual) -> float:
+    error = (found.voltage_V * found.flatness)[~found.rest]
+    if error.size < 4:
+        return 0.0
+    power = np.abs(np.fft.rfft(error - error.mean(), 2 * error.size)) ** 2
+    correlation = np.fft.irfft(power)[: error.size]
+    below = np.flatnonzero(correlation < correlation[1] / np.e)
+    return float((below[0] if below.size else error.size) * np.median(np.diff(found.time_s)))

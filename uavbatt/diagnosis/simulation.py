@@ -1,0 +1,116 @@
+"""Open-loop simulation of records through sensors and wiring: [variants × records] side by side in one pass.
+
+Current in as metered, voltage and temperature out as metered; the state is never corrected on the way. The time loop
+only steps the states; voltages of all rows and columns follow in one set of array operations.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery import model, openloop, pack
+from uavbatt.battery.initial_state import underway
+from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.pack import Installation
+from uavbatt.battery.scaling import Pack
+from uavbatt.diagnosis.candidates import INDEX, QUANTITIES
+from uavbatt.diagnosis.evidence import SHIFTS_S, Evidence
+
+
+class Own(NamedTuple):
+    """What each record has of its own, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
+
+    soc: Array
+    start_K: Array
+    ambient_K: Array
+
+
+class Shown(NamedTuple):
+    """What the sensors should show: [rows, variants, records]; soc for reports."""
+
+    voltage_V: Array
+    temp_C: Array
+    soc: Array
+
+
+def _cell_of(base: Parameters, x: Array) -> Parameters:
+    fields = {q.name: x[..., i] for i, q in enumerate(QUANTITIES) if q.name in Parameters._fields}
+    return base._replace(**fields)
+
+
+def _installation_of(base: Pack, evidence: Evidence, x: Array) -> Installation:
+    records = len(evidence.names)
+    variants = x.shape[0] // records
+    fields = {q.name: x[..., i] for i, q in enumerate(QUANTITIES) if q.name in Installation._fields}
+    capacity = np.tile(evidence.stack.capacity_Ah, variants)
+    return Installation(cells=base.installation.cells, capacity_Ah=capacity, **fields)
+
+
+def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
+    """The metered current [rows, columns] read `delay_s` [columns] later."""
+    records = len(evidence.names)
+    position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 0, len(SHIFTS_S) - 1.001)
+    left = position.astype(int)
+    column = np.arange(delay_s.size)
+    weights = np.zeros((len(SHIFTS_S), delay_s.size))  # of the shifted currents on either side
+    weights[left, column] = 1.0 - (position - left)
+    weights[left + 1, column] = position - left
+    weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # the change only: the record itself may be averaged otherwise
+    current = np.tile(evidence.stack.current_A, (1, variants))
+    for j in range(records):
+        current[:, j::records] += evidence.shifted_A[:, :, j].T @ weights[:, j::records]
+    return current
+
+
+def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
+    """Run quantities x [variants, records, quantities] with the records' own values."""
+    stack = evidence.stack
+    variants, records = own.soc.shape
+    flat = x.reshape(variants * records, -1)
+    cell = _cell_of(base.cell, flat)
+    installation = _installation_of(base, evidence, flat)
+    cell = pack.grown(cell, installation)
+    metered_A = metered_current(evidence, flat[:, INDEX["delay_s"]], variants)
+    current_A = pack.true_current(installation, metered_A, np.tile(stack.voltage_V, (1, variants)))
+    rate = pack.c_rate(installation, current_A)
+    start_C = np.tile(stack.start_temp_C, variants) - installation.offset_K + own.start_K.ravel()
+    ambient_C = np.where(np.tile(evidence.known_ambient, variants), np.tile(stack.ambient_C, variants), start_C)
+    ambient_C = ambient_C + own.ambient_K.ravel()
+    start = underway(cell, own.soc.ravel(), start_C, rate[0])
+    states = _states(cell, start, rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
+    true_V = _voltages(cell, installation, states, rate, current_A)
+    shape = (*stack.time_s.shape[:1], variants, records)
+    return Shown(
+        pack.metered_voltage(installation, true_V).reshape(shape),
+        (states.sensor_C + installation.offset_K).reshape(shape),
+        states.soc.reshape(shape),
+    )
+
+
+def _states(cell: Parameters, start: State, rate: Array, dt_s: Array, ambient_C: Array) -> State:
+    """States at every row, [rows, columns] each.
+
+    A row is the mean around its time, so that between two rows flows the mean of both.
+    """
+    between = rate.copy()
+    between[1:] = 0.5 * (rate[1:] + rate[:-1])
+    return openloop.states(cell, start, between, dt_s, ambient_C)
+
+
+def _voltages(cell: Parameters, installation: Installation, states: State, rate: Array, current_A: Array) -> Array:
+    """True voltage at the sensor's place; the weak cell is worked out only where there is one."""
+    strong = model.cell_voltage(cell, states, rate)
+    out: Array = installation.cells * strong - current_A * installation.harness_ohm
+    weak = np.flatnonzero(np.asarray(installation.deficit))
+    if weak.size:
+        columns = {k: v for k, v in cell._asdict().items() if k not in TABLES and np.ndim(v) == 1}
+        part = cell._replace(**{k: v[weak] for k, v in columns.items()})
+        few = State(*(column[:, weak] for column in states))
+        low = 1.0 - (1.0 - few.soc) / (1.0 - np.asarray(installation.deficit)[weak])
+        out[:, weak] += model.cell_voltage(part, few._replace(soc=low), rate[:, weak]) - strong[:, weak]
+    return out
+
+
+TABLES = ("ocv_V", "r0_ohmAh")

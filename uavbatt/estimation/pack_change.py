@@ -1,0 +1,80 @@
+"""Is it another pack? A value that goes from row to row.
+
+A pack is changed on the ground, and the telemetry falls silent meanwhile. What the old pack can show at rest after a
+silence is bounded: at most its open-circuit voltage at the last charge (it rested all along), at least that after the
+load had gone on to the end, its overpotentials still there. A rested pack outside, row after row, is another. After
+minutes the old one would have settled, and the bounds are those of its prediction. Without a silence a fall from row
+to row tells, since a pack at rest only rises, or far too much voltage: one that was just loaded shows too little for a
+while.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from uavbatt.battery import model
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import Belief, C
+from uavbatt.records import NAN, Estimate
+
+RESTED_C_RATE, SWAP_ROWS = 0.15, 3
+FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
+SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
+NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
+ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
+
+
+class Bounds(NamedTuple):
+    """What the believed pack can show at rest, per cell [V]."""
+
+    low_V: float = -math.inf
+    high_V: float = math.inf
+
+
+class SwapWatch(NamedTuple):
+    """The last row with a pack (when, at what current, believing what), and how many in turn have shown another."""
+
+    seen_s: float = NAN
+    current_A: float = 0.0
+    belief: Belief | None = None
+    row_s: float = NAN  # the usual time between two rows
+    bounds: Bounds | None = None  # after a silence, until the pack is loaded
+    rows: int = 0
+    rested_V: float = NAN  # of a cell, at the last rested row of the pack that is believed in
+
+    @property
+    def is_another(self) -> bool:
+        """Whether enough rows have shown another pack."""
+        return self.rows >= SWAP_ROWS
+
+    def after(self, estimate: Estimate, belief: Belief, pack: Pack) -> SwapWatch:
+        """What is known after one more row, whose estimate and belief are given."""
+        cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
+        cell_V, current_A = estimate.voltage_V / cells, estimate.current_A
+        if not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
+            return self
+        gap_s = estimate.time_s - self.seen_s
+        row_s, bounds = self.row_s, self.bounds
+        if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
+            bounds = self._bounds(gap_s, estimate.predicted_voltage_V / cells, pack)
+        elif gap_s > 0.0:
+            row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
+        if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
+            return SwapWatch(estimate.time_s, current_A, belief, row_s)
+        other = estimate.innovation_V > FAR_CELL_V * cells or cell_V < self.rested_V - FALLEN_CELL_V
+        if bounds is not None:
+            other = other or not bounds.low_V <= cell_V <= bounds.high_V
+        rows, rested_V = (self.rows + 1, self.rested_V) if other else (0, cell_V)
+        return SwapWatch(estimate.time_s, current_A, belief, row_s, bounds, rows, rested_V)
+
+    def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
+        """What the pack that was seen last can show at rest after a silence of `gap_s`."""
+        if gap_s > SETTLED_S or self.belief is None:
+            return Bounds(predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V)
+        mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[C.SOC, C.SOC])
+        drawn = max(self.current_A, 0.0) * gap_s / 3600.0 / float(pack.installation.present_capacity_Ah)
+        lag_V = max(float(mean[C.POLARISATION] + mean[C.DIFFUSION]), 0.0)
+        low_V = float(model.open_circuit_voltage(pack.cell, mean[C.SOC] - drawn - sd)) - lag_V
+        high_V = float(model.open_circuit_voltage(pack.cell, min(mean[C.SOC] + sd, 1.0)))
+        return Bounds(low_V - ODD_CELL_V, high_V + ODD_CELL_V)

@@ -1,1 +1,0 @@
-"""OUT: what the pipeline knows, to files and to the ground station. Knows records, not batteries."""

@@ -1,0 +1,92 @@
+"""Output files that appear whole or not at all, and values as JSON: unknown (NaN, infinity) is null.
+
+What is written goes to a temporary name beside the target (same file system, so that the renaming is atomic) and
+takes the target's place when the block ends. An exception in the block leaves the old file, or none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Literal, TextIO, overload
+
+import msgspec
+import numpy as np
+
+from uavbatt.errors import BadInput, printable
+
+STDOUT = "-"
+_FOREIGN = re.compile("[\x7f-\U0010ffff]")  # of what JSON does not escape by itself
+
+
+@overload
+def atomic_write(path: str | Path, mode: Literal["w"] = "w") -> AbstractContextManager[TextIO]: ...
+@overload
+def atomic_write(path: str | Path, mode: Literal["wb"]) -> AbstractContextManager[BinaryIO]: ...
+def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "w") -> AbstractContextManager[Any]:
+    """A file that appears under `path` only when the block ends without an exception.
+
+    mode : "w" text in UTF-8 with its line ends as written, where `-` is standard output; "wb" bytes
+    Raises BadInput when nothing can be written there.
+    """
+    return _standard_output() if mode == "w" and str(path) == STDOUT else _aside(Path(path), mode)
+
+
+@contextmanager
+def _standard_output() -> Iterator[TextIO]:
+    yield sys.stdout
+
+
+@contextmanager
+def _aside(target: Path, mode: str) -> Iterator[IO[Any]]:
+    if target.is_dir():
+        raise BadInput(target, "", "a file to write, found a directory")
+    aside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        file = aside.open(mode) if "b" in mode else aside.open(mode, encoding="utf-8", newline="")
+    except OSError as error:
+        raise BadInput(target, "", f"a place that can be written: {error.strerror}") from None
+    try:
+        with file:
+            yield file
+        os.replace(aside, target)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses, arrays and mappings as dicts, lists and numbers; NaN and infinity as None.
+
+    Keys that are numbers (ambient temperatures) become their shortest text.
+    """
+    if isinstance(value, msgspec.Struct):
+        return plain(msgspec.to_builtins(value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key if isinstance(key, str) else f"{key:g}": plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def write_json(path: Path, content: Any, indent: int = 2) -> None:
+    """Write `content`, made `plain`, to `path`."""
+    with atomic_write(path, "w") as stream:
+        stream.write(_escaped(json.dumps(plain(content), indent=indent, ensure_ascii=False)) + "\n")
+
+
+def _escaped(text: str) -> str:
+    """JSON whose foreign texts reach neither a terminal as commands nor the encoder as halves of characters."""
+    return _FOREIGN.sub(lambda found: found[0] if printable(found[0]) == found[0] else json.dumps(found[0])[1:-1], text)

@@ -1,0 +1,1 @@
+"""THE COMPANION PROCESS: daemon, configuration, saved state, requests, feeds, proxy, web page, recorder."""

@@ -1,0 +1,155 @@
+"""What is said aloud of a battery (STATUSTEXT, and on the page): alarms, a number that is lost, new warnings.
+
+- The time left at worst falls through a threshold: once, and again only after it had risen 20 % above it.
+- A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and so is the end of
+  a flight: the vehicle is disarmed and nothing tells the load to come.
+- No number comes although the vehicle is armed: once.
+- A warning of WARNINGS stands on the estimate: once, and again only after it had been gone for a minute.
+
+A text never waits for another: the pause holds only between two texts about the same thing, and what is still so when
+it is over is said then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uavbatt.live.report import Report, Shown
+from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
+from uavbatt.records import Status
+
+ALARM_PAUSE_S = 10.0
+REARM = 1.2
+CRITICAL_BELOW_S = 90.0
+LOST_AFTER_S = 1.0  # one bad row is no loss
+WARNING_GONE_S = 60.0
+WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
+
+# Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
+WARNINGS: dict[str, str] = {
+    "the vehicle states": "cells of the vehicle not used",
+    " V a cell, expected": "count of cells does not fit the pack",
+    "nearly empty, or another count": "nearly empty, or wrong cell count",
+    "fuller than cells are": "too full, or wrong cell count",
+    "capacity of the vehicle,": "capacity of the vehicle not used",
+    "the stated": "capacity does not fit the flight",
+    "critical voltage of the vehicle,": "critical voltage does not fit",
+    "low-voltage warning": "low-voltage warning does not fit",
+    "cut-off ": "cut-off does not fit the pack",
+    "the current flows into the pack": "current flows into the pack",
+    "the rows are more than": "time of the rows does not fit",
+    "this aircraft draws": "power is not what is stated",
+    "the voltage falls faster": "voltage falls faster than charge says",
+    "this pack holds less than stated": "pack holds less than stated",
+    "the voltage is far off": "voltage is not this battery file's",
+    "have not fitted this battery": "voltage and current do not fit",
+    "the voltage has not moved": "voltage is stuck",
+    "the current has not moved": "current is stuck",
+    "the current fell to nothing": "current fell to nothing: sensor?",
+}
+
+# Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
+REASONS: dict[str, str] = {
+    "no telemetry": "no telemetry",
+    "no current": "no current reading",
+    "no voltage": "no voltage reading",
+    "time went backwards": "time went backwards",
+    "state of charge known only": "charge is uncertain",
+    "on the ground or no load": "no load seen",
+    "the end lies beyond": "load is no flight's",
+    "no belief": "no estimate yet",
+    "two senders": "two senders disagree",
+    "in uavbatt itself": "a fault of uavbatt",
+    "capacity: neither": "capacity not stated",
+    " V a cell, expected": "cell count is wrong",
+    "the stated": "capacity is wrong",
+    "low-voltage warning": "low voltage is wrong",
+    "cut-off ": "cut-off is wrong",
+    "the current flows into the pack": "current is negative",
+    "the rows are more than": "time is wrong",
+    "the voltage has not moved": "voltage is stuck",
+    "the current has not moved": "current is stuck",
+    "the current fell to nothing": "current fell to nothing",
+    "no end in sight": "charge and load differ",
+}
+
+
+class Announcer:
+    """When to speak of one battery, and in which words."""
+
+    def __init__(self, instance: int, thresholds_s: Sequence[float]) -> None:
+        self._instance = instance
+        self._waiting = dict.fromkeys(sorted(thresholds_s, reverse=True), True)
+        self._spoke_s: dict[str, float] = {}  # by subject
+        self._warned_s: dict[str, float] = {}  # when a warning stood there last
+        self._was_known = self._is_without_said = False
+        self._lost_s = math.nan
+
+    def texts(self, now_s: float, report: Report, is_armed: bool | None = None) -> list[tuple[int, str]]:
+        """(severity, text) of all that is to be said now; `now_s` on the monotonic clock [s]."""
+        shown = report.at(now_s)
+        said = [*self._alarm(now_s, shown), *self._loss(now_s, shown, is_armed)]
+        if shown.status is not Status.STALE:
+            said += self._new_warnings(now_s, report.estimate.warnings)
+        return [(severity, f"Battery {self._instance}: {text}"[:LONGEST_TEXT]) for severity, text in said]
+
+    def _alarm(self, now_s: float, shown: Shown) -> list[tuple[int, str]]:
+        left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
+        for threshold_s in self._waiting:
+            if left_s > REARM * threshold_s:
+                self._waiting[threshold_s] = True
+        crossed = [t for t, waiting in self._waiting.items() if waiting and left_s <= t and self._may(now_s, f"{t}")]
+        if not crossed:
+            return []
+        for threshold_s in crossed:
+            self._waiting[threshold_s] = False
+            self._spoke_s[f"{threshold_s}"] = now_s
+        severity = SEVERITY_CRITICAL if min(crossed) < CRITICAL_BELOW_S else SEVERITY_WARNING
+        return [(severity, f"{_minutes(left_s)} left at worst")]
+
+    def _loss(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
+        if math.isfinite(shown.remaining_s):
+            self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
+            return []
+        if math.isnan(self._lost_s):
+            self._lost_s = now_s
+        if not self._was_known:
+            return self._never_known(now_s, shown, is_armed)
+        is_stale = shown.status is Status.STALE  # that took its time already
+        if not (is_stale or now_s - self._lost_s >= LOST_AFTER_S) or not self._may(now_s, "loss"):
+            return []
+        self._was_known = False
+        if is_armed is False and not is_stale:
+            return []
+        self._spoke_s["loss"] = now_s
+        return [(SEVERITY_WARNING if is_armed else SEVERITY_NOTICE, f"time unknown, {_short(shown.reason)}")]
+
+    def _never_known(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
+        """In the air without a number from the start: said once."""
+        is_due = is_armed is True and not self._is_without_said and now_s - self._lost_s >= WITHOUT_AFTER_S
+        if not is_due or shown.status is not Status.REFUSED:
+            return []
+        self._is_without_said = True
+        return [(SEVERITY_WARNING, f"time unknown, {_short(shown.reason)}")]
+
+    def _new_warnings(self, now_s: float, warnings: Sequence[str]) -> list[tuple[int, str]]:
+        made = []
+        for words, short in WARNINGS.items():
+            if not any(words in warning for warning in warnings):
+                continue
+            if now_s - self._warned_s.get(words, -math.inf) > WARNING_GONE_S:
+                made.append((SEVERITY_WARNING, short))
+            self._warned_s[words] = now_s
+        return made
+
+    def _may(self, now_s: float, subject: str) -> bool:
+        return now_s - self._spoke_s.get(subject, -math.inf) >= ALARM_PAUSE_S
+
+
+def _short(reason: str) -> str:
+    return next((short for words, short in REASONS.items() if words in reason), reason)
+
+
+def _minutes(left_s: float) -> str:
+    return f"{int(left_s) // 60}:{int(left_s) % 60:02d} min"

@@ -1,0 +1,161 @@
+"""Every battery of the vehicle that is followed: its estimator, its last report, and what survives a crash.
+
+row -> TrackedBattery -> Report
+          |      ^
+          v      |
+saved state, written every few seconds, resumed at the first row of the vehicle that it is of
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.errors import UavbattError
+from uavbatt.estimator import PackOptions
+from uavbatt.live import state
+from uavbatt.live.config import Config
+from uavbatt.live.listener import tell
+from uavbatt.live.report import Report
+from uavbatt.live.resumption import Resumption
+from uavbatt.live.saved import SavedBattery
+from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.records import Estimate, PackFacts, Remaining, Status
+from uavbatt.telemetry.live import LiveReader, Row
+from uavbatt.telemetry.parameters import BATTERY_NAMES
+
+NOTE_S = 60.0
+
+
+class Batteries:
+    """Rows of one vehicle in, a report of each battery out; `clocks` reads all clocks at a monotonic time [s]."""
+
+    def __init__(
+        self,
+        config: Config,
+        battery: BatteryFile,
+        options: PackOptions,
+        reader: LiveReader,
+        clocks: Callable[[float], state.Clock],
+        now_s: float,
+    ) -> None:
+        self._config, self._battery, self._options = config, battery, options
+        self._reader, self._clocks, self._start_s = reader, clocks, now_s
+        self.reports: dict[int, Report] = {}
+        self.tracked: dict[int, TrackedBattery] = {}
+        self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
+        self._note_until_s = now_s + NOTE_S  # how it began is of interest at the beginning
+        self._problem = ""
+        self._resumption = self._found(now_s)
+
+    def begin_vehicle(self) -> None:
+        """Another vehicle is followed: nothing that is known of the last one's batteries holds."""
+        self.tracked, self.reports, self._facts = {}, {}, {}
+
+    def look_at_vehicle(self) -> None:
+        """The vehicle may have told its serial number: a state that was resumed for another is forgotten."""
+        if self._resumption.is_contradicted(self._vehicle):
+            self.tracked.clear()
+            self._reader.resume({})
+
+    def step(self, row: Row, now_s: float) -> Report:
+        """One row through its estimator. `now_s`: monotonic [s]."""
+        instance = row.instance
+        if not self.tracked:
+            self._reader.resume(self._resumption.meet(self._vehicle))
+        if instance not in self.tracked:
+            saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
+            self.tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
+            self._note_until_s = now_s + NOTE_S
+        gap_s = now_s - self._start_s + self._resumption.age_s
+        estimate, remaining = self.tracked[instance].step(row.sample, self._facts_of(instance), gap_s)
+        if conflict := self._reader.conflict(instance):
+            estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
+        before, resolved = self.reports.get(instance), self.tracked[instance].estimator.resolved
+        if resolved is not None and (before is None or before.cells != resolved.cells):
+            tell(f"battery {instance}: {resolved.words}")
+        report = Report(
+            instance=instance,
+            system=self._vehicle.system,
+            component=self._vehicle.component,
+            estimate=estimate,
+            remaining=remaining,
+            received_s=now_s,
+            rows=before.rows + 1 if before is not None else 1,
+            cells=resolved.cells if resolved is not None else 0,
+            battery=self._battery.battery.name,
+            certificate=self._battery.status,
+        )
+        self.reports[instance] = report
+        return report
+
+    def notes(self, now_s: float) -> list[str]:
+        """What the operator should know of the saved state."""
+        found = [self._problem]
+        if now_s <= self._note_until_s:
+            found += [self._resumption.note]
+            found += [f"battery {i}: {t.resumed}" for i, t in sorted(self.tracked.items()) if t.resumed]
+        return [note for note in found if note]
+
+    def save(self, now_s: float) -> None:
+        """Write out what is worth resuming, if a file is named for it and there is anything."""
+        path = self._config.state.file
+        batteries = self._saved(now_s) if path else {}
+        if not batteries:
+            return
+        known = self._reader.parameters.items()
+        content = state.State(
+            battery_sha256=self._battery.certificate.content_sha256,
+            link=self._config.link.endpoint,
+            vehicle=self._vehicle,
+            parameters={n: v for n, v in known if n.startswith(BATTERY_NAMES) and math.isfinite(v)},
+            batteries=batteries,
+        )
+        try:
+            state.write(Path(path), content, self._clocks(now_s))
+            self._problem = ""
+        except (OSError, UavbattError) as error:
+            self._problem = f"state not saved: {error}"
+
+    @property
+    def _vehicle(self) -> state.Vehicle:
+        """The vehicle whose batteries are estimated, as far as it is known."""
+        reader = self._reader
+        return state.Vehicle(system=reader.system or 0, component=reader.component or 0, hardware=reader.hardware)
+
+    def _saved(self, now_s: float) -> dict[str, SavedBattery]:
+        return {
+            str(i): replace(saved, since_row_s=saved.since_row_s + self.reports[i].age_s(now_s))
+            for i, tracked in self.tracked.items()
+            if (saved := tracked.saved(self._facts_of(i))) is not None
+        }
+
+    def _found(self, now_s: float) -> Resumption:
+        """What an earlier process has left for this one."""
+        if not self._config.state.file:
+            return Resumption(state.Found(None, 0.0, ""))
+        found = state.read(
+            Path(self._config.state.file),
+            SavedBattery,
+            self._clocks(now_s),
+            max_age_s=self._config.state.max_age_s,
+            battery_sha256=self._battery.certificate.content_sha256,
+            link=self._config.link.endpoint,
+        )
+        return Resumption(found)
+
+    def _facts_of(self, instance: int) -> PackFacts:
+        version, facts = self._facts.get(instance, ((-1, -1), PackFacts()))
+        if version != self._reader.version:
+            facts = self._reader.facts(instance)
+            self._facts[instance] = (self._reader.version, facts)
+        return facts
+
+
+def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:
+    """The same, with nothing to be shown for this reason."""
+    status = Status.REFUSED
+    return replace(estimate, status=status, reason=reason), replace(remaining, status=status, reason=reason)

@@ -1,0 +1,199 @@
+"""The companion process: one loop from telemetry to every feed.
+
+    links -> frames -> rows -> estimator of each battery -> reports -> proxy, named values, battery component, page
+               |                                   |
+               +-> recording (.tlog)               +-> recording (.jsonl), saved state
+
+Nothing waits for anything: links do not block, a slow reader is dropped, the clock is handed in. The watchdog is fed
+by this loop alone, and only it writes the heartbeat: a process that hangs falls silent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.estimator import PackOptions
+from uavbatt.live import state
+from uavbatt.live.batteries import Batteries
+from uavbatt.live.config import Config, signing_key
+from uavbatt.live.listener import Frame, Listener
+from uavbatt.live.proxy_client import ProxyClient
+from uavbatt.live.recorder import Recorder
+from uavbatt.live.report import STALE_AFTER_S, Report, Trend
+from uavbatt.live.sender import Sender, in_order
+from uavbatt.live.systemd import notify
+from uavbatt.mavlink import fields
+from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.mavlink.pipe import wait
+from uavbatt.records import Status
+from uavbatt.telemetry.live import Row
+from uavbatt.telemetry.recording import PERIOD_NAME
+
+LONGEST_WAIT_S = 0.1
+REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
+STATUS_PERIOD_S = 5.0
+STAMP_STEP_US = 4  # a tlog's times are true to 4 us
+
+
+@dataclass(slots=True)
+class Board:
+    """What other threads may read: replaced whole, never changed in place."""
+
+    reports: tuple[Report, ...] = ()
+    notes: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+    trend: Trend = field(default_factory=Trend)
+    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
+
+
+class Daemon:
+    """Estimates every battery of one vehicle while it flies; `turn` is one pass of the loop."""
+
+    def __init__(
+        self,
+        config: Config,
+        battery: BatteryFile,
+        options: PackOptions,
+        link: Link,
+        stations: Sequence[Link] = (),
+        *,
+        clock_s: Callable[[], float] = time.monotonic,
+        wall_s: Callable[[], float] = time.time,
+        is_clock_set: Callable[[float], bool] = state.is_clock_set,
+    ) -> None:
+        self.config, self.board = config, Board()
+        self._options, self._link, self._stations = options, link, stations
+        self._clock_s = clock_s
+        self._start_s = clock_s()
+        self._start_us = int(wall_s() * 1e6)
+        self._stamp_us = 0
+        key = signing_key(config.link.signing_key_file)
+        self._listener = Listener(config, key)
+        self._reader = self._listener.reader
+
+        def clocks(now_s: float) -> state.Clock:
+            unix_s = wall_s()
+            return state.clock(now_s, unix_s, is_clock_set(unix_s))
+
+        self.batteries = Batteries(config, battery, options, self._reader, clocks, self._start_s)
+        self._counts = {"rows": 0, "refused": 0}
+        self._changes = 0  # of the vehicle that is followed
+        self._recorder = Recorder(config.record) if config.record.folder else None
+        self._sender = Sender(config, link, stations, key)
+        self._status_s = self._state_s = self._watch_s = float("-inf")
+
+    def run(self, is_stopped: Callable[[], bool]) -> None:
+        """Until told to stop; then what is held is written out."""
+        notify("READY=1")
+        while not is_stopped():
+            descriptors = [fd for link in (self._link, *self._stations) for fd in link.filenos()]
+            wait(descriptors, LONGEST_WAIT_S)
+            if self.turn() < FLOOD:
+                time.sleep(REST_S)
+        notify("STOPPING=1")
+        self.close()
+
+    def turn(self) -> int:
+        """Take in what has come, send what is due; how many pieces came."""
+        now_s = self._clock_s()
+        pieces = self._link.read(now_s)
+        for frame in self._listener.frames(pieces):
+            self._take(frame, now_s)
+        for station in self._stations:
+            station.read(now_s)  # its requests are not ours to answer
+        self._sender.send(now_s, in_order(self.batteries.reports), self._reader)
+        self._look_after(now_s)
+        return len(pieces)
+
+    def close(self) -> None:
+        """Write out what is held, release everything."""
+        self.batteries.save(self._clock_s())
+        if self._recorder is not None:
+            self._recorder.close()
+        if isinstance(self._link, ProxyClient):
+            self._link.stop()
+        for link in (self._link, *self._stations):
+            link.close()
+
+    def _take(self, frame: Frame, now_s: float) -> None:
+        """One whole frame that counts."""
+        us = self._start_us + int((now_s - self._start_s) * 1e6)
+        self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
+        rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
+        if self._reader.changes != self._changes:
+            self._begin_vehicle()
+        if not is_ours:
+            return
+        if frame.header.message_id == fields.AUTOPILOT_VERSION:
+            self.batteries.look_at_vehicle()
+        if self._recorder is not None:
+            self._record(frame, now_s)
+        for row in rows:
+            if self.config.pack.instance in (None, row.instance):
+                self._step(row, now_s)
+
+    def _begin_vehicle(self) -> None:
+        """Another vehicle is followed from now on."""
+        self._changes = self._reader.changes
+        if self.batteries.reports:
+            self.board.trend.forget()
+        self.batteries.begin_vehicle()
+        self._sender.begin_again()
+        if self._recorder is not None and self._reader.followed is not None:
+            self._recorder.begin_anew(self._reader.followed.words)
+
+    def _record(self, frame: Frame, now_s: float) -> None:
+        assert self._recorder is not None
+        if not self._recorder.remembers(PERIOD_NAME.encode()):
+            own = Outgoing(frame.header.system, self.config.link.own_component)
+            period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
+            self._recorder.remember(PERIOD_NAME.encode(), period)
+        self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
+
+    def _step(self, row: Row, now_s: float) -> None:
+        """One row through its estimator and to the proxy, which must have it before the next frame."""
+        before = self.batteries.reports.get(row.instance)
+        if before is not None and before.age_s(now_s) > STALE_AFTER_S:
+            self._sender.requests.begin_again()
+        report = self.batteries.step(row, now_s)
+        self._counts["rows"] += 1
+        self._counts["refused"] += report.remaining.status is Status.REFUSED
+        self._sender.requests.row()
+        if isinstance(self._link, ProxyClient) and "proxy" in self.config.feed.kinds:
+            self._link.estimate(report, now_s)
+        if self._recorder is not None:
+            self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
+
+    def _look_after(self, now_s: float) -> None:
+        """Publish, flush, save, and tell the service manager."""
+        notes = [*self.batteries.notes(now_s), *self._listener.notes()]
+        if self._recorder is not None and self._recorder.problem:
+            notes.append(self._recorder.problem)
+        reports, trend = tuple(in_order(self.batteries.reports)), self.board.trend
+        trend.look(now_s, reports)
+        counts = {**self._listener.counts, **self._counts}
+        self.board = Board(reports, tuple(notes), counts, trend, tuple(self._sender.said))
+        if self._recorder is not None:
+            self._recorder.flush(now_s)
+        if now_s >= self._state_s:
+            self._state_s = now_s + self.config.state.period_s
+            self.batteries.save(now_s)
+        if now_s >= self._watch_s:
+            self._watch_s = now_s + 1.0
+            notify("WATCHDOG=1")
+        if now_s >= self._status_s:
+            self._status_s = now_s + STATUS_PERIOD_S
+            notify(f"STATUS={self._words(now_s)}")
+
+    def _words(self, now_s: float) -> str:
+        """One line for `systemctl status`."""
+        if not self.batteries.reports:
+            return "no battery telemetry yet"
+        shown = in_order(self.batteries.reports)[0].at(now_s)
+        if shown.remaining_s == shown.remaining_s:
+            return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
+        return f"{shown.status}: {shown.reason}"

@@ -1,0 +1,90 @@
+"""Bytes of the autopilot's link -> frames that count: found, their checksums and, with a key, their signatures good.
+
+Each sender's bytes are searched for themselves. What the operator should know of the link (who is heard, what is
+rejected and why) stands in `notes`, and once in the log.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from typing import NamedTuple
+
+from uavbatt.live.config import Config
+from uavbatt.mavlink import framing
+from uavbatt.mavlink.endpoint import Chunk
+from uavbatt.mavlink.signing import Verifier
+from uavbatt.telemetry.live import LiveReader, checksum
+
+MOST_SENDERS = 32
+MOST_TOLD = 100  # notes that go to the log
+
+
+class Frame(NamedTuple):
+    """A whole frame that counts, and who sent it."""
+
+    data: bytes
+    header: framing.Header
+    sender: object
+
+
+class Listener:
+    """Finds frames, judges them, and remembers what was wrong."""
+
+    def __init__(self, config: Config, key: bytes | None) -> None:
+        self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
+        self.reader = LiveReader(config.link.system, config.link.component)
+        self._is_good = checksum()
+        self._verifier = Verifier(key) if key is not None else None
+        self._frames: dict[object, framing.Frames] = {}
+        self._has_proxy = "proxy" in config.feed.kinds
+        self._signing: dict[tuple[int, int], bool] = {}  # whose battery messages are signed
+        self._told: set[str] = set()
+
+    def frames(self, pieces: Iterable[Chunk]) -> Iterator[Frame]:
+        """The frames in what has come in, in order."""
+        for data, sender in pieces:
+            if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
+                self._frames.pop(next(iter(self._frames)))
+            found = self._frames.setdefault(sender, framing.Frames())
+            for frame in found.feed(data):
+                if not self._is_good(frame):
+                    found.reject()
+                    self.counts["bad_checksums"] += 1
+                    continue
+                self.counts["frames"] += 1
+                header = framing.header(frame)
+                if self._verifier is not None and not self._verifier.accepts(frame, header):
+                    self.counts["rejected_signatures"] += 1
+                    continue
+                if header.message_id == framing.BATTERY_STATUS:
+                    self._signing[header.system, header.component] = framing.is_signed(frame)
+                yield Frame(frame, header, sender)
+
+    def notes(self) -> list[str]:
+        """What the operator should know of the link."""
+        vehicle = self.reader.followed
+        source = (vehicle.system, vehicle.component) if vehicle is not None else None
+        found = self.reader.notes()
+        if self._has_proxy and source is not None and self._signing.get(source, False):
+            found.append("the autopilot signs its frames: the proxy passes them as they are, without our time")
+        self._tell_once(found, found)
+        if self._verifier is not None:
+            judged = self._verifier.notes(source)
+            self._tell_once(judged, ("".join(c for c in note if not c.isdigit()) for note in judged))
+            found += judged
+        return found
+
+    def _tell_once(self, notes: Iterable[str], kinds: Iterable[str]) -> None:
+        """In the log each kind of note stands once: a count that grows is no news."""
+        for note, kind in zip(notes, kinds, strict=True):
+            if kind not in self._told and len(self._told) < MOST_TOLD:
+                self._told.add(kind)
+                tell(note)
+
+
+def tell(words: str) -> None:
+    """A line in the log; whoever read our words may be gone, and that ends no flight."""
+    with suppress(OSError, ValueError):
+        print(f"uavbatt: {words}", file=sys.stderr, flush=True)

@@ -1,0 +1,39 @@
+"""The feed that never puts anybody wrong: NAMED_VALUE_FLOAT of every battery. Alarms are `announced`.
+
+Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery; `_N` behind it for battery N. What is not
+known is NaN, never 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uavbatt.live.report import Report
+from uavbatt.mavlink.outgoing import Outgoing
+
+
+class NamedFeed:
+    """Values at `rate_Hz` at most."""
+
+    def __init__(self, rate_Hz: float) -> None:
+        self._period_s = 1.0 / rate_Hz
+        self._next_s = -math.inf
+
+    def frames(self, now_s: float, reports: Sequence[Report], out: Outgoing) -> list[bytes]:
+        """The frames that are due."""
+        if now_s < self._next_s:
+            return []
+        self._next_s = now_s + self._period_s
+        made = []
+        for place, report in enumerate(reports):
+            shown = report.at(now_s)
+            tail = "" if place == 0 else f"_{report.instance}"
+            values = {
+                "REM_S": shown.remaining_s,
+                "REM_LO_S": shown.remaining_lo_s,
+                "REM_HI_S": shown.remaining_hi_s,
+                "SOC": shown.soc,
+            }
+            made += [out.named_value(name + tail, value, int(now_s * 1000)) for name, value in values.items()]
+        return made

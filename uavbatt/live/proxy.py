@@ -1,0 +1,259 @@
+"""The proxy between autopilot and ground stations: a process of its own, so light that it outlives the estimator.
+
+    autopilot <-> proxy <-> ground stations          every byte as it came, in both directions, but:
+                    ^                                BATTERY_STATUS of a battery whose time is known gets the time
+                    | control socket (unix stream)
+                estimator                            hears every byte of the autopilot, says what is left
+
+Rewritten: unsigned MAVLink 2 frames of message 147 with a good checksum, of a system, component and battery id that
+the estimator named less than 3 s ago (its time less its age, at least 1 s; an autopilot's own time only while ours
+is `ok`). The original reaches the estimator, which records it; a time that was replaced is logged. A datagram stays one
+datagram; a stream's partial frame waits at most 20 ms. Control messages: `kind (1 byte) | length (u16, little endian) |
+body`.
+
+Run as `python -m uavbatt.live.proxy JSON` with the keys of `Settings`. Standard library only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import struct
+import sys
+import time
+from contextlib import suppress
+from typing import NamedTuple
+
+from uavbatt.errors import UavbattError, terminal_line
+from uavbatt.live.rewriter import Rewriter
+from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.framing import Splitter, header
+from uavbatt.mavlink.links import open_autopilot, open_link
+from uavbatt.mavlink.pipe import Pipe, takes_bytes, wait
+
+HOLD_S = 0.020
+LOG_PERIOD_S = 10.0
+HELLO, ESTIMATE, TO_GCS, TO_AUTOPILOT, QUIT = b"H", b"E", b"G", b"A", b"Q"
+TELEMETRY, STATS, FROM = b"T", b"P", b"F"
+ORIGINATED = frozenset((0, 20, 76))  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
+LONGEST_BODY = 60_000
+
+
+class Settings(NamedTuple):
+    """What the proxy is told at its start."""
+
+    autopilot: str
+    gcs: list[str]
+    control: str
+    request: bool = False  # whether the estimator may send towards the autopilot
+    soc: bool = False  # rewrite battery_remaining as well
+
+
+def message(kind: bytes, body: bytes) -> bytes:
+    """A control message."""
+    return kind + struct.pack("<H", len(body)) + body
+
+
+class Messages:
+    """A control stream cut into messages."""
+
+    def __init__(self) -> None:
+        self._data = b""
+
+    def feed(self, data: bytes) -> list[tuple[bytes, bytes]]:
+        """(kind, body) of every whole message."""
+        self._data += data
+        made = []
+        while len(self._data) >= 3:
+            end = 3 + int.from_bytes(self._data[1:3], "little")
+            if len(self._data) < end:
+                break
+            made.append((self._data[:1], self._data[3:end]))
+            self._data = self._data[end:]
+        return made
+
+
+class Control:
+    """The estimator's side: one client, the newest; slow or gone, it is dropped."""
+
+    def __init__(self, path: str) -> None:
+        self._path, self._messages = path, Messages()
+        self._client: Pipe | None = None
+        if os.path.exists(path):
+            os.unlink(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.bind(path)
+        os.chmod(path, 0o600)
+        self._socket.listen(2)
+        self._socket.setblocking(False)
+
+    def filenos(self) -> list[int]:
+        """What to wait on."""
+        return [self._socket.fileno(), *([self._client.fd] if self._client is not None else [])]
+
+    def read(self) -> list[tuple[bytes, bytes]]:
+        """Messages of the estimator."""
+        try:
+            made, _ = self._socket.accept()
+            made.setblocking(False)
+            self.close_client()
+            self._client, self._messages = Pipe(made.fileno(), made), Messages()
+        except BlockingIOError:
+            pass
+        if self._client is None:
+            return []
+        data = self._client.read()
+        if data is None:
+            self.close_client()
+            return []
+        return self._messages.feed(data) if data else []
+
+    def write(self, kind: bytes, body: bytes) -> None:
+        """Tell the estimator, if it listens; a long body goes in parts."""
+        for at in range(0, max(len(body), 1), LONGEST_BODY):
+            if self._client is not None and not self._client.write(message(kind, body[at : at + LONGEST_BODY])):
+                self.close_client()
+
+    def close_client(self) -> None:
+        """Forget the estimator."""
+        if self._client is not None:
+            self._client.close()
+        self._client = None
+
+    def close(self) -> None:
+        """Take the socket away."""
+        self.close_client()
+        self._socket.close()
+        if os.path.exists(self._path):
+            os.unlink(self._path)
+
+
+class Proxy:
+    """The loop; `turn` is one pass of it."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.rewriter = Rewriter(settings.soc)
+        self.autopilot = open_autopilot(settings.autopilot)
+        self.stations: list[Link] = [open_link(text) for text in settings.gcs]
+        self.control = Control(settings.control)
+        self._splitters: dict[object, tuple[Splitter, float]] = {}
+        self._log_s = float("-inf")
+        self._from = ""  # whose telemetry the estimator was given last
+        self._first_stream: object = None
+        self.is_asked_to_quit = False
+
+    def wait(self) -> None:
+        """Sleep until a byte comes; at most 20 ms while a partial frame is held."""
+        waiting = any(splitter.waiting for splitter, _ in self._splitters.values())
+        ready = [fd for link in (self.autopilot, *self.stations) for fd in link.filenos()]
+        wait([*ready, *self.control.filenos()], HOLD_S / 2 if waiting else 0.25)
+
+    def turn(self, now_s: float) -> None:
+        """Pass on what has come in."""
+        for kind, body in self.control.read():
+            self._told(kind, body, now_s)
+        for station in self.stations:
+            for data, _ in station.read(now_s):
+                self.autopilot.write(data, now_s)
+        for data, sender in self.autopilot.read(now_s):
+            if self.autopilot.is_stream:
+                self._stream(data, sender, now_s)
+            else:
+                self._to_stations(self.rewriter.datagram(data, now_s), now_s)
+                self._to_estimator(data, sender)
+        for sender, (splitter, since_s) in self._splitters.items():
+            if splitter.waiting and now_s - since_s >= HOLD_S:
+                self._pass(splitter.flush(), sender, now_s)
+        if self.rewriter.replaced and now_s >= self._log_s:
+            self._log_s = now_s + LOG_PERIOD_S
+            self._log_replaced()
+
+    def _log_replaced(self) -> None:
+        """The autopilot's own times that were replaced since the last line."""
+        told, self.rewriter.replaced = self.rewriter.replaced, {}
+        for (system, component, battery), (own_s, left_s) in told.items():
+            place = f"system {system} component {component} battery {battery}"
+            with suppress(OSError, ValueError):
+                if takes_bytes(sys.stderr.fileno()):  # a full pipe is not waited for
+                    print(f"uavbatt proxy: {place}: its own {own_s} s replaced by {left_s} s", file=sys.stderr)
+
+    def close(self) -> None:
+        """Release all sockets."""
+        for link in (self.autopilot, *self.stations):
+            link.close()
+        self.control.close()
+
+    def _stream(self, data: bytes, sender: object, now_s: float) -> None:
+        splitter, since_s = self._splitters.get(sender) or (Splitter(), now_s)
+        if len(self._splitters) > 64:
+            self._splitters.clear()
+        was_waiting = splitter.waiting
+        made = splitter.feed(data)
+        self._splitters[sender] = (splitter, since_s if was_waiting and not made else now_s)
+        for piece, whole in made:
+            if whole:
+                self._to_stations(self.rewriter.frame(piece, now_s), now_s)
+                self._to_estimator(piece, sender)
+            else:
+                self._pass(piece, sender, now_s)
+
+    def _pass(self, data: bytes, sender: object, now_s: float) -> None:
+        self._to_stations(data, now_s)
+        self._to_estimator(data, sender)
+
+    def _to_estimator(self, data: bytes, sender: object) -> None:
+        """Telemetry, and before it who sent it, if that was another than the last."""
+        if isinstance(sender, tuple):
+            place = f"{sender[0]}:{sender[1]}"
+        else:  # streams have no name: the first is the rule
+            self._first_stream = self._first_stream or sender
+            place = "" if sender is self._first_stream else str(id(sender))
+        if place != self._from:
+            self._from = place
+            self.control.write(FROM, place.encode())
+        self.control.write(TELEMETRY, data)
+
+    def _to_stations(self, data: bytes, now_s: float) -> None:
+        for station in self.stations:
+            station.write(data, now_s)
+
+    def _told(self, kind: bytes, body: bytes, now_s: float) -> None:
+        if kind == ESTIMATE:
+            self.rewriter.take(body)
+        elif kind == TO_GCS:
+            self._to_stations(body, now_s)
+        elif kind == TO_AUTOPILOT and self._settings.request and header(body).message_id in ORIGINATED:
+            self.autopilot.write(body, now_s)
+        elif kind == HELLO:
+            self._from = ""  # it may be another estimator
+            stats = {"settings": self._settings._asdict(), "pid": os.getpid(), "rewritten": self.rewriter.rewritten}
+            self.control.write(STATS, json.dumps(stats).encode())
+        elif kind == QUIT:
+            self.is_asked_to_quit = True
+
+
+def main() -> int:
+    """The process: until SIGTERM, SIGINT or QUIT."""
+    stopped: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda signum, frame: stopped.append(signum))
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    with suppress(OSError):  # frames go before everything else, where that is allowed
+        os.nice(-10 - os.nice(0))
+    try:
+        proxy = Proxy(Settings(**json.loads(sys.argv[1])))
+    except (UavbattError, OSError) as error:
+        print(terminal_line(f"uavbatt proxy: {error}"), file=sys.stderr)
+        return 2
+    while not (stopped or proxy.is_asked_to_quit):
+        proxy.wait()
+        proxy.turn(time.monotonic())
+    proxy.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

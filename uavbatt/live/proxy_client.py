@@ -1,0 +1,172 @@
+"""The estimator's side of the proxy: starts it or finds it running, hears the autopilot through it, tells it the time.
+
+To the rest of the house it is the link to the autopilot. The proxy runs in a session of its own: when this process
+dies it goes on passing frames, and the next one attaches to it. A proxy that is gone is started again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from uavbatt.live import proxy, rewriter
+from uavbatt.live.report import Report
+from uavbatt.mavlink.endpoint import Chunk
+from uavbatt.mavlink.pipe import Pipe
+from uavbatt.records import Status
+
+HELLO_PERIOD_S = 1.0
+SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
+GENTLE = 5  # niceness of the estimator beside a proxy
+STATUS_CODES = {Status.OK: rewriter.OK, Status.CONVERGING: rewriter.CONVERGING}
+
+
+def control_path(autopilot: str) -> str:
+    """Where the proxy of an endpoint listens: $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder."""
+    named = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or os.environ.get("XDG_RUNTIME_DIR", "")
+    folder = Path(named) if named else Path(tempfile.gettempdir()) / f"uavbatt-{os.getuid()}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not named and folder.stat().st_uid != os.getuid():
+        raise PermissionError(f"{folder}: expected a folder of this user")
+    return str(folder / f"proxy-{hashlib.sha256(autopilot.encode()).hexdigest()[:12]}.sock")
+
+
+class ProxyClient:
+    """A `Link` to the autopilot, with a way to the ground stations and to the rewriter."""
+
+    is_stream = True
+
+    def __init__(self, settings: proxy.Settings) -> None:
+        self._settings = settings
+        self._pipe: Pipe | None = None
+        self._messages = proxy.Messages()
+        self._child: subprocess.Popen[bytes] | None = None
+        self._hello_s = self._next_s = float("-inf")
+        self._pause_s = SHORTEST_PAUSE_S
+        self._from = ""  # whose telemetry comes
+        self.pid = 0
+        self.rewritten = 0
+
+    def filenos(self) -> Iterator[int]:
+        """The control socket, when connected."""
+        if self._pipe is not None:
+            yield self._pipe.fd
+
+    def read(self, now_s: float) -> list[Chunk]:
+        """What the autopilot sent; keeps the proxy alive."""
+        if self._pipe is None:
+            self._attach(now_s)
+        if self._pipe is None:
+            return []
+        if now_s >= self._hello_s:
+            self._hello_s = now_s + HELLO_PERIOD_S
+            self._tell(proxy.HELLO, b"")
+        found: list[Chunk] = []
+        while self._pipe is not None:
+            data = self._pipe.read()
+            if data is None:
+                self._lost(now_s)
+            elif not data:
+                break
+            else:
+                for kind, body in self._messages.feed(data):
+                    if kind == proxy.TELEMETRY:
+                        found.append((body, self._from))
+                    elif kind == proxy.FROM:
+                        self._from = body.decode("ascii", "replace")
+                    elif kind == proxy.STATS:
+                        self._stats(body)
+        return found
+
+    def write(self, data: bytes, now_s: float) -> None:
+        """A frame for the autopilot; the proxy sends it only if it was started for that."""
+        if self._settings.request:
+            self._tell(proxy.TO_AUTOPILOT, data)
+
+    def to_gcs(self, data: bytes) -> None:
+        """A frame for the ground stations."""
+        self._tell(proxy.TO_GCS, data)
+
+    def estimate(self, report: Report, now_s: float) -> None:
+        """Tell what is left; a refusal is told as well, so that the frames pass as they are from now on."""
+        shown = report.at(now_s)
+        known = STATUS_CODES.get(shown.status, rewriter.NOTHING)
+        body = struct.pack(
+            rewriter.ESTIMATE_LAYOUT,
+            *(report.system, report.component, report.instance, known),
+            *(report.remaining.remaining_s, shown.soc, report.received_s),
+        )
+        self._tell(proxy.ESTIMATE, body)
+
+    def close(self) -> None:
+        """Let go of the proxy; it goes on."""
+        if self._pipe is not None:
+            self._pipe.close()
+        self._pipe = None
+
+    def stop(self) -> None:
+        """End the proxy: an orderly stop of the service."""
+        self._tell(proxy.QUIT, b"")
+        self.close()
+        if self._child is not None:
+            try:
+                self._child.wait(2.0)
+            except subprocess.TimeoutExpired:
+                self._child.terminate()
+
+    def _tell(self, kind: bytes, body: bytes) -> None:
+        if self._pipe is not None and not self._pipe.write(proxy.message(kind, body)):
+            self.close()
+
+    def _stats(self, body: bytes) -> None:
+        told = json.loads(body)
+        self.pid, self.rewritten = told["pid"], told["rewritten"]
+        if told["settings"] != self._settings._asdict():
+            print("uavbatt: the proxy that runs has other settings: it is replaced", file=sys.stderr)
+            self._tell(proxy.QUIT, b"")
+            self.close()
+
+    def _attach(self, now_s: float) -> None:
+        """Connect to the running proxy, or start one and try again soon."""
+        if now_s < self._next_s:
+            return
+        line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            line.connect(self._settings.control)
+        except OSError:
+            line.close()
+            self._start(now_s)
+            return
+        line.setblocking(False)
+        self._pipe, self._messages = Pipe(line.fileno(), line), proxy.Messages()
+        self._pause_s, self._hello_s = SHORTEST_PAUSE_S, float("-inf")
+
+    def _start(self, now_s: float) -> None:
+        if self._child is not None and self._child.poll() is None:
+            self._next_s = now_s + 0.05  # it is on its way
+            return
+        if self._child is not None:
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            self._child = None
+            self._next_s = now_s + self._pause_s
+            return
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "uavbatt.live.proxy", json.dumps(self._settings._asdict())],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._next_s = now_s + 0.05
+        os.nice(max(GENTLE - os.nice(0), 0))  # frames go before estimates
+
+    def _lost(self, now_s: float) -> None:
+        self.close()
+        self._next_s = now_s + 0.05

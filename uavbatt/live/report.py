@@ -1,0 +1,131 @@
+"""What every feed shows of a battery at this moment: the last estimate, less its age, or why there is none.
+
+One rule for all of them: STALE_AFTER_S without telemetry and nothing is known any more; a refused number is NaN;
+a known time is counted down by the age of the row that it was made for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from uavbatt.output import Line, line, rounded
+from uavbatt.records import NAN, Estimate, Remaining, Status
+
+STALE_AFTER_S = 3.0
+TREND_PERIOD_S, TREND_S = 5.0, 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What may be shown now; NaN is unknown."""
+
+    status: Status
+    reason: str
+    soc: float
+    remaining_s: float
+    remaining_lo_s: float
+    remaining_hi_s: float
+    remaining_to_low_s: float
+    remaining_alarm_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""
+
+    instance: int
+    system: int
+    component: int
+    estimate: Estimate
+    remaining: Remaining
+    received_s: float
+    rows: int = 0
+    cells: int = 0
+    battery: str = ""
+    certificate: str = ""
+
+    def age_s(self, now_s: float) -> float:
+        """Seconds since the row was received."""
+        return max(now_s - self.received_s, 0.0)
+
+    def at(self, now_s: float) -> Shown:
+        """What may be shown at `now_s` on the monotonic clock [s]."""
+        age_s = self.age_s(now_s)
+        made = line(self.estimate, self.remaining)
+        if age_s > STALE_AFTER_S:
+            return Shown(Status.STALE, f"no telemetry for {age_s:.0f} s", *(NAN,) * 6)
+        status = Status(str(made["status"]))
+        refused = status is Status.REFUSED
+        soc = made["soc"]
+
+        def left(value_s: float) -> float:
+            return max(value_s - age_s, 0.0) if math.isfinite(value_s) and not refused else NAN
+
+        r = self.remaining
+        return Shown(
+            status,
+            str(made["reason"]),
+            soc if isinstance(soc, float) else NAN,
+            left(r.remaining_s),
+            left(r.remaining_lo_s),
+            left(r.remaining_hi_s),
+            left(r.remaining_to_low_s),
+            left(r.remaining_alarm_s),
+        )
+
+    def as_line(self, now_s: float) -> Line:
+        """The output line's keys as they stand now, with the identity and the age of the row."""
+        shown = self.at(now_s)
+        made: Line = dict(line(self.estimate, self.remaining))
+        stale = shown.status is Status.STALE
+        for key in ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s"):
+            made[key] = rounded(getattr(shown, key), 1)
+        if stale:
+            made |= dict.fromkeys(("soc", "soc_sd", "voltage_V", "current_A", "temp_C", "power_W", "innovation_V"))
+        made |= {"status": shown.status.value, "reason": shown.reason}
+        volts = made["voltage_V"]
+        known = isinstance(volts, float) and self.cells > 0
+        return made | {
+            "instance": self.instance,
+            "age_s": rounded(self.age_s(now_s), 2),
+            "cells": self.cells or None,
+            "cell_voltage_V": round(volts / self.cells, 3) if known and isinstance(volts, float) else None,
+            "battery": self.battery,
+            "certificate": self.certificate,
+        }
+
+
+class Trend:
+    """What was shown of each battery over the last ten minutes, a point every five seconds."""
+
+    def __init__(self) -> None:
+        self._points: dict[int, tuple[tuple[float, Shown], ...]] = {}
+        self._next_s = -math.inf
+
+    def forget(self) -> None:
+        """Another vehicle: its past is not the last one's."""
+        self._points = {}
+
+    def look(self, now_s: float, reports: Sequence[Report]) -> None:
+        """Take a point when one is due."""
+        if now_s < self._next_s:
+            return
+        self._next_s = now_s + TREND_PERIOD_S
+        for report in reports:
+            kept = tuple(p for p in self._points.get(report.instance, ()) if now_s - p[0] <= TREND_S)
+            self._points[report.instance] = (*kept, (now_s, report.at(now_s)))
+
+    def lines(self, now_s: float) -> dict[int, list[list[float | None]]]:
+        """For each battery: [age, median, 5 %, 95 %] [s], oldest first; None is unknown."""
+        return {
+            instance: [
+                [
+                    rounded(now_s - at_s, 1),
+                    *(rounded(v, 1) for v in (shown.remaining_s, shown.remaining_lo_s, shown.remaining_hi_s)),
+                ]
+                for at_s, shown in points
+            ]
+            for instance, points in list(self._points.items())
+        }

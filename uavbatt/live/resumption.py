@@ -1,0 +1,54 @@
+"""The saved state after a start: whose it is, and what became of it, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from uavbatt.live.saved import SavedBattery
+from uavbatt.live.state import Found, State, Vehicle
+
+
+class Resumption:
+    """Hands out what an earlier process left to the vehicle that it is of, and to no other; each battery once."""
+
+    def __init__(self, found: Found[SavedBattery]) -> None:
+        self.age_s = found.age_s  # when this process began
+        self._state: State[SavedBattery] | None = found.state
+        self._left = dict(found.state.batteries) if found.state is not None else {}
+        self._why_not = found.why_not
+        self._met: Vehicle | None = None
+
+    @property
+    def note(self) -> str:
+        """Where it stands; what becomes of each battery, its own estimator says."""
+        if self._state is not None and self._met is None:
+            return f"a state {self.age_s:.0f} s old waits for system {self._state.vehicle.system}"
+        why_not = self._why_not or self._mismatch(self._met)
+        return f"not resumed: {why_not}" if why_not else ""
+
+    def meet(self, vehicle: Vehicle) -> Mapping[str, float]:
+        """A vehicle whose batteries are to be estimated: its saved parameters, if the state is of it."""
+        self._met = vehicle
+        return self._state.parameters if self._state is not None and not self._mismatch(vehicle) else {}
+
+    def is_contradicted(self, vehicle: Vehicle) -> bool:
+        """True if what is known of the vehicle by now shows that what it was handed was another's."""
+        if self._state is None or self._met is None or self._mismatch(self._met):
+            return False
+        self._met = vehicle
+        return bool(self._mismatch(vehicle))
+
+    def of(self, instance: int) -> SavedBattery | None:
+        """The saved battery of the vehicle that was met; None where there is none, or it was handed out before."""
+        return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
+
+    def _mismatch(self, vehicle: Vehicle | None) -> str:
+        """Why the state is not of this vehicle, as far as that is known; empty if it is."""
+        if self._state is None or vehicle is None:
+            return ""
+        was = self._state.vehicle
+        if (was.system, was.component) != (vehicle.system, vehicle.component):
+            return f"saved state is of system {was.system}, heard is system {vehicle.system}"
+        if was.hardware and vehicle.hardware and was.hardware != vehicle.hardware:
+            return "saved state is of another aircraft (serial number of the autopilot)"
+        return ""

@@ -1,0 +1,146 @@
+"""One battery in the saved state, and what its numbers must be before anybody goes on from them.
+
+A state file may be damaged, or made by hand: its types are checked where it is read, its numbers here. What no battery
+in flight can show is not resumed, and the reason is said: a wrong belief that looks certain is worse than none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.sections import HIGHEST_CELL_V, Capacity, Cells
+from uavbatt.battery.state_space import SIZE, C, mixed_covariance
+from uavbatt.estimator import Past
+from uavbatt.limits import HIGHEST_C_RATE
+from uavbatt.records import PackFacts
+
+Column = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
+Square = Annotated[list[Column], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
+Weight = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+MOST_MEMBERS = 64
+
+# The mean of each component and its standard deviation, from .. to. Below the lowest sd nobody knows a battery: flights
+# end with 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials may be known (there are none).
+PLAUSIBLE: dict[C, tuple[tuple[float, float], tuple[float, float]]] = {
+    C.SOC: ((-0.5, 1.05), (2e-4, 1.0)),
+    C.POLARISATION: ((-2.0, 2.0), (0.0, 1.0)),
+    C.DIFFUSION: ((-2.0, 2.0), (0.0, 1.0)),
+    C.CORE: ((-60.0, 150.0), (5e-3, 60.0)),
+    C.SENSOR: ((-60.0, 150.0), (5e-3, 60.0)),
+    C.LOG_RESISTANCE: ((-3.0, 3.0), (1e-3, 3.0)),
+    C.LOG_CAPACITY: ((-3.0, 3.0), (3e-4, 3.0)),
+    C.BIAS: ((-1.0, 1.0), (1e-4, 1.0)),
+}
+ASYMMETRY, INDEFINITE, ROUNDED = 1e-6, 1e-6, 1e-6  # of correlations and weights: what rounding leaves
+
+# What a number of this unit, which its name tells, can be in the memory of a flight; longest endings first.
+LARGEST = {
+    "variance": 1e4, "_Ah": 1e4, "_A": 2000.0, "_W": 400_000.0, "_J": 1e11, "_V": 200.0, "_C": 200.0, "_s": 1e6,
+}  # fmt: skip
+LARGEST_OTHER = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class SavedBattery:
+    """The belief `since_row_s` before the last row of a battery, and what goes with it."""
+
+    since_row_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
+    means: Annotated[list[Column], msgspec.Meta(min_length=1, max_length=MOST_MEMBERS)]
+    covariances: Annotated[list[Square], msgspec.Meta(min_length=1, max_length=MOST_MEMBERS)]
+    weights: Annotated[list[Weight], msgspec.Meta(min_length=1, max_length=MOST_MEMBERS)]
+    ambient_C: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
+    cells: Cells
+    capacity_Ah: Capacity
+    facts: PackFacts
+    consumed_Ah: float
+    current_A: float
+    past: Past
+
+
+def implausible(was: SavedBattery) -> str:
+    """What of a saved battery no battery can show; empty when it may be resumed."""
+    return implausible_belief(was.means, was.covariances, was.weights) or _implausible_memory(was)
+
+
+def implausible_belief(means: list[Column], covariances: list[Square], weights: list[Weight]) -> str:
+    """What of a sum of Gaussians no belief about a battery can be; empty when it may be one.
+
+    A member that has long been refuted may hold strange things; the sum may not.
+    """
+    if not len(means) == len(covariances) == len(weights):
+        return "members of a belief without a mean, a covariance or a weight"
+    if not abs(sum(weights) - 1.0) <= ROUNDED:
+        return f"weights whose sum is {sum(weights):g}"
+    x, P, weight = np.array(means), np.array(covariances), np.array(weights)
+    if not (np.isfinite(x).all() and np.isfinite(P).all()):
+        return "a belief that is no number"
+    for covariance in P:
+        if why_not := _no_covariance(covariance):
+            return why_not
+    return _implausible_moments(weight @ x, mixed_covariance(x, P, weight))
+
+
+def _implausible_moments(mean: Array, covariance: Array) -> str:
+    variance = np.diag(covariance)
+    for component, ((low, high), (low_sd, high_sd)) in PLAUSIBLE.items():
+        name = component.name.lower()
+        if not low <= mean[component] <= high:
+            return f"a belief of {name} {mean[component]:g}"
+        if not low_sd**2 <= variance[component] <= high_sd**2:
+            return f"a belief that knows {name} to a variance of {variance[component]:g}"
+    return ""
+
+
+def _no_covariance(covariance: Array) -> str:
+    """Why a matrix [8, 8] is no covariance; empty when it is one."""
+    variance = np.diag(covariance)
+    if (variance < 0.0).any():
+        return "a negative variance"
+    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    correlation = covariance / np.outer(scale, scale)
+    if np.abs(correlation - correlation.T).max() > ASYMMETRY:
+        return "a covariance that is not symmetric"
+    if np.abs(correlation).max() > 1.0 + INDEFINITE or np.linalg.eigvalsh(correlation)[0] < -INDEFINITE:
+        return "a covariance that is not one"
+    return ""
+
+
+def _implausible_memory(was: SavedBattery) -> str:
+    largest_W = HIGHEST_C_RATE * was.capacity_Ah * was.cells * HIGHEST_CELL_V
+    for name, number in _numbers("", (was.facts, was.past, {"_A": was.current_A, "_Ah": was.consumed_Ah})):
+        largest = next((size for end, size in LARGEST.items() if name.endswith(end)), LARGEST_OTHER)
+        if name.endswith("_W"):
+            largest = min(largest, largest_W)
+        if not (math.isnan(number) or abs(number) <= largest):
+            return f"a memory of {name.strip('_')} {number:g}"
+    flown_s, flown_J = was.past.forecaster.flown_s, was.past.forecaster.flown_J
+    if flown_s < 0.0 or abs(flown_J) > largest_W * flown_s:
+        return f"a memory of {flown_J:g} J in {flown_s:g} s"
+    load = was.past.forecaster.load
+    if load.variance < 0.0 or load.gust_variance < 0.0:
+        return "a memory of a load with a negative variance"
+    return ""
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    """Every number in a record and the records in it, with the name of its field."""
+    if isinstance(value, bool) or value is None:
+        return
+    if isinstance(value, int | float):
+        yield name, value
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _numbers(field.name, getattr(value, field.name))
+    elif isinstance(value, tuple):
+        for field_name, inner in zip(getattr(value, "_fields", [name] * len(value)), value, strict=True):
+            yield from _numbers(field_name, inner)
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _numbers(key, inner)

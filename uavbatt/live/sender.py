@@ -1,0 +1,105 @@
+"""What the companion process sends, and to whom.
+
+Towards the autopilot: HEARTBEAT, and with `--request` SET_MESSAGE_INTERVAL and PARAM_REQUEST_READ; behind the proxy
+none of them without `--request`. Everything else goes to the ground-station endpoints only.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+from uavbatt.live.announced import Announcer
+from uavbatt.live.battery_component import BatteryFeed
+from uavbatt.live.config import Config
+from uavbatt.live.named import NamedFeed
+from uavbatt.live.proxy_client import ProxyClient
+from uavbatt.live.report import Report
+from uavbatt.live.requests import Requests, parameter_names
+from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.outgoing import BATTERY, Outgoing
+from uavbatt.telemetry.live import LiveReader
+
+ANNOUNCE_PERIOD_S = 0.25
+MOST_SAID = 8
+
+
+class Sender:
+    """Heartbeats, feeds and requests, each when it is due."""
+
+    def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
+        self._config, self._link, self._stations = config, link, stations
+        self._named = NamedFeed(config.feed.named_rate_Hz)
+        self._component = BatteryFeed(config.feed.battery_rate_Hz)
+        self.requests = Requests(config.link.request_rate_Hz)
+        self._key = key
+        self._outs: dict[tuple[int, int], Outgoing] = {}
+        self._announcers: dict[int, Announcer] = {}
+        self._beat_s = self._look_s = float("-inf")
+        self.said: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (monotonic time [s], text), oldest first
+
+    def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
+        """All that is due at `now_s` on the monotonic clock [s]."""
+        kinds, asks = self._config.feed.kinds, self._config.link.request
+        system = reader.system or 1
+        own = self._out(system, self._config.link.own_component)
+        to_gcs: list[bytes] = []
+        to_autopilot: list[bytes] = []
+        if now_s >= self._beat_s:
+            self._beat_s = now_s + 1.0
+            if "named" in kinds:
+                to_gcs.append(own.heartbeat())
+            if asks or not isinstance(self._link, ProxyClient):
+                to_autopilot.append(own.heartbeat())
+        if reader.is_found:
+            texts = self._announced(now_s, reports, reader.armed)
+            if "named" in kinds:
+                to_gcs += self._named.frames(now_s, reports, own)
+                to_gcs += [own.text(*text) for text in texts]
+            if "battery" in kinds:
+                to_gcs += self._component.frames(now_s, reports, reader.battery_ids, self._out(system, BATTERY))
+            if asks:
+                names = parameter_names(reader.battery_ids, reader.is_px4)
+                component = reader.component or 1
+                to_autopilot += self.requests.again(now_s, component, reader.doubted, own)
+                to_autopilot += self.requests.frames(now_s, component, reader.parameters, names, own)
+        for frame in to_autopilot:
+            self._link.write(frame, now_s)
+        for frame in to_gcs:
+            self._to_gcs(frame, now_s)
+
+    def begin_again(self) -> None:
+        """Another vehicle is followed: nothing that was asked or said of the last one holds."""
+        self._announcers.clear()
+        self.requests.begin_again()
+
+    def _announced(self, now_s: float, reports: Sequence[Report], is_armed: bool | None) -> list[tuple[int, str]]:
+        """What is to be said aloud now."""
+        if now_s < self._look_s:
+            return []
+        self._look_s = now_s + ANNOUNCE_PERIOD_S
+        made: list[tuple[int, str]] = []
+        for report in reports:
+            announcer = self._announcers.get(report.instance)
+            if announcer is None:
+                announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
+            made += announcer.texts(now_s, report, is_armed)
+        self.said.extend((now_s, text) for _, text in made)
+        return made
+
+    def _to_gcs(self, frame: bytes, now_s: float) -> None:
+        if isinstance(self._link, ProxyClient):
+            self._link.to_gcs(frame)
+        for station in self._stations:
+            station.write(frame, now_s)
+
+    def _out(self, system: int, component: int) -> Outgoing:
+        """Our frames carry the vehicle's system; 1 until it is known."""
+        if (system, component) not in self._outs:
+            self._outs[system, component] = Outgoing(system, component, self._key)
+        return self._outs[system, component]
+
+
+def in_order(reports: Mapping[int, Report]) -> list[Report]:
+    """The batteries, those with a current first: the first one speaks for the vehicle."""
+    return sorted(reports.values(), key=lambda r: (r.estimate.current_A != r.estimate.current_A, r.instance))

@@ -1,0 +1,113 @@
+"""One battery in flight: its estimator, and what of it survives a crash.
+
+Resuming: the saved belief, and what the forecaster and the intake remember, are put at their own time, before the first
+row of the new process. The charge that was drawn meanwhile is the difference of the autopilot's counter where it has
+one; else the load is taken to have gone on. What cannot be resumed is left alone, and `resumed` says why.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.state_space import Belief
+from uavbatt.errors import UavbattError
+from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.limits import Seen
+from uavbatt.live.saved import SavedBattery, implausible
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.resolved import resolve
+from uavbatt.telemetry.builder import MAX_CURRENT_A
+
+COUNTER_SLACK_AH = 0.02
+
+
+class TrackedBattery:
+    """Rows of one battery in, estimates out; never raises for what a vehicle may say."""
+
+    def __init__(
+        self,
+        battery: BatteryFile,
+        options: PackOptions,
+        saved: SavedBattery | None = None,
+        max_age_s: float = math.inf,
+    ) -> None:
+        self._battery, self._options = battery, options
+        self.estimator = Estimator(battery, options)
+        self._saved, self._max_age_s = saved, max_age_s
+        self._last: Sample | None = None
+        self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
+
+    def step(self, sample: Sample, facts: PackFacts, gap_s: float = NAN) -> tuple[Estimate, Remaining]:
+        """One row; `gap_s` is the age of the saved state at this row [s]."""
+        was, self._saved = self._saved, None
+        if was is not None:
+            why_not = self._resume(was, sample, gap_s)
+            self.resumed = f"not resumed: {why_not}" if why_not else f"resumed from a state {gap_s:.0f} s old"
+        self._last = sample
+        try:
+            self.estimator.update_facts(facts)
+            return self.estimator.step(sample)
+        except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
+            self.estimator = Estimator(self._battery, self._options)
+            if was is not None:
+                self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
+            where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
+            return refused(sample, where + " ".join(str(error).split()))
+
+    def saved(self, facts: PackFacts) -> SavedBattery | None:
+        """What is worth saving; None before the first estimate."""
+        belief, resolved, last = self.estimator.belief, self.estimator.resolved, self._last
+        past = self.estimator.past
+        if belief is None or resolved is None or last is None or past is None:
+            return None
+        return SavedBattery(
+            since_row_s=last.time_s - belief.time_s,
+            means=belief.means.tolist(),
+            covariances=belief.covariances.tolist(),
+            weights=belief.weights.tolist(),
+            ambient_C=belief.ambient_C,
+            cells=resolved.cells,
+            capacity_Ah=resolved.capacity_Ah,
+            facts=facts,
+            consumed_Ah=last.consumed_Ah,
+            current_A=last.current_A,
+            past=past.moved(-belief.time_s),
+        )
+
+    def _resume(self, was: SavedBattery, sample: Sample, gap_s: float) -> str:
+        """Start from the saved belief, or leave it alone; why, if so."""
+        if not (gap_s > 0.0 and gap_s + was.since_row_s <= self._max_age_s):
+            return f"the saved state is {gap_s + was.since_row_s:.0f} s old"
+        try:
+            if why_not := implausible(was):
+                return f"the saved state holds {why_not}"
+            pack = resolve(self._battery, self._options, was.facts, was.cells, seen=Seen(sample.voltage_V))
+            if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
+                return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
+            at_s = sample.time_s - gap_s - was.since_row_s
+            belief = Belief(at_s, np.array(was.means), np.array(was.covariances), np.array(was.weights), was.ambient_C)
+            before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
+            self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s))
+        except Exception as error:  # nothing that a file can hold may end the process
+            self.estimator = Estimator(self._battery, self._options)
+            return f"the saved state is damaged: {type(error).__name__}"
+        return ""
+
+
+def _current_at_belief(saved_A: float, now_A: float, drawn_Ah: float, gap_s: float) -> float:
+    """The current [A] at the start of the gap for which the trapezium over the gap holds the charge drawn."""
+    if math.isfinite(now_A) and math.isfinite(drawn_Ah) and drawn_Ah > -COUNTER_SLACK_AH:
+        mean_A = max(drawn_Ah, 0.0) * 3600.0 / gap_s
+        if mean_A <= MAX_CURRENT_A:  # else the counter is another's
+            return 2.0 * mean_A - now_A
+    return saved_A if math.isfinite(saved_A) else max(now_A, 0.0) if math.isfinite(now_A) else 0.0
+
+
+def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
+    """An estimate that says only why there is none."""
+    row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
+    estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
+    return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)

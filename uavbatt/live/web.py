@@ -1,0 +1,201 @@
+"""The feed for a browser: one page, server-sent events, JSON, Prometheus metrics and a health check.
+
+    /  the page     /events  SSE     /now.json     /metrics     /healthz (503 when stale)     /register_service
+
+Reads the board that the loop publishes, never the estimator. Runs in a thread of its own; read only. With a token
+every path but /healthz wants `?token=` or `Authorization: Bearer`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import math
+import socket
+import sys
+import threading
+from collections.abc import AsyncIterator, Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from uavbatt import __version__
+from uavbatt.errors import MissingExtra, UsageError
+from uavbatt.live.config import HttpSection, address
+from uavbatt.live.report import STALE_AFTER_S, Report, Trend
+from uavbatt.records import Status
+
+EVENT_PERIOD_S = 0.25
+SAID_S = 120.0  # what was said aloud stands on the page as long
+PAGE = Path(__file__).with_name("page.html")
+
+
+class BoardLike(Protocol):
+    """What the loop publishes."""
+
+    @property
+    def reports(self) -> Sequence[Report]:
+        """Batteries, the one that speaks for the vehicle first."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the operator should know."""
+
+    @property
+    def said(self) -> Sequence[tuple[float, str]]:
+        """What was said aloud: (monotonic time [s], text), oldest first."""
+
+    @property
+    def counts(self) -> Any:
+        """Counters since the start."""
+
+    @property
+    def trend(self) -> Trend:
+        """The last ten minutes."""
+
+
+ReadBoard = Callable[[], BoardLike]
+Clock = Callable[[], float]
+
+
+def content(board: BoardLike, now_s: float) -> dict[str, Any]:
+    """What /now.json and every event carry."""
+    batteries = [report.as_line(now_s) for report in board.reports]
+    first = batteries[0] if batteries else None
+    return {
+        "status": first["status"] if first else "stale",
+        "reason": first["reason"] if first else "no battery telemetry yet",
+        "batteries": batteries,
+        "notes": list(board.notes),
+        "said": [{"age_s": round(now_s - at, 1), "text": text} for at, text in board.said if now_s - at <= SAID_S],
+        "counts": dict(board.counts),
+        "version": __version__,
+    }
+
+
+def metrics(board: BoardLike, now_s: float) -> bytes:
+    """The state in Prometheus' text format; what is unknown is NaN."""
+    from prometheus_client import CollectorRegistry, Gauge, generate_latest
+    from prometheus_client.core import CounterMetricFamily
+
+    registry = CollectorRegistry()
+    labels = ["battery"]
+    left = Gauge("uavbatt_remaining_seconds", "Time left in flight", [*labels, "quantile"], registry=registry)
+    gauges = {
+        "soc": Gauge("uavbatt_soc_ratio", "State of charge", labels, registry=registry),
+        "voltage_V": Gauge("uavbatt_voltage_volts", "Pack voltage", labels, registry=registry),
+        "current_A": Gauge("uavbatt_current_amperes", "Discharge current", labels, registry=registry),
+        "temp_C": Gauge("uavbatt_temperature_celsius", "Pack temperature", labels, registry=registry),
+        "innovation_V": Gauge("uavbatt_innovation_volts", "Voltage less its prediction", labels, registry=registry),
+        "age_s": Gauge("uavbatt_sample_age_seconds", "Age of the last row", labels, registry=registry),
+    }
+    state = Gauge("uavbatt_status", "1 for the status that holds", [*labels, "status"], registry=registry)
+    for report in board.reports:
+        line, name = report.as_line(now_s), str(report.instance)
+        for quantile, key in (("0.05", "remaining_lo_s"), ("0.5", "remaining_s"), ("0.95", "remaining_hi_s")):
+            left.labels(name, quantile).set(_number(line[key]))
+        for key, gauge in gauges.items():
+            gauge.labels(name).set(_number(line[key]))
+        for status in Status:
+            state.labels(name, status.value).set(status.value == line["status"])
+
+    class Counters:
+        def collect(self) -> list[CounterMetricFamily]:
+            names = {"rows": "samples", "refused": "forecast_refused"}
+            return [
+                CounterMetricFamily(f"uavbatt_{names.get(key, key)}", f"{key} since the start", value=value)
+                for key, value in dict(board.counts).items()
+            ]
+
+    registry.register(Counters())
+    return bytes(generate_latest(registry))
+
+
+def filled(page: str, board: BoardLike, now_s: float) -> str:
+    """The page with what is known now in it, so that it shows something before the first event."""
+    first = json.dumps({"now": content(board, now_s), "trend": board.trend.lines(now_s)}, allow_nan=False)
+    return page.replace('id="first">null<', 'id="first">' + first.replace("<", "\\u003c") + "<", 1)
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
+    """The ASGI application."""
+    try:
+        from sse_starlette.sse import EventSourceResponse
+        from starlette.applications import Starlette
+        from starlette.requests import Request
+        from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
+        from starlette.routing import Route
+    except ImportError:
+        raise MissingExtra("web", "--http") from None
+
+    def is_allowed(request: Request) -> bool:
+        if not settings.token:
+            return True
+        header = request.headers.get("authorization", "").removeprefix("Bearer ")
+        offered = request.query_params.get("token", "") or header
+        return hmac.compare_digest(offered.encode(), settings.token.encode())
+
+    def guarded(answer: Callable[[Request], Response]) -> Callable[[Request], Any]:
+        async def endpoint(request: Request) -> Response:
+            return answer(request) if is_allowed(request) else PlainTextResponse("token wanted\n", 401)
+
+        return endpoint
+
+    async def stream() -> AsyncIterator[dict[str, str]]:
+        while True:
+            yield {"data": json.dumps(content(board(), clock_s()), allow_nan=False)}
+            await asyncio.sleep(EVENT_PERIOD_S)
+
+    async def health(request: Request) -> Response:
+        reports = board().reports
+        fresh = any(report.age_s(clock_s()) <= STALE_AFTER_S for report in reports)
+        return PlainTextResponse("ok\n" if fresh else "stale\n", 200 if fresh else 503)
+
+    page = PAGE.read_text(encoding="utf-8")
+    about = {"name": "uavbatt", "description": "Remaining flight time", "icon": "mdi-battery-clock", "webpage": "/"}
+    about |= {"company": "uavbatt", "version": __version__, "api": ""}
+    prometheus = "text/plain; version=0.0.4; charset=utf-8"
+    return Starlette(
+        routes=[
+            Route("/", guarded(lambda r: HTMLResponse(filled(page, board(), clock_s())))),
+            Route("/now.json", guarded(lambda r: JSONResponse(content(board(), clock_s())))),
+            Route("/metrics", guarded(lambda r: Response(metrics(board(), clock_s()), media_type=prometheus))),
+            Route("/events", guarded(lambda r: EventSourceResponse(stream()))),
+            Route("/register_service", guarded(lambda r: JSONResponse(about))),
+            Route("/healthz", health),
+        ]
+    )
+
+
+def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.Thread:
+    """Serve in a thread of its own. Raises UsageError when the address is taken, MissingExtra without the extra."""
+    app = application(settings, board, clock_s)
+    try:
+        import uvicorn
+
+        from uavbatt.live.connections import MOST_WAITING, protocol
+    except ImportError:
+        raise MissingExtra("web", "--http") from None
+    host, port = address(settings.listen)
+    try:
+        listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise UsageError(f"--http {settings.listen}: {error.strerror}") from None
+    limits: dict[str, Any] = {"http": protocol(), "backlog": MOST_WAITING}
+    quiet: dict[str, Any] = {"log_level": "warning", "access_log": False, "lifespan": "off", "ws": "none"}
+    server = uvicorn.Server(uvicorn.Config(app, **limits, **quiet))
+    server.install_signal_handlers = lambda: None  # type: ignore[attr-defined,unused-ignore]
+
+    def work() -> None:
+        try:
+            asyncio.run(server.serve(sockets=[listener]))
+        except Exception as error:  # the page may die, the flight goes on
+            print(f"uavbatt: page stopped: {error}", file=sys.stderr)
+
+    thread = threading.Thread(target=work, name="page", daemon=True)
+    thread.start()
+    return thread

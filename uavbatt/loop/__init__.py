@@ -1,1 +1,0 @@
-"""Close the loop: residual, candidate effects, refit, diagnosis, extended battery file, error before and after."""

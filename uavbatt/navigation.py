@@ -1,0 +1,166 @@
+"""Navigation values: where the aircraft is, what its autopilot will fly, and how it comes home (frozen, SI).
+
+Heights are metres above home unless the name says otherwise; velocities are over ground, north, east and up.
+Unknown is NaN (or None). Wire units, sentinels and altitude frames never get this far: telemetry turns every altitude
+into one of `Frame` and leaves the item's own frame readable.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+NAN = math.nan
+
+
+class Mode(StrEnum):
+    """The autopilot flies in one of these ways, as far as the load to come depends on it."""
+
+    MISSION = "mission"  # AUTO
+    RETURN = "return"  # RTL
+    RETURN_BY_TRACK = "return_by_track"  # SMART_RTL
+    LAND = "land"
+    TAKEOFF = "takeoff"
+    HOLD = "hold"  # loiter, brake, hold
+    MANUAL = "manual"  # a pilot or another computer flies: the route says nothing
+    UNKNOWN = "unknown"
+
+
+class Action(StrEnum):
+    """A mission item asks for one of these."""
+
+    TAKEOFF = "takeoff"
+    WAYPOINT = "waypoint"
+    SPLINE = "spline"
+    LOITER_TIME = "loiter_time"  # hold_s
+    LOITER_TURNS = "loiter_turns"  # turns, radius_m
+    LOITER_UNLIMITED = "loiter_unlimited"
+    LAND = "land"
+    RETURN = "return"
+    SPEED = "speed"  # speed_ms, speed_kind
+    JUMP = "jump"  # jump_to, repeats
+    DELAY = "delay"  # hold_s
+    OTHER = "other"  # moves nothing and takes no time (camera, servo, region of interest)
+    UNKNOWN = (
+        "unknown"  # moves the aircraft in a way that nobody here understands: the route is unknown, `reason` says why
+    )
+
+
+class Frame(StrEnum):
+    """An altitude counts from one of these."""
+
+    HOME = "home"
+    SEA = "sea"
+    TERRAIN = "terrain"
+
+
+class SpeedKind(StrEnum):
+    """A SPEED item changes one of these speeds."""
+
+    GROUND = "ground"
+    AIR = "air"
+    CLIMB = "climb"
+    DESCENT = "descent"
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItem:
+    """One item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home and is kept)."""
+
+    seq: int
+    action: Action
+    lat_deg: float = NAN  # NaN: where the aircraft is
+    lon_deg: float = NAN
+    alt_m: float = NAN  # in `frame`; NaN: as it is
+    frame: Frame = Frame.HOME
+    hold_s: float = 0.0
+    turns: float = 0.0
+    radius_m: float = 0.0
+    speed_ms: float = NAN
+    speed_kind: SpeedKind = SpeedKind.GROUND
+    jump_to: int = -1
+    repeats: int = 0  # of a jump; -1 is without end
+    command: int = 0  # MAV_CMD, for words
+    reason: str = ""  # of UNKNOWN
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """A whole mission as it was uploaded or read from a file; `reason` says why it is not understood, if it is not."""
+
+    items: tuple[MissionItem, ...]
+    source: str = ""  # "link", "log" or the file's name
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where the autopilot returns to; alt_m is above sea."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnSettings:
+    """The vehicle's parameters say this of speeds and of the way home; NaN where they do not say."""
+
+    cruise_ms: float = NAN
+    climb_ms: float = NAN
+    descent_ms: float = NAN
+    return_height_m: float = NAN  # RTL_ALT: climbs to it first; 0 = stays at its height
+    return_ms: float = NAN  # NaN: cruise
+    return_hold_s: float = NAN  # waits above home
+    return_final_m: float = NAN  # height above home at the end; 0 lands
+    land_ms: float = NAN
+    land_slow_below_m: float = NAN
+    accept_m: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Where the aircraft is and how it moves at one instant."""
+
+    time_s: float
+    lat_deg: float
+    lon_deg: float
+    height_m: float  # above home
+    north_ms: float = NAN
+    east_ms: float = NAN
+    up_ms: float = NAN
+    airspeed_ms: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """The wind as the autopilot estimates it: the velocity of the air, not where it comes from."""
+
+    north_ms: float
+    east_ms: float
+    sd_ms: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Navigation:
+    """All that is known of route and place at one instant; it changes by replacement, one field at a time."""
+
+    time_s: float = NAN  # of the last change of anything in it
+    mode: Mode = Mode.UNKNOWN
+    mode_since_s: float = NAN
+    mission: Mission | None = None
+    mission_since_s: float = NAN
+    current: int | None = None  # seq of the item that is flown to (MISSION_CURRENT)
+    current_since_s: float = NAN  # since when it is that one
+    current_heard_s: float = NAN  # last time that the autopilot said so: silence makes progress stale
+    reached: int | None = None  # last MISSION_ITEM_REACHED
+    home: Home | None = None
+    settings: ReturnSettings = ReturnSettings()
+    position: Position | None = None
+    wind: Wind | None = None
+    landed: bool | None = None  # EXTENDED_SYS_STATE
+    transferring: bool = False  # a mission is passing and is not whole yet
+
+
+NOWHERE = Navigation()

@@ -1,0 +1,125 @@
+"""Replay output: one line per telemetry row, as JSON Lines or CSV.
+
+`COLUMNS` is the one list of keys; both formats, and whatever else shows a line, read it. A line is made
+once by `line` and is then the same everywhere: unknown (NaN), unbounded (inf) and refused numbers are `None`,
+which JSON Lines shows as `null` and CSV as an empty cell; `warnings` is a list, joined with `; ` in CSV.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Protocol, TextIO
+
+import msgspec
+
+from uavbatt.files import atomic_write
+from uavbatt.records import Estimate, Remaining, Status
+
+COLUMNS: Mapping[str, int | None] = {
+    "time_s": 3,
+    "soc": 5,
+    "soc_sd": 5,
+    "remaining_s": 1,
+    "remaining_lo_s": 1,
+    "remaining_hi_s": 1,
+    "remaining_to_low_s": 1,
+    "voltage_V": 4,
+    "current_A": 4,
+    "temp_C": 2,
+    "power_W": 3,
+    "innovation_V": 5,
+    "status": None,
+    "reason": None,
+    "warnings": None,
+}
+"""Key -> decimals (None: not a number). Each step lies well under what the sensor or the model can tell."""
+
+REMAINING_KEYS = ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s")
+SOC_KEYS = ("soc", "soc_sd")
+
+Value = float | str | list[str] | None
+Line = dict[str, Value]
+
+
+def line(estimate: Estimate, remaining: Remaining) -> Line:
+    """The output line of one row; its keys are `COLUMNS`, in that order.
+
+    Status and reason are the forecast's unless it is ok, then the estimate's: the forecast is what the reader
+    came for, and it can only be worse than the estimate below it. A refused number is None whatever value
+    its maker left in it; a refused estimate takes the forecast with it.
+    """
+    speaker = estimate if remaining.status is Status.OK else remaining
+    refused: tuple[str, ...] = ()
+    if estimate.status is Status.REFUSED:
+        refused = SOC_KEYS + REMAINING_KEYS
+    elif remaining.status is Status.REFUSED:
+        refused = REMAINING_KEYS
+    made: Line = {
+        key: None if key in refused else rounded(getattr(remaining if key in REMAINING_KEYS else estimate, key), digits)
+        for key, digits in COLUMNS.items()
+        if digits is not None
+    }
+    made["status"], made["reason"], made["warnings"] = speaker.status.value, speaker.reason, list(estimate.warnings)
+    return made
+
+
+def rounded(value: float, decimals: int) -> float | None:
+    """`value` to `decimals` places; None when it is not finite, and never a negative zero."""
+    return round(float(value), decimals) + 0.0 if math.isfinite(value) else None
+
+
+class Sink(Protocol):
+    """Takes the lines in order."""
+
+    def write(self, line: Line) -> None:
+        """Write one line."""
+
+
+class JsonLinesSink:
+    """One JSON object a line, keys in the order of `COLUMNS`."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, line: Line) -> None:
+        """Write one line; a key too many or too few is a `KeyError` here rather than at the reader."""
+        self._file.write(msgspec.json.encode(in_order(line)).decode() + "\n")
+
+
+class CsvSink:
+    """A header row, then one row a line; an empty cell is what JSON Lines calls null."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._rows = csv.writer(file, lineterminator="\n")
+        self._rows.writerow(COLUMNS)
+
+    def write(self, line: Line) -> None:
+        """Write one row."""
+        self._rows.writerow("; ".join(value) if isinstance(value, list) else value for value in in_order(line).values())
+
+
+def in_order(line: Line) -> Line:
+    """`line` with exactly the keys of `COLUMNS`, in their order."""
+    if line.keys() != COLUMNS.keys():
+        raise KeyError(f"line keys differ from the declared ones: {sorted(line.keys() ^ COLUMNS.keys())}")
+    return {key: line[key] for key in COLUMNS}
+
+
+@contextmanager
+def _opened(path: str | Path, kind: Callable[[TextIO], Sink]) -> Iterator[Sink]:
+    with atomic_write(path) as file:
+        yield kind(file)
+
+
+def json_lines(path: str | Path) -> AbstractContextManager[Sink]:
+    """A context that gives a JSON Lines sink to `path` (`-`: standard output)."""
+    return _opened(path, JsonLinesSink)
+
+
+def csv_table(path: str | Path) -> AbstractContextManager[Sink]:
+    """A context that gives a CSV sink to `path` (`-`: standard output)."""
+    return _opened(path, CsvSink)

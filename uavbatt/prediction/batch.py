@@ -1,0 +1,84 @@
+"""What forecasts have to simulate, and the answers: one at a time in flight, many side by side in a replay.
+
+Questions of a flight do not depend on each other's answers. A step of arithmetic on 2000 columns costs little more than
+one on 128, so that a replay that asks ahead is several times faster, and gives the same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt import fast
+from uavbatt.battery.model import Array
+from uavbatt.battery.scaling import Pack
+from uavbatt.prediction import sampling
+from uavbatt.prediction.time_to_end import EndTimes, Wander, time_to_end
+
+SIDE_BY_SIDE = 16  # more do not fit the cache
+
+
+class Question(NamedTuple):
+    """What one forecast simulates: draws of the belief under their powers; see `endurance.time_to_end`."""
+
+    time_s: float
+    horizon_s: float
+    pack: Pack  # with the limits of its weakest cell
+    x: Array
+    power_W: Array
+    ambient_C: float
+    dt_s: Array
+    reserve_soc: float
+    by_rows: bool
+
+
+def answer(q: Question) -> EndTimes:
+    """When each draw ends."""
+    return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, sampling.wander(), q.by_rows)
+
+
+def answers(questions: Sequence[Question]) -> list[EndTimes]:
+    """The same for many questions about one pack; compiled where that was found to pay."""
+    if fast.is_used("forecast"):
+        from uavbatt.prediction import compiled
+
+        return [compiled.answer(question) for question in questions]
+    found: list[EndTimes] = []
+    for _, alike in groupby(questions, key=lambda q: (q.by_rows, q.reserve_soc)):
+        queue = list(alike)
+        for first in range(0, len(queue), SIDE_BY_SIDE):
+            found += _together(queue[first : first + SIDE_BY_SIDE])
+    return found
+
+
+def _together(few: list[Question]) -> list[EndTimes]:
+    """Side by side in a batch [questions, draws]; a shorter one goes on as it ended, unseen."""
+    steps = max(q.dt_s.size for q in few)
+
+    def on(values: Iterable[Array]) -> Array:
+        """[steps, questions, ...], each going on as it ended."""
+        every = list(values)
+        out = np.empty((steps, len(every), *every[0].shape[1:]))
+        for n, value in enumerate(every):
+            out[: value.shape[0], n], out[value.shape[0] :, n] = value, value[-1]
+        return out
+
+    def each(values: Iterable[float]) -> Array:
+        return np.array([*values])[:, None]
+
+    drawn = sampling.wander()
+    ends = time_to_end(
+        few[0].pack._replace(cutoff_V=each(q.pack.cutoff_V for q in few), low_V=each(q.pack.low_V for q in few)),
+        np.stack([q.x for q in few], axis=1),
+        on(q.power_W for q in few),
+        each(q.ambient_C for q in few),
+        on(q.dt_s for q in few)[:, :, None],
+        few[0].reserve_soc,
+        Wander(drawn.bias[:, None], drawn.row[:, None]),
+        few[0].by_rows,
+        each(q.dt_s.size for q in few),
+    )
+    return [EndTimes(*pair) for pair in zip(*ends, strict=True)]

@@ -1,0 +1,117 @@
+"""The load to come, learned from how aircraft flew before.
+
+With a vehicle file: each past flight is joined where it stood as this one stands now (half by time since take-off,
+half by state of charge) and flown on, scaled half-way to this flight's own mean power. Where a past flight landed it
+goes on as another one did from that charge. Measured on held-out aircraft, the library is the gain; how it is keyed
+and scaled is second order (36 to 46 s of error against 67 to 94 s for "as recently", six to one minutes before).
+
+Without one: two flights of three end in a stretch of higher power (the way home, wind, the landing), that begins
+anywhere in what is left; the power before it is that of this flight so far, and widely spread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.vehicle_file import VehicleFile
+from uavbatt.prediction.load import Now, Scenarios, equal_levels, swinging
+
+LENGTH_S, GRID_S = 3600.0, 5.0
+STITCHES = 3
+SHORTEST_REST_S = 60.0
+OWN_SCALING = 0.5
+OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
+LEVELS = 3
+
+SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
+SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+PRIOR_SPREAD = 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedLoad:
+    """A library of past flights on one time grid from take-off: power [W] and charge, [flights, grid]."""
+
+    power_W: Array
+    soc: Array
+    landed_s: Array
+    mean_W: Array  # running mean power since take-off
+
+    def typical_W(self, now: Now) -> float:
+        """Median of the flights' mean powers."""
+        return float(np.median(self.mean_W[:, -1]))
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """Every flight of the library from where it stood as this one stands, at three levels of power."""
+        grid_s = GRID_S * np.arange(self.power_W.shape[1])
+        ahead_s = dt_s * (np.arange(steps) + 0.5)
+        flights = self.power_W.shape[0]
+        traces_W = np.empty((steps, flights))
+        for i in range(flights):
+            by_time_s = min(now.since_take_off_s, self.landed_s[i] + 300.0)
+            by_soc_s = float(np.interp(-now.soc, -self.soc[i], grid_s))
+            start_s = 0.5 * by_time_s + 0.5 * by_soc_s
+            scale = (now.flight_W / float(np.interp(start_s, grid_s, self.mean_W[i]))) ** OWN_SCALING
+            traces_W[:, i] = scale * np.interp(start_s + ahead_s, grid_s, self.power_W[i])
+        levels = equal_levels(OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
+        power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
+        weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
+        return Scenarios(np.maximum(power_W, 1.0), weight, np.full(steps, dt_s))
+
+
+def learned_load(file: VehicleFile) -> LearnedLoad:
+    """The library of a vehicle file, ready to be resampled."""
+    grid_s = np.arange(0.0, LENGTH_S, GRID_S)
+    raw = [(np.array(t.time_s), np.array(t.power_W), np.minimum.accumulate(np.array(t.soc))) for t in file.traces]
+    power_W, soc = np.empty((len(raw), grid_s.size)), np.empty((len(raw), grid_s.size))
+    order = np.random.default_rng(len(raw)).permutation(len(raw))
+    for i, (time_s, watts, charge) in enumerate(raw):
+        for joined in range(1, STITCHES + 1):
+            other = raw[int(order[(i + joined) % len(raw)])]
+            time_s, watts, charge = _stitched(time_s, watts, charge, *other)
+        tail_W = float(np.mean(watts[time_s >= time_s[-1] - 120.0]))
+        power_W[i] = np.interp(grid_s, time_s, watts, right=tail_W)
+        soc[i] = np.interp(grid_s, time_s, charge)
+        soc[i] -= 1e-9 * np.arange(grid_s.size)  # strictly falling, so that a charge has one time
+    mean_W = np.cumsum(power_W, axis=1) / (np.arange(grid_s.size) + 1.0)
+    landed_s = np.array([t.time_s[-1] for t in file.traces])
+    return LearnedLoad(power_W, soc, landed_s, mean_W)
+
+
+def _stitched(
+    time_s: Array, watts: Array, charge: Array, next_s: Array, next_W: Array, next_charge: Array
+) -> tuple[Array, Array, Array]:
+    """The first flight, flown on as the next one did from the charge at which the first landed."""
+    later = next_charge < charge[-1]
+    if later.sum() < 2 or next_s[-1] - next_s[later][0] < SHORTEST_REST_S:
+        return time_s, watts, charge
+    moved_s = next_s[later] - next_s[later][0] + time_s[-1] + GRID_S
+    return (
+        np.concatenate([time_s, moved_s]),
+        np.concatenate([watts, next_W[later]]),
+        np.concatenate([charge, next_charge[later]]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class UnknownAircraft:
+    """The packaged prior: as recently, with a surge that may come, and a wide spread."""
+
+    def typical_W(self, now: Now) -> float:
+        """Mean of the flight so far and of its last minute."""
+        return max(0.5 * (now.flight_W + now.recent.mean_W), 1.0)
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """Levels x surge factors x where in the rest of the flight the surge begins."""
+        swings = now.recent.swings
+        spread = float(np.hypot(PRIOR_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
+        levels = self.typical_W(now) * equal_levels(spread, LEVELS)
+        share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
+        surging = share[:, None] >= SURGE_BEGINS
+        shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
+        power_W = (shape[:, :, None] * levels).reshape(steps, -1)
+        weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
+        return swinging(Scenarios(power_W, weight, np.full(steps, dt_s)), swings)

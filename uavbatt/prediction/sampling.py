@@ -1,0 +1,68 @@
+"""Draws of what is uncertain: the same fixed normals at every forecast, which moves only when the belief does.
+
+The end of a flight can be bimodal (a surge grazes the cut-off or does not), which a mean and a variance cannot say:
+so each draw flies to its own end and the quantiles are those of the ends. The normals come in antithetic pairs and
+are whitened, so that the draws carry the belief's mean and covariance exactly, as sigma points do.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.prediction.time_to_end import Wander
+
+DRAWS = 128
+LONGEST = 1024
+_SEED = 5725
+
+
+@cache
+def normals() -> Array:
+    """[8, DRAWS] standard normals with mean 0 and covariance 1, exactly."""
+    half = np.random.default_rng(_SEED).standard_normal((SIZE, DRAWS // 2))
+    raw = np.concatenate([half, -half], axis=1)
+    root = np.linalg.cholesky(raw @ raw.T / DRAWS)
+    return np.asarray(np.linalg.solve(root, raw))
+
+
+@cache
+def wander() -> Wander:
+    """Standard normals for LONGEST steps of DRAWS ways: of the model's wandering error and of the rows' noise."""
+    half = np.random.default_rng(_SEED + 1).standard_normal((2, LONGEST, DRAWS // 2))
+    return Wander(*np.concatenate([half, -half], axis=2))
+
+
+@cache
+def shuffled(count: int) -> Array:
+    """[DRAWS] positions 0..1 that spread draws evenly over load scenarios, unrelated to the battery's draws."""
+    return np.random.default_rng(_SEED + 2 + count).permutation((np.arange(DRAWS) + 0.5) / DRAWS)
+
+
+def draws(belief: Belief) -> Array:
+    """Columns [8, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
+
+    By the symmetric root of the covariance, which moves when the covariance does and not with the signs that a
+    decomposition happens to give its vectors.
+    """
+    member = _shared_out(belief.weights)
+    used, place = np.unique(member, return_inverse=True)
+    values, vectors = np.linalg.eigh(belief.covariances[used])
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    columns = belief.means[member].T + np.einsum("nij,jn->in", root[place], normals())
+    columns[C.SOC] = np.clip(columns[C.SOC], 0.0, 1.02)
+    return np.asarray(columns)
+
+
+def _shared_out(weights: Array) -> Array:
+    """Index of the member of each draw [DRAWS]: always the same ranks, so that few draws change when weights do."""
+    found = np.searchsorted(np.cumsum(weights / weights.sum()), shuffled(weights.size) - 1e-12)
+    return np.asarray(np.minimum(found, weights.size - 1))
+
+
+def assigned(weight: Array) -> Array:
+    """Index of the load scenario of each draw, in proportion to the weights."""
+    return np.asarray(np.searchsorted(np.cumsum(weight / weight.sum()), shuffled(weight.size) - 1e-12))

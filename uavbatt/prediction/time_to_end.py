@@ -1,0 +1,177 @@
+"""How long packs last under power to come: the simulation behind every forecast.
+
+Constant power within a step, not constant current: a sinking voltage draws more current, which is what empties a
+pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
+
+The end is found as it will be judged (DESIGN, "end of flight"): by the 5 s mean, whose fall lags the voltage by
+half its window, or, where telemetry rows are slower than that, by the centred median of three rows with their noise.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery import equations as eq
+from uavbatt.battery import model
+from uavbatt.battery.equations import Number
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import C, ocv_doubt, unpack
+
+MEAN_LAG_S = 2.5
+JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
+JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
+# Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
+SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain")
+SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
+
+
+class EndTimes(NamedTuple):
+    """Seconds until the end of flight and until the low-voltage warning, per column; inf = beyond the horizon."""
+
+    end_s: Array
+    low_s: Array
+
+
+class Wander(NamedTuple):
+    """Standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
+
+    bias: Array
+    row: Array
+
+
+def time_to_end(
+    pack: Pack,
+    x: Array,
+    power_W: Array,
+    ambient_C: Number,
+    dt_s: Array,
+    reserve_soc: float = 0.0,
+    wander: Wander | None = None,
+    by_rows: bool = False,
+    own_steps: Number = np.inf,
+) -> EndTimes:
+    """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
+
+    The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
+    are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
+    the discrepancy decays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
+    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's sight.
+    """
+    cell, installation, state = unpack(pack, x)
+    cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
+    steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
+    harness_ohmAh = series_resistance(installation, 0.0)
+    memory = np.exp(-dt_s / pack.bias_tau_s)
+    kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
+    lags = [model.Lags(*step) for step in zip(*model.lags(cell, dt_s), strict=True)]
+    sight = _Sight(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
+    way = _Way(*np.zeros((len(_Way._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
+    ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
+    bias_V, asked, before = x[C.BIAS], power_W[0] / size, None
+    for k in range(steps):
+        emf_V, r_ohmAh = model.source(cell, state)
+        series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked)
+        cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
+        if eq.acts(installation.deficit):
+            strong_V = cell_V - bias_V + rate * harness_ohmAh
+            cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
+        row = JUDGED_BEFORE + k % JUDGED_AT_ONCE
+        way.cell_V[row], way.soc[row] = cell_V, state.soc
+        if by_rows and wander is not None and before is not None:
+            change_V = np.abs(rate - before) * series_ohmAh
+            way.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
+        before = rate
+        if row == way.soc.shape[0] - 1 or k == steps - 1:
+            ends = _judged(sight, ends, way, k)
+            if np.isfinite(ends.end_s).all():
+                break
+        now, asked = asked, power_W[min(k + 1, steps - 1)] / size
+        if by_rows:
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, 0.5 * (now + asked))
+        if wander is not None:
+            doubt_V2 = ocv_doubt(pack, state.soc, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
+        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
+        bias_V = memory[k] * bias_V
+        if wander is not None:
+            bias_V = bias_V + np.sqrt(kick_V2[k] + doubt_V2) * wander.bias[k]
+    return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
+
+
+class _Way(NamedTuple):
+    """What packs went through in the last steps, [steps, batch] each: mean voltage of a cell with its share of the
+    harness and of the model's error, charge, what a row's voltage adds to it."""
+
+    cell_V: Array
+    soc: Array
+    noise_V: Array
+
+
+class _Sight(NamedTuple):
+    """By what the way is judged; `at_s` are the times of all steps."""
+
+    pack: Pack
+    reserve_soc: float
+    at_s: Array
+    own_steps: Number
+    by_rows: bool
+
+
+def _times(dt_s: Array, dimensions: int) -> Array:
+    """When each step begins [s], to broadcast over a batch of so many dimensions."""
+    at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)[:-1]])
+    return at_s.reshape(at_s.shape + (1,) * (1 + dimensions - at_s.ndim))
+
+
+def _judged(sight: _Sight, ends: EndTimes, way: _Way, k: int) -> EndTimes:
+    """The ends that are known after step `k`; the last steps stay on the way for those that follow."""
+    pack, installation = sight.pack, sight.pack.installation
+    new = k % JUDGED_AT_ONCE + 1
+    known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
+    part, steps = slice(JUDGED_BEFORE - known, JUDGED_BEFORE + new), slice(k + 1 - new - known, k + 1)
+    volts = metered_voltage(installation, installation.cells * way.cell_V[part])
+    if sight.by_rows:
+        volts += way.noise_V[part]
+    margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
+    if sight.reserve_soc > 0.0:
+        margin_V = np.minimum(margin_V, (way.soc[part] - sight.reserve_soc) * SOC_IN_VOLTS)
+    if k >= np.min(sight.own_steps):
+        in_sight = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < sight.own_steps
+        margin_V, above_low_V = np.where(in_sight, margin_V, np.inf), np.where(in_sight, above_low_V, np.inf)
+    judge, at_s = _median_crossing if sight.by_rows else _mean_crossing, sight.at_s[steps]
+    for column in way:
+        column[:JUDGED_BEFORE] = column[new : new + JUDGED_BEFORE]
+    return EndTimes(
+        np.where(np.isfinite(ends.end_s), ends.end_s, judge(margin_V, at_s)),
+        np.where(np.isfinite(ends.low_s), ends.low_s, judge(above_low_V, at_s)),
+    )
+
+
+def _mean_crossing(margin: Array, at_s: Array) -> Array:
+    """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the lag."""
+    below = margin < 0.0
+    if not below.any():
+        return np.full(margin.shape[1:], np.inf)
+    first = np.argmax(below, axis=0)[None]
+    last = np.maximum(first - 1, 0)
+    above, under = np.take_along_axis(margin, last, 0), np.take_along_axis(margin, first, 0)
+    last_s, first_s = np.take_along_axis(at_s, last, 0), np.take_along_axis(at_s, first, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(first > 0, above / (above - under), 0.0)
+    crossing = last_s + share * (first_s - last_s) + np.where(first > 0, MEAN_LAG_S, 0.0)
+    return np.asarray(np.where(under < 0.0, crossing, np.inf)[0])
+
+
+def _median_crossing(margin: Array, at_s: Array) -> Array:
+    """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
+    below = margin < 0.0
+    if margin.shape[0] < 3:
+        return np.where(below.all(axis=0), 0.0, np.inf)
+    median_below = (below[:-2] & below[1:-1]) | (below[1:-1] & below[2:]) | (below[:-2] & below[2:])
+    first = np.argmax(median_below, axis=0)[None]
+    crossing = np.take_along_axis(at_s, first + 1, 0)
+    return np.asarray(np.where(np.take_along_axis(median_below, first, 0), crossing, np.inf)[0])

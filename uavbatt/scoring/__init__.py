@@ -1,0 +1,1 @@
+"""SCORES: forecasts are judged by what happened."""

@@ -1,0 +1,138 @@
+"""Values -> ArduPilot DataFlash log (`.BIN`).
+
+Every record is `0xA3 0x95 type` and a body laid out by the record's FMT, little endian, packed:
+
+    FMT   BBnNZ       Type,Length,Name,Format,Columns        (n 4, N 16, Z 64 characters)
+    PARM  QNf         TimeUS,Name,Value
+    ARM   QBIBB       TimeUS,ArmState,ArmChecks,Forced,Method
+    EV    QB          TimeUS,Id                              (10 armed, 11 disarmed)
+    BAT   QBfffffcfB  TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct
+
+BAT is the layout of 4.1 and later with its remaining per cent. Units: V, A, mAh, Wh, ohm; `c` is int16 in
+hundredths (degC). Unknown floats stay NaN. `Temp` has no NaN and 0 means "no sensor" there, so an unknown
+temperature is written as 0 and a measured 0.00 degC as 0.01. RemPct unknown is 255. VoltR, EnrgTot and Res
+are the autopilot's guesses, which a sample does not hold: NaN. Cell voltages have no place in BAT and are
+left out.
+
+Source: ArduPilot AP_Logger/LogStructure.h, AP_BattMonitor/LogStructure.h; checked against logs in the wild.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from uavbatt.files import atomic_write
+from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.formats.tlog_writer import ascending_us
+
+HEAD = b"\xa3\x95"
+STRUCT_OF = {"B": "B", "Q": "Q", "I": "I", "f": "f", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
+EVENT_ARMED, EVENT_DISARMED = 10, 11
+NO_SENSOR_C = 0.0
+UNKNOWN_PERCENT = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """One record type: its number, name, format letters and column names."""
+
+    type: int
+    name: str
+    format: str
+    columns: str
+
+    @property
+    def body(self) -> struct.Struct:
+        """The packed body after the three header bytes."""
+        return struct.Struct("<" + "".join(STRUCT_OF[letter] for letter in self.format))
+
+    def record(self, *values: bytes | float) -> bytes:
+        """One whole record: header and `values` in the order of the columns."""
+        return HEAD + bytes([self.type]) + self.body.pack(*values)
+
+
+FMT = Layout(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+PARM = Layout(129, "PARM", "QNf", "TimeUS,Name,Value")
+ARM = Layout(130, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
+EV = Layout(131, "EV", "QB", "TimeUS,Id")
+BAT = Layout(132, "BAT", "QBfffffcfB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct")
+LAYOUTS = (FMT, PARM, ARM, EV, BAT)
+
+
+def write_dataflash(
+    path: str | Path,
+    samples: Iterable[Sample],
+    parameters: Mapping[str, float] | None = None,
+    *,
+    instance: int = 0,
+) -> None:
+    """Write `samples` and the vehicle's `parameters` (at time 0) to `path` as a binary DataFlash log.
+
+    instance : number of the battery in BAT.Inst; `battery_id` of the tlog writer
+    """
+    with atomic_write(path, "wb") as file:
+        for layout in LAYOUTS:
+            file.write(format_record(layout))
+        for name, value in (parameters or {}).items():
+            file.write(parameter_record(0, name, value))
+        for record in _sample_records(samples, instance):
+            file.write(record)
+
+
+def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[bytes]:
+    """BAT for every sample, ARM and EV where arming becomes known or changes."""
+    last_us, armed = 0, None
+    for sample in samples:
+        last_us = ascending_us(sample.time_s, last_us)
+        if sample.armed is not None and sample.armed != armed:
+            armed = sample.armed
+            yield ARM.record(last_us, int(armed), 0, 0, 0)
+            yield EV.record(last_us, EVENT_ARMED if armed else EVENT_DISARMED)
+        yield battery_record(last_us, sample, instance)
+
+
+def format_record(layout: Layout) -> bytes:
+    """The FMT record that describes `layout`."""
+    length = len(HEAD) + 1 + layout.body.size
+    return FMT.record(layout.type, length, layout.name.encode(), layout.format.encode(), layout.columns.encode())
+
+
+def parameter_record(time_us: int, name: str, value: float) -> bytes:
+    """One PARM; names have at most 16 characters."""
+    encoded = name.encode("ascii")
+    if len(encoded) > 16:
+        raise ValueError(f"parameter {name!r}: at most 16 characters fit")
+    return PARM.record(time_us, encoded, value)
+
+
+def battery_record(time_us: int, sample: Sample, instance: int) -> bytes:
+    """One BAT of `sample`; see the module's text for what unknown becomes."""
+    return BAT.record(
+        time_us,
+        instance,
+        sample.voltage_V,
+        NAN,
+        sample.current_A,
+        sample.consumed_Ah * 1000.0,
+        NAN,
+        temperature_cdegC(sample.temp_C),
+        NAN,
+        percent(sample.reported_soc),
+    )
+
+
+def temperature_cdegC(temp_C: float) -> int:
+    """Hundredths of a degree [cdegC]; 0 = no sensor, so a measured zero is moved by one step."""
+    if not math.isfinite(temp_C):
+        return round(NO_SENSOR_C)
+    hundredths = min(max(round(temp_C * 100.0), -32768), 32767)
+    return hundredths if hundredths != 0 else 1
+
+
+def percent(soc: float) -> int:
+    """Remaining per cent 0..100, 255 when unknown."""
+    return min(max(round(soc * 100.0), 0), 100) if math.isfinite(soc) else UNKNOWN_PERCENT

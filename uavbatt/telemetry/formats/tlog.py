@@ -1,0 +1,144 @@
+"""Telemetry logs (.tlog) of a ground station: choose the autopilot, take its battery messages.
+
+A tlog may hold several vehicles, gimbals, other ground stations and batteries that are components
+of their own; only the chosen autopilot speaks of the battery here. BATTERY_STATUS names batteries by id;
+SYS_STATUS counts only where that vehicle sent no BATTERY_STATUS at all, BATTERY2 (old) where none
+had the id 1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.mavlink import fields
+from uavbatt.records import Identity
+from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
+from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct, latest_before, times_s
+from uavbatt.telemetry.formats import tlog_payloads
+from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.tlog_frames import Frames, frames
+from uavbatt.telemetry.identity import utc_s, version
+from uavbatt.telemetry.parameters import HeardParameters
+from uavbatt.telemetry.recording import is_recording
+
+_BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
+_AUTOPILOT_COMPONENT = 1
+_NOBODY = -1
+_MAKES = {3: "ArduPilot", fields.AUTOPILOT_PX4: "PX4"}
+
+
+class _Beats(NamedTuple):
+    """Heartbeats of the chosen vehicle: which of its frames they are, and what they say."""
+
+    place: NDArray[np.int64]
+    armed: Mask
+    is_px4: Mask
+
+
+def read(data: bytes | memoryview) -> LogBuilder:
+    """All batteries' rows and the parameters of the first autopilot in a tlog."""
+    log = LogBuilder(longest_step_s=math.inf if is_recording(data) else LEAP_S)
+    found = frames(data)
+    log.skipped_bytes = found.skipped_bytes
+    if math.isnan(found.first_s):
+        return log
+    source = _autopilot(found, log)
+    own = found.at(found.source == source)
+    if source != _NOBODY:
+        log.identity = _identity(own, source, found.first_s)
+    # time counts from the first frame of any kind, and lasts until the last
+    time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
+    beats = _beats(own)
+    _add_parameters(own, time_s, beats, log)
+    _add_rows(own, time_s, beats, log)
+    return log
+
+
+def _autopilot(found: Frames, log: LogBuilder) -> int:
+    """The source whose battery messages are read, _NOBODY if there is none; component 1 goes before all others."""
+    beating = found.of(fields.HEARTBEAT)
+    is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
+    beaters, autopilots = set(beating.source.tolist()), set(beating.source[is_autopilot].tolist())
+    in_order = distinct(found.source[np.isin(found.message_id, _BATTERY_IDS)])
+    candidates = [s for s in in_order if s in autopilots]
+    # A short or cut log may hold no heartbeat: then component 1 is believed to be the autopilot.
+    candidates = candidates or [s for s in in_order if s not in beaters and s & 0xFF == _AUTOPILOT_COMPONENT]
+    if not candidates:
+        return _NOBODY
+    chosen: int = min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
+    for other in in_order:
+        if other != chosen:
+            log.notes.append(f"battery messages of {_named(other)} ignored (read: {_named(chosen)})")
+    of_chosen = distinct(found.message_id[found.source == chosen])
+    if fields.BATTERY_STATUS not in of_chosen and fields.SYS_STATUS in of_chosen:
+        log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
+    return chosen
+
+
+def _named(source: int) -> str:
+    return f"system {source >> 8} component {source & 0xFF}"
+
+
+def _identity(own: Frames, source: int, first_s: float) -> Identity:
+    """Who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
+    beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
+    make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
+    said = own.of(fields.AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)
+    told = said.view(tlog_payloads.AUTOPILOT_VERSION)[:1, 0].tolist()
+    hardware = next((fields.hardware(uid) for uid, _ in told), "")
+    number = next((version(number) for _, number in told if number), "")
+    return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
+
+
+def _beats(own: Frames) -> _Beats:
+    place = own.places(fields.HEARTBEAT)
+    payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
+    is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
+    return _Beats(place, tlog_payloads.heartbeats(payloads, fields.is_armed), is_px4)
+
+
+def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
+    """The statements about parameters that count, as they count in flight: see `HeardParameters`."""
+    place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
+    # until a heartbeat says so it is no PX4, and not armed: nothing is read ahead
+    last = latest_before(place, beats.place).tolist()
+    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
+    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
+    statements = own.at(place)
+    payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
+    said = zip(tlog_payloads.parameters(payloads, is_px4), statements.sequence.tolist(), is_armed, strict=True)
+    for at_s, ((name, value), sequence, armed) in zip(time_s[place].tolist(), said, strict=True):
+        if heard.counts(name, known(value), sequence, armed):
+            log.add_parameter(at_s, name, value)
+
+
+def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
+    """The rows of every battery message that counts, in order."""
+    places, parts = [], []
+    ids: list[int] = []
+    for message_id, kind in tlog_payloads.KINDS.items():
+        place = own.places(message_id)
+        is_told = bool(ids) if message_id == fields.SYS_STATUS else message_id == fields.BATTERY2 and 1 in ids
+        if is_told or not len(place):
+            continue
+        said = kind.said(own.at(place).payloads(kind.layout.itemsize))
+        if message_id == fields.BATTERY_STATUS:
+            ids = distinct(said.instance)
+        places.append(place)
+        parts.append(said)
+    if not parts:
+        return
+    place = np.concatenate(places)
+    order = np.argsort(place, kind="stable")
+    place, said = place[order], tlog_payloads.together(parts).at(order)
+    last = latest_before(place, beats.place)
+    armed = np.append(beats.armed.astype(np.int8), UNKNOWN)[last]  # index -1, no heartbeat yet: the appended one
+    rows = Rows(
+        time_s[place], said.voltage_V, said.current_A, said.temp_C, said.consumed_Ah, said.reported_soc,
+        armed.astype(np.int8), said.cells_V,
+    )  # fmt: skip
+    add_rows(log, said.instance, rows)
