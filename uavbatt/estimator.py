@@ -19,7 +19,7 @@ from typing import NamedTuple
 from uavbatt.asked import Asked, say, unknown
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.remembered import PackHealth, prior_of
+from uavbatt.battery.remembered import PackHealth, prior_of, unlike
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import Belief, C
 from uavbatt.estimation.filter import SocFilter
@@ -279,6 +279,10 @@ class Estimator:
             found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
         if self._is_worn(known):
             found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
+        if self.remembered is not None and not self._intake.guessed:
+            assert self._filter is not None
+            changed = unlike(self._filter.pack, self.remembered, known.wear, known.wear_sd)
+            found += [changed] if changed else []
         doubted = dict.fromkeys((*self.resolved.notices, *(doubt.words for doubt in self._doubts)))
         return (*found, *doubted, *self._intake.notices)
 

@@ -21,6 +21,9 @@ from uavbatt.battery.scaling import Pack
 REACH, FEWEST, LARGEST_STEP = 2.0, 5, 0.1  # members from -2 to +2 sd, at most so far apart in ln of the capacity
 CHANGED_WEIGHT, ANY_WEIGHT = 0.05, 0.03  # the ohms have changed since the last flight; any pack in service
 
+LEAST_UNLIKE, UNLIKE_SD = 0.2, 2.0
+CAUSES = "damaged, or another pack under its name?"
+
 
 class PackHealth(NamedTuple):
     """Health of one pack at 25 °C and half charge: ln of ohms per cell, ln of Ah, and their covariance [2, 2].
@@ -101,3 +104,19 @@ def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
 
 def _together(*parts: Capacities) -> Capacities:
     return Capacities(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
+    """Why a pack in flight is hardly the one that is remembered, by its ohms; empty when it may be.
+
+    wear, wear_sd: ohms above the type's, relative, as the flight has them.
+    """
+    if not wear > -1.0:
+        return ""
+    expected = health.log_ohm - math.log(type_ohm(pack))
+    apart = math.log1p(wear) - expected
+    sd = math.hypot(wear_sd / (1.0 + wear), math.sqrt(health.covariance[0, 0]))
+    if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
+        return ""
+    direction = "more" if apart > 0.0 else "fewer"
+    return f"{abs(math.expm1(apart)):.0%} {direction} ohms than remembered of this pack: {CAUSES}"

@@ -28,6 +28,8 @@ CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pa
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+PacksOption = Annotated[Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")]
+PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")]
 STANDARD_OUTPUT = Path("-")
 DEFAULT_BATTERY = "lipo-generic"
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli import pack_memory
 from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
@@ -19,6 +20,8 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    PackOption,
+    PacksOption,
     ReserveOption,
     UncertifiedOption,
     check_apart,
@@ -32,6 +35,7 @@ from uavbatt.errors import UsageError, terminal_line
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.vehicle_file import VehicleFile
+    from uavbatt.cli.pack_memory import PackMemory
     from uavbatt.estimator import PackOptions, Resolved
     from uavbatt.records import Flight
     from uavbatt.replay import Outcome, Step
@@ -49,6 +53,8 @@ def replay(
     join: JoinOption = "",
     load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
     vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
+    packs: PacksOption = None,
+    pack: PackOption = "",
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
@@ -57,6 +63,7 @@ def replay(
     """Replay flight logs: state of charge and remaining time at every row, and how good it was.
 
     With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list.
+    With --packs each flight begins with what is remembered of its pack, and is remembered itself.
     """
     from uavbatt.battery import vehicle_file
 
@@ -69,13 +76,14 @@ def replay(
         for folder in (jsonl, csv, report):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
-    check_writable(*outputs, reads=[*logs, vehicle])
+    check_writable(*outputs, reads=[*logs, vehicle, packs])
     content = read_battery(battery, allow_uncertified)
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results = []
-    for log, of_one in zip(logs, targets, strict=True):
-        results.append(_one(log, content, options, (load, flown), (instance, join), (*of_one, summary)))
+    with pack_memory.opened(packs, pack) as memory:
+        for log, of_one in zip(logs, targets, strict=True):
+            results.append(_one(log, content, options, (load, flown), (instance, join), memory, (*of_one, summary)))
     if summary is not None:
         from uavbatt.files import write_json
 
@@ -88,6 +96,7 @@ def _one(
     options: PackOptions,
     load: tuple[str, VehicleFile | None],
     chosen: tuple[int | None, str],
+    memory: PackMemory,
     outputs: Sequence[Path | None],
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
@@ -106,7 +115,8 @@ def _one(
     period_s = forecast_period_s(log)
     if math.isfinite(period_s):
         options = changed(options, forecast_period_s=period_s)
-    estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1], content)))
+    loaded = changed(options, load=stated_load(load[0], flight, load[1], content))
+    estimator = Estimator(content, loaded, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -123,9 +133,10 @@ def _one(
             from uavbatt.cli import flight_page
 
             flight_page.write(report, flight, run, resolved, found, content)
-    for line in _lines(flight, resolved, found, run):
+    learned = memory.learn(flight, content, options)
+    for line in [*_lines(flight, resolved, found, run), *learned.lines]:
         say(line, *outputs)
-    return _summary(flight, resolved, found, run, content)
+    return {**_summary(flight, resolved, found, run, content), **learned.fields}
 
 
 def _with_progress(rows: Any, total: int, name: str) -> Any:
