@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -40,6 +41,19 @@ class PackMemory:
         if self.ledger is None:
             return None
         return recalled(self.ledger, name_of(flight, self.stated), flight, battery)
+
+    def recalled_now(self, battery: BatteryFile) -> PackHealth | None:
+        """What is known today of the pack that --pack names. UsageError when the ledger does not know it."""
+        from uavbatt.packs.ledger import prior
+
+        if self.ledger is None:
+            return None
+        if not self.stated:
+            raise UsageError("--packs: expected --pack NAME as well, the pack that will fly")
+        last = self.ledger.before(self.stated, time.time())
+        if last is None:
+            raise UsageError(f"--pack {self.stated}: expected a pack of {self.ledger.path}, found none of that name")
+        return prior(last, time.time(), battery.certificate.content_sha256)
 
     def learn(self, flight: Flight, battery: BatteryFile, options: PackOptions) -> Learned:
         """Save what the flight taught of its pack."""

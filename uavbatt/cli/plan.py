@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli import pack_memory
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
@@ -17,6 +18,8 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    PackOption,
+    PacksOption,
     ReserveOption,
     UncertifiedOption,
     check_writable,
@@ -52,6 +55,8 @@ def plan(
     reserve_soc: ReserveOption = 0.0,
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
+    packs: PacksOption = None,
+    pack: PackOption = "",
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
@@ -61,13 +66,15 @@ def plan(
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
         raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
-    check_writable(report, summary, reads=(like, vehicle))
+    check_writable(report, summary, reads=(like, vehicle, packs))
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = planning.resolve(content, options, flight)
     load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
-    found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc)
+    with pack_memory.opened(packs, pack, only_read=True) as memory:
+        remembered = memory.recalled_now(content)
+    found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:

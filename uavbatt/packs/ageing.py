@@ -25,7 +25,7 @@ from uavbatt.packs.records import Finding, FlightRecord, Known, Remembered
 FIRST_MEAN = np.array([0.0, -0.03, 0.003, -0.0015])
 FIRST_SD = np.array([0.20, 0.10, 0.010, 0.010])
 AGED_TOGETHER = (-0.5, -0.9)  # correlations, of what is and of its change: who has lost charge has gained ohms
-FLIGHT_SD = np.array([0.006, 0.006, 0.0015, 0.0015])  # a flight more
+FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # a flight more
 MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # a month on the shelf
 DAYS_A_MONTH, SECONDS_A_DAY = 30.4, 86_400.0
 LONGEST_DAYS = 3650.0

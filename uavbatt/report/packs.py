@@ -122,7 +122,7 @@ def _trend(flights: Sequence[Remembered], which: int, unit: float) -> Html:
         if odd:
             axes.plot(place[odd], told[odd], "x", color=plot.RED, markersize=7.0, label="odd")
         low, high = float(np.min(known / factor)), float(np.max(known * factor))
-        axes.set_ylim(min(0.75 if which == CHARGE else 0.9, low, told.min()), max(1.1, high, told.max()))
+        axes.set_ylim(min(0.75 if which == CHARGE else 0.9, low, 0.98 * told.min()), max(1.1, high, 1.02 * told.max()))
 
     svg = plot.panel(draw, f"{name} from flight to flight", x="flight", y=name, height=200.0)
     return figure(svg, "Charge" if which == CHARGE else "Ohms")
