@@ -90,7 +90,7 @@ def test_forgetting_a_pack_leaves_the_others(tmp_path):
 def test_a_pack_of_another_size_is_another_pack(tmp_path):
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         ledger.save("A", FLIGHTS[0])
-        with pytest.raises(BadInput, match="pack A: expected a flight of 4 cells as before, found 6"):
+        with pytest.raises(BadInput, match="pack A: expected flights of 4 cells as before, found 6"):
             ledger.save("A", replace(FLIGHTS[1], cells=6))
         assert ledger.pack("A").outlook.flights == 1
 

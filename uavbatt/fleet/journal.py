@@ -30,7 +30,9 @@ def key(log: LogFile, job_key: str) -> str:
 
 def job_key(job: Job) -> str:
     """What of a job bears on its rows."""
-    return _digest(f"{__version__}\0{content_hash(job.battery)}\0{job.options!r}\0{job.aircraft_pattern}")
+    return _digest(
+        f"{__version__}\0{content_hash(job.battery)}\0{job.options!r}\0{job.aircraft_pattern}\0{job.teaches}"
+    )
 
 
 class Journal:

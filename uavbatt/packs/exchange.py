@@ -32,7 +32,7 @@ def exported(ledger: Ledger, name: str) -> dict[str, Any]:
     found = ledger.flights(name)
     if not found:
         raise BadInput(ledger.path, "", f"a pack named {name}, found {_names(ledger)}")
-    flights = [_plain(after.flight) for after in found]
+    flights = [plain_flight(after.flight) for after in found]
     return {"format": FORMAT, "version": VERSION, "name": name, "flights": flights}
 
 
@@ -40,7 +40,7 @@ def imported(ledger: Ledger, path: Path) -> str:
     """Save the flights of a pack's file; flights that are there already count once. Returns the pack's name."""
     try:
         content = msgspec.json.decode(path.read_bytes(), type=PackFile)
-        flights = [_flight(entry) for entry in content.flights]
+        flights = [flight_of(entry) for entry in content.flights]
     except OSError as error:
         raise BadInput(path, "", f"{KIND}, cannot be read: {error.strerror}") from None
     except (msgspec.DecodeError, RecursionError) as error:
@@ -54,13 +54,15 @@ def imported(ledger: Ledger, path: Path) -> str:
     return content.name
 
 
-def _plain(flight: FlightRecord) -> dict[str, Any]:
+def plain_flight(flight: FlightRecord) -> dict[str, Any]:
+    """A flight as plain values; what is not known is left out."""
     values = {f.name: getattr(flight, f.name) for f in fields(flight)}
     values["told"] = list(flight.told)
     return {k: v for k, v in values.items() if v is not None and not (isinstance(v, float) and math.isnan(v))}
 
 
-def _flight(entry: dict[str, Any]) -> FlightRecord:
+def flight_of(entry: dict[str, Any]) -> FlightRecord:
+    """The flight that `plain_flight` made plain; msgspec.ValidationError when it is none."""
     return msgspec.convert(entry, FlightRecord, strict=False)
 
 

@@ -108,20 +108,18 @@ class Ledger:
 
         Returns the flight with what is believed after it. Raises BadInput for a pack of another size.
         """
-        return self.save_all(name, [flight])[0]
+        return self.save_all(name, [flight])[-1]
 
     def save_all(self, name: str, flights: Sequence[FlightRecord]) -> list[Remembered]:
-        """Save many flights of one pack at once, as one by one."""
+        """Save many flights of one pack at once, as one by one; returns those that stand in the ledger now."""
         if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
             raise BadInput(self.path, "pack", f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r}")
         with self.writing() as connection:
-            pack = _pack_id(connection, self.path, name, flights[0])
-            kept = []
-            for flight in flights:
-                kept.append(_kept(connection, pack, flight))
+            pack = _pack_id(connection, self.path, name, flights)
+            kept = [_kept(connection, pack, flight) for flight in flights]
             every = _work_out(connection, pack, name)
         after = {found.flight.key: found for found in every}
-        return [after[key] for key in kept]
+        return [after[key] for key in kept if key in after]
 
     def forget(self, name: str) -> bool:
         """Delete a pack with its flights; False when there is none of that name."""
@@ -168,17 +166,20 @@ def _words(error: sqlite3.DatabaseError) -> str:
     return f"a pack ledger that can be read and written, SQLite says: {text}"
 
 
-def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flight: FlightRecord) -> int:
+def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Sequence[FlightRecord]) -> int:
     """The pack's number, made when it is new."""
+    flight = flights[0]
     row = connection.execute("SELECT id, cells FROM packs WHERE name = ?", (name,)).fetchone()
+    cells = flight.cells if row is None else int(row["cells"])
+    for other in flights:
+        if other.cells != cells:
+            expected = f"flights of {cells} cells as before, found {other.cells}: another pack under this name?"
+            raise BadInput(path, f"pack {name}", expected)
     if row is None:
         nothing = outlook(ageing.first(flight), flight.rated_Ah, 0)
         pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
         found = connection.execute(*_insert("packs", rows.pack_row(pack)))
         return int(found.lastrowid or 0)
-    if row["cells"] != flight.cells:
-        expected = f"a flight of {row['cells']} cells as before, found {flight.cells}: another pack under this name?"
-        raise BadInput(path, f"pack {name}", expected)
     return int(row["id"])
 
 
@@ -188,7 +189,7 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
         other = rows.flight_of(row)
         if not other.is_same_as(flight):
             continue
-        if other.duration_s > flight.duration_s:
+        if other.key != flight.key and (other.duration_s, other.key) > (flight.duration_s, flight.key):
             return other.key
         flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
         connection.execute("DELETE FROM flights WHERE id = ?", (row["id"],))
