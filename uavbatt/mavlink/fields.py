@@ -51,6 +51,7 @@ class PackIdentity:
 # Offsets of (id, cycle count, serial's first and last byte) in the payloads, and the payloads' whole lengths.
 _IDENTITY_AT = {SMART_BATTERY_INFO: (18, 8, 21, 37), BATTERY_INFO: (44, 40, 58, 90)}
 IDENTITY_LENGTH = {SMART_BATTERY_INFO: 109, BATTERY_INFO: 140}
+IDENTITY_EXTRA = {SMART_BATTERY_INFO: 75, BATTERY_INFO: 26}  # seeds of their checksums
 _NO_SERIALS = ("", "0", "-1", "65535")
 
 

@@ -64,6 +64,12 @@ class Ledger:
             raise BadInput(self.path, "", _words(error)) from None
 
     @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """The connection, for reading."""
+        with self._told():
+            yield self._connection
+
+    @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
         """The one writer: all that is done within is saved together, or nothing of it."""
         with self._told():
@@ -103,14 +109,15 @@ class Ledger:
             ).fetchone()
         return rows.remembered_of(row) if row is not None else None
 
-    def save(self, name: str, flight: FlightRecord) -> Remembered:
+    def save(self, name: str, flight: FlightRecord, landed: int | None = None) -> Remembered:
         """Save a flight of a pack; one that is in the ledger already is replaced, unless the new one knows less of it.
 
-        Returns the flight with what is believed after it. Raises BadInput for a pack of another size.
+        Returns the flight with what is believed after it. Raises BadInput for a pack of another size. `landed` is the
+        number of the airborne flight that this one was, which ends with it.
         """
-        return self.save_all(name, [flight])[-1]
+        return self.save_all(name, [flight], landed)[-1]
 
-    def save_all(self, name: str, flights: Sequence[FlightRecord]) -> list[Remembered]:
+    def save_all(self, name: str, flights: Sequence[FlightRecord], landed: int | None = None) -> list[Remembered]:
         """Save many flights of one pack at once, as one by one; returns those that stand in the ledger now."""
         if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
             raise BadInput(self.path, "pack", f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r}")
@@ -118,6 +125,8 @@ class Ledger:
             pack = _pack_id(connection, self.path, name, flights)
             kept = [_kept(connection, pack, flight) for flight in flights]
             every = _work_out(connection, pack, name)
+            if landed is not None:
+                connection.execute("DELETE FROM airborne WHERE id = ?", (landed,))
         after = {found.flight.key: found for found in every}
         return [after[key] for key in kept if key in after]
 

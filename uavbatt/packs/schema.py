@@ -54,7 +54,7 @@ AIRBORNE = """
 CREATE TABLE airborne (
     id INTEGER PRIMARY KEY,
     name TEXT NOT NULL,
-    start_utc_s REAL NOT NULL,
+    start_utc_s REAL,
     cells INTEGER NOT NULL, capacity_Ah REAL NOT NULL,
     cycles INTEGER
 );

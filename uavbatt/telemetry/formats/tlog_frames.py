@@ -25,7 +25,7 @@ from uavbatt.telemetry.formats.checksum import checksums
 # The dialect's seed of each wanted message's checksum.
 SEEDS = {
     fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
-    fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178, fields.SMART_BATTERY_INFO: 75, fields.BATTERY_INFO: 26,
+    fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178, **fields.IDENTITY_EXTRA,
 }  # fmt: skip
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01
