@@ -29,7 +29,6 @@ KEY_ROWS = 200
 LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
 LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
 LONGEST_STEP_S = 60.0
-UNUSABLE_SD = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +82,6 @@ def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught
     if loaded is None or estimator.resolved is None or estimator.resolved.cells != size.cells:
         return Taught(None, "no estimate could be made")
     said = told(pack, loaded, last or loaded, _mean_temp_C(rows[: last_loaded + 1]))
-    if not said.variance_ohm < UNUSABLE_SD**2:
-        return Taught(None, "the flight says nothing of the pack")
     estimates = [*first, *end]
     if _drawn_Ah(rows) < LEAST_CHARGE * size.capacity_Ah:
         return Taught(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")

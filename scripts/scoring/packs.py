@@ -169,9 +169,7 @@ def summary(found: Sequence[Flown], kept_back: Sequence[str]) -> Table:
         chosen = [one for one in found if name in (one.pack, "all") and one.number >= JUDGED_FROM]
         label = f"{name} (kept back)" if name in kept_back else name
         rows.append((label, *_means(chosen)))
-    note = (
-        "Mean |error| of the flights from the third on, without -> with the ledger; capacity: as known after."
-    )
+    note = "Mean |error| of the flights from the third on, without -> with the ledger; capacity: as known after."
     return Table("Packs remembered, from the third flight on", head, tuple(rows), note)
 
 

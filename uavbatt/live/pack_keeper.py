@@ -77,7 +77,7 @@ class PackKeeper:
         kept = self._kept.get(instance)
         if kept is None or kept.name != name:
             if kept is not None:
-                self._land(instance, kept)
+                self._land(kept)
             self._kept[instance] = kept = Kept(name, self._worker.submit(self._recalled, name, now_s), cycles)
         return kept.health
 
@@ -99,11 +99,11 @@ class PackKeeper:
 
     def look_after(self, now_s: float) -> None:
         """Write what is due; see which flights are over."""
-        for instance, kept in self._kept.items():
+        for kept in self._kept.values():
             if kept.number is None:
                 continue
             if now_s - kept.disarmed_s >= LANDED_S or now_s - kept.last_s >= SILENT_S:
-                self._land(instance, kept)
+                self._land(kept)
             elif now_s - kept.flushed_s >= FLUSH_S:
                 self._flush(kept, now_s)
         for name, left in list(self._young.items()):
@@ -141,14 +141,13 @@ class PackKeeper:
             number = kept.number
             self._worker.submit(self._told, lambda: airborne.add(self._ledger, number.result(), rows))
 
-    def _land(self, instance: int, kept: Kept) -> None:
+    def _land(self, kept: Kept) -> None:
         """The flight is over: what it taught is saved, and known the next time the pack is met."""
         if kept.number is None:
             return
         self._flush(kept, kept.last_s)
         number, kept.number = kept.number, None
         self._worker.submit(self._told, lambda: self._learned(number.result(), None))
-        kept.health = self._worker.submit(self._recalled, kept.name, kept.last_s)
 
     def _told(self, work: Callable[..., None], *arguments: object) -> None:
         """Work of the thread; what goes wrong is told, and ends nothing."""
