@@ -19,7 +19,7 @@ from typing import NamedTuple
 from uavbatt.asked import Asked, say, unknown
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.remembered import PackHealth, prior_of, unlike
+from uavbatt.battery.remembered import PackHealth, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import Belief, C
 from uavbatt.estimation.filter import SocFilter
@@ -262,6 +262,7 @@ class Estimator:
                 capacity_scale_sd=level_sd,
                 guess_sd=about_it_sd,
             )
+        pack = with_reaction(pack, self.remembered)
         return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
 
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.remembered import PackHealth, prior_of
+from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.errors import UsageError
@@ -151,6 +151,7 @@ def endurance(
 ) -> Endurance:
     """Time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
     pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+    pack = with_reaction(pack, remembered)
     forecaster = Forecaster(pack, Settings(load, max(reserve_soc, EMPTY_SOC)))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
     if found is None:

@@ -45,7 +45,8 @@ class Scales(NamedTuple):
 
 # Of a pack of which nothing is remembered nor assumed, so wide that a belief tells what the flight itself said.
 UNKNOWN = Scales(np.array([0.0, -0.05]), np.diag([0.3**2, 0.2**2]))
-HALF_CHARGE = 0.5
+HALF_CHARGE, HOVER_C_RATE = 0.5, 2.5
+REACTION_SHARE = 0.6  # more makes plans of aged packs too long in the cold, less too short in the warmth
 TO_SCALES = np.array([[1.0, 1.0], [0.0, 1.0]])  # an ohm·Ah is an ohm times an Ah
 FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
 
@@ -74,9 +75,24 @@ def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
     return capacities(pack) if health is None else remembered_capacities(pack, health)
 
 
+def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
+    """The pack with the part of its additional ohms that is a sluggish reaction: a drop that does not grow at the knee.
+
+    A resistance that grows with an emptying cell would end a warm flight early; a drop that does not would hide the
+    cold. Which of the two ages a pack no flight of it tells apart, so that each gets its share.
+    """
+    if health is None:
+        return pack
+    more = math.expm1(float(scales_of(pack, health).mean[0]))
+    drop_V = REACTION_SHARE * more * HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
+    return pack._replace(cell=pack.cell._replace(transfer_V=pack.cell.transfer_V + max(drop_V, 0.0)))
+
+
 def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
     """The members of a pack that was met before: around what is remembered, and the doubt about it."""
     (log_resistance, log_capacity), covariance = scales_of(pack, health)
+    if log_resistance > 0.0:
+        log_resistance = math.log1p((1.0 - REACTION_SHARE) * math.expm1(log_resistance))
     resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()
     told_by_capacity = float(covariance[0, 1]) / capacity_sd  # ln of the resistance per sd of the capacity
     count = max(FEWEST, math.ceil(2.0 * REACH * capacity_sd / LARGEST_STEP) + 1)
