@@ -20,10 +20,13 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.packs import findings as odd
 from uavbatt.packs.records import Finding, FlightRecord, Known, Remembered
 
-# A pack that nobody met: against its file and its rating, and how it changes from flight to flight. LiPo packs lose
-# a fifth in 50 to 300 flights; a season of hard use can take 2 % a flight.
-FIRST_MEAN = np.array([0.0, -0.03, 0.003, -0.0015])
-FIRST_SD = np.array([0.20, 0.10, 0.010, 0.010])
+# A pack that nobody met is as good as new, or it is in service: shares, means and sds of (ln ohm, ln Ah) against its
+# type and its rating. From flight to flight it ages: LiPo packs lose a fifth in 50 to 300 flights, and a season of hard
+# use can take 2 % a flight.
+NEW_SHARE = 0.6
+NEW_MEAN, NEW_SD = np.array([0.0, 0.0]), np.array([0.10, 0.03])
+USED_MEAN, USED_SD = np.array([0.10, -0.12]), np.array([0.25, 0.10])
+TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.010, 0.010])
 AGED_TOGETHER = (-0.5, -0.9)  # correlations, of what is and of its change: who has lost charge has gained ohms
 FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # a flight more
 MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # a month on the shelf
@@ -41,13 +44,35 @@ H = np.eye(2, 4)
 OHM, CHARGE = 0, 1
 
 
-def first(flight: FlightRecord) -> Known:
-    """The belief about a pack before its first flight."""
-    mean = FIRST_MEAN + np.array([math.log(flight.type_ohm), math.log(flight.rated_Ah), 0.0, 0.0])
-    covariance = np.diag(FIRST_SD**2)
+def _first(flight: FlightRecord, mean: Array, sd: Array) -> Known:
+    """The belief about a pack before its first flight, if it is of one of the two kinds."""
+    type_log = np.log([flight.type_ohm, flight.rated_Ah])
+    every_sd = np.concatenate([sd, TREND_SD])
+    covariance = np.diag(every_sd**2)
     for k, correlation in zip((0, 2), AGED_TOGETHER, strict=True):
-        covariance[k, k + 1] = covariance[k + 1, k] = correlation * FIRST_SD[k] * FIRST_SD[k + 1]
+        covariance[k, k + 1] = covariance[k + 1, k] = correlation * every_sd[k] * every_sd[k + 1]
+    return Known(np.concatenate([type_log + mean, TREND_MEAN]), covariance)
+
+
+def first_known(flight: FlightRecord) -> Known:
+    """The belief about a pack after its first flight: the two kinds together, each as likely as the flight makes it."""
+    kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
+    likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
+    weight = likely / likely.sum() if likely.sum() > 0.0 else np.array([0.0, 1.0])
+    after = [_taken(kind, flight) for kind in kinds]
+    mean = np.asarray(sum(w * known.mean for w, known in zip(weight, after, strict=True)))
+    covariance = np.zeros((4, 4))
+    for w, known in zip(weight, after, strict=True):
+        apart = known.mean - mean
+        covariance += w * (known.covariance + np.outer(apart, apart))
     return Known(mean, covariance)
+
+
+def _likelihood(known: Known, flight: FlightRecord) -> float:
+    """How likely a belief made what the flight says, but for a constant."""
+    spread = H @ known.covariance @ H.T + flight.told.matrix
+    apart = flight.told.mean - H @ known.mean
+    return math.exp(-0.5 * float(apart @ np.linalg.solve(spread, apart))) / math.sqrt(float(np.linalg.det(spread)))
 
 
 def later(known: Known, days: float) -> Known:
@@ -111,8 +136,7 @@ def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
 
 
 def _begun(flight: FlightRecord) -> tuple[Course, tuple[Finding, ...]]:
-    expected = first(flight)
-    return Course(_taken(expected, flight), expected, flight), ()
+    return Course(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
 
 
 def _taken(expected: Known, flight: FlightRecord) -> Known:
@@ -151,7 +175,7 @@ def _improved(course: Course, expected: Known, flight: FlightRecord, said: Findi
         again = "as before the damage: the flights in between were another pack's"
         return Course(_taken(later(old, 0.0), flight), old, flight, is_settled=False), Finding(said.kind, again)
     if course.aside is not None:
-        anew = _taken(first(course.aside), course.aside)
+        anew = first_known(course.aside)
         said = Finding(said.kind, "again another pack: remembered anew under this name")
         return Course(_taken(later(anew, 0.0), flight), anew, flight, is_settled=False), said
     return Course(expected, expected, course.last, aside=flight, is_settled=False), said

@@ -185,7 +185,7 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
             expected = f"flights of {cells} cells as before, found {other.cells}: another pack under this name?"
             raise BadInput(path, f"pack {name}", expected)
     if row is None:
-        nothing = outlook(ageing.first(flight), flight.rated_Ah, 0)
+        nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0)
         pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
         found = connection.execute(*_insert("packs", rows.pack_row(pack)))
         return int(found.lastrowid or 0)

@@ -12,7 +12,7 @@ RETIRED_AT = 0.8  # of the rated capacity
 INTERVAL_SD = 1.645  # 5 % to 95 %
 # The battery file's own error is in every flight alike, so that no number of flights takes it out.
 SHARED_SD = (0.04, 0.02)  # ln of ohms, ln of Ah
-FARTHEST_FLIGHTS = 2000.0
+FARTHEST_FLIGHTS = 500.0
 # 5, 15 .. 95 % points of a standard normal: an even sample of it without chance.
 LEVELS = np.array([-1.645, -1.036, -0.674, -0.385, -0.126, 0.126, 0.385, 0.674, 1.036, 1.645])
 
