@@ -187,7 +187,7 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
     if row is None:
         nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0)
         pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
-        found = connection.execute(*_insert("packs", rows.pack_row(pack)))
+        found = connection.execute(*inserted("packs", rows.pack_row(pack)))
         return int(found.lastrowid or 0)
     return int(row["id"])
 
@@ -202,7 +202,7 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
             return other.key
         flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
         connection.execute("DELETE FROM flights WHERE id = ?", (row["id"],))
-    connection.execute(*_insert("flights", {**rows.flight_row(flight), "pack": pack, "findings": ""}))
+    connection.execute(*inserted("flights", {**rows.flight_row(flight), "pack": pack, "findings": ""}))
     return flight.key
 
 
@@ -231,7 +231,9 @@ def _known(value: float, other: float) -> float:
     return value if math.isfinite(value) else other
 
 
-def _insert(table: str, row: dict[str, object]) -> tuple[str, dict[str, object]]:
+def inserted(table: str, row: dict[str, object]) -> tuple[str, dict[str, object]]:
+    """The statement that inserts a row into a table, and its values."""
+    """The statement that inserts a row, and its values."""
     names = ", ".join(row)
     return f"INSERT INTO {table} ({names}) VALUES ({', '.join(':' + name for name in row)})", row
 
