@@ -21,14 +21,17 @@ from numpy.typing import NDArray
 
 from uavbatt import dataset
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import close
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.replay import engine_for
 from uavbatt.telemetry import read_log
-from uavbatt.validation import temperatures
-from uavbatt.validation.gate import Limits
+from uavbatt.validation.gating import temperatures
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.judging.readings import read_once
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -73,9 +76,9 @@ def plain(name: str, ocv: tuple[Array, Array], ohm_Ah: float, capacity_Ah: float
 
 def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutoff_V: float) -> str:
     """One line of the table: the diagnosis of the records, each left out in turn for the error."""
-    pack = pack_for(file, records[0].cells, records[0].capacity_Ah)._replace(cutoff_V=cutoff_V)
+    pack = pack_from(file, PackOptions(records[0].cells, records[0].capacity_Ah, cutoff_V))
     try:
-        found = diagnose(records, file, pack)
+        found = diagnose(records, file, pack, engine=engine_for(is_long=True))
     except NotEnoughData as error:
         return f"| {name} | {model} | not enough data: {error} | – | – |"
     empty = [np.zeros(0)] * len(found.problem.evidence.names)
@@ -96,7 +99,7 @@ def words(found: Diagnosis) -> str:
 
 def study() -> None:
     """The study's tables over temperature: isothermal, then self-heating and a steeper cold resistance."""
-    loop = temperatures.close_loop(dataset.load(STUDY), Limits())
+    loop = temperatures.close_loop(read_once(dataset.load(STUDY)), Limits())
     if loop is None:
         return
     print("\n| study: step | tests | RMSE before → after, left out [mV] | p | holds |\n|---|---|---|---|---|")

@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import PackOptions
 from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, made, resolve
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
@@ -107,7 +107,7 @@ def test_outside_the_validated_range_is_said() -> None:
     assert "outside the validated range" in planned(ambient_C=-20.0, battery=battery).remark
     assert "outside the validated range" in planned(ambient_C=50.0, battery=battery).remark
     assert planned(ambient_C=25.0, battery=battery).remark == ""
-    assert planned(ambient_C=25.0).remark == "validated at no temperature"
+    assert planned(ambient_C=25.0).remark == "not tested at any temperature"
     warned = made(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), 20.0).warnings
     assert warned == ("the certificate is for a 3S pack; this one is scaled from it",)
 
@@ -147,7 +147,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert [row["ambient_C"] for row in told["table"]] == list(TABLE_C)
     text = page.read_text()
     ElementTree.fromstring(text.replace("<!DOCTYPE html>", ""))
-    assert "validated at no temperature" in text and "<svg" in text and "250 W" in text
+    assert "not tested at any temperature" in text and "<svg" in text and "250 W" in text
 
 
 @pytest.mark.parametrize(

@@ -16,15 +16,17 @@ import numpy as np
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import UNKNOWN, PackHealth, health_of, type_ohm
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.state_space import Belief
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.statements import size_from_rows
+from uavbatt.estimator import Estimator
 from uavbatt.packs.evidence import told
 from uavbatt.packs.ledger import Ledger, prior
 from uavbatt.packs.records import FlightRecord, Told
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Estimate, Flight, Sample
-from uavbatt.resolved import Resolved
 
-NEVER_S = 1e6  # between forecasts: none is asked for
+SILENT = Settings(forecast_period_s=1e6)  # forecasts are not asked for
 KEY_ROWS = 200
 LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
 LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
@@ -64,22 +66,16 @@ def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught
     last_loaded = _last_loaded(rows)
     if last_loaded is None:
         return Taught(None, "no current was measured under load")
-    options = replace(options, forecast_period_s=NEVER_S)
     facts = flight.facts_at(math.inf)
     if facts.sag_compensated:
         return Taught(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
-    begun = Estimator(battery, options)
-    begun.update_facts(facts)
-    begun.step(rows[0])
-    size = begun.resolved
-    if size is None:
-        return Taught(None, "the size of the pack is not known")
+    size = size_from_rows(battery, options, replace(flight, samples=tuple(rows)), facts)
     pack = pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
-    estimator = Estimator(battery, options, health_of(pack, UNKNOWN))
+    estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
     estimator.update_facts(facts)
     first, loaded = _run(estimator, rows[: last_loaded + 1])
     end, last = _run(estimator, rows[last_loaded + 1 :])
-    if loaded is None or estimator.resolved is None or estimator.resolved.cells != size.cells:
+    if loaded is None or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return Taught(None, "no estimate could be made")
     said = told(pack, loaded, last or loaded, _mean_temp_C(rows[: last_loaded + 1]))
     estimates = [*first, *end]
@@ -92,8 +88,7 @@ def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], 
     """The first and the last estimate over some rows, and the belief after them."""
     if not rows:
         return [], None
-    estimator.look_ahead(rows)
-    estimates = [estimator.step(row)[0] for row in rows]
+    estimates = [estimate for estimate, _ in estimator.run(rows)]
     return [estimates[0], estimates[-1]], estimator.belief
 
 
@@ -130,7 +125,7 @@ def _mean_temp_C(rows: Sequence[Sample]) -> float:
 
 def _record(
     battery: BatteryFile,
-    size: Resolved,
+    size: PackSize,
     pack: Pack,
     flight: Flight,
     rows: Sequence[Sample],

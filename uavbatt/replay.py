@@ -1,4 +1,4 @@
-"""Replay of a flight log through the pipeline, and what came of it."""
+"""Replay of a flight log through the estimator, and what came of it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,12 @@ from itertools import groupby
 
 import numpy as np
 
-from uavbatt import fast
-from uavbatt.asked import Asked, say
 from uavbatt.battery.model import Array
-from uavbatt.estimator import Estimator
-from uavbatt.prediction.batch import SIDE_BY_SIDE, answers
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
 
-FORECAST_S = 0.5e-3  # measured: 1.25 ms for one of sixteen side by side, 0.75 ms compiled
-LONGEST_WINDOW = 4096
+MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 
@@ -31,47 +27,30 @@ class Step:
     remaining: Remaining
 
 
+def engine_for(*, is_long: bool) -> Engine:
+    """The engine for a work: compiled where that is long enough to repay it and the extra `fast` is installed."""
+    if not is_long:
+        return PLAIN
+    try:
+        from uavbatt import compiled
+    except ImportError:  # an installation without it
+        return PLAIN
+    return compiled.engine() if compiled.is_available() else PLAIN
+
+
 def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
     """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
-    fast.pays(_spared_s(flight, estimator), "forecast")
-    for facts, samples in _windows(flight):
+    for facts, samples in _stretches(flight):
         estimator.update_facts(facts)
-        estimator.look_ahead(samples)
-        waiting: list[Asked] = []
-        questions = 0
-        for sample in samples:
-            asked = estimator.ask(sample)
-            waiting.append(asked)
-            questions += asked.question is not None
-            if questions == SIDE_BY_SIDE:
-                yield from _said(waiting)
-                waiting, questions = [], 0
-        yield from _said(waiting)
+        for estimate, remaining in estimator.run(samples):
+            yield Step(estimate, remaining)
 
 
-def _windows(flight: Flight) -> Iterator[tuple[PackFacts, list[Sample]]]:
-    """The rows in pieces that the filter may look ahead over: the vehicle says the same all along."""
+def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
+    """The rows in pieces in which the vehicle says the same all along."""
     since_s = [time_s for time_s, _ in flight.facts]
     for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
-        facts = flight.facts[count - 1][1] if count else PackFacts()
-        every = list(rows)
-        for first in range(0, len(every), LONGEST_WINDOW):
-            yield facts, every[first : first + LONGEST_WINDOW]
-
-
-def _said(waiting: list[Asked]) -> Iterator[Step]:
-    """The lines of rows whose questions are answered all at once."""
-    ends = iter(answers([asked.question for asked in waiting if asked.question is not None]))
-    for asked in waiting:
-        yield Step(*say(asked, next(ends) if asked.question is not None else None))
-
-
-def _spared_s(flight: Flight, estimator: Estimator) -> float:
-    """About how much sooner the forecasts of a replay are done by compiled code [s]."""
-    if not flight.samples:
-        return 0.0
-    duration_s = flight.samples[-1].time_s - flight.samples[0].time_s
-    return FORECAST_S * min(duration_s / max(estimator.options.forecast_period_s, 1e-3), len(flight.samples))
+        yield flight.facts[count - 1][1] if count else PackFacts(), rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +70,13 @@ class Checkpoint:
 
     @property
     def inside(self) -> bool:
-        """Whether the truth lies in the 90 % interval."""
+        """True if the truth lies in the 90 % interval."""
         return self.lo_s <= self.before_end_s <= self.hi_s
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a replay shows in figures."""
+    """One replay in figures."""
 
     rows: int
     duration_s: float

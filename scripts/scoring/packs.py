@@ -18,10 +18,12 @@ from scoring.truth import CAPACITY_AH, CELLS, CUTOFF_V, FLYING_A
 from uavbatt import dataset, plan, remembering
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import Remembered
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.replay import steps
@@ -113,10 +115,10 @@ def _answer(folder: Path, pack: str, number: int) -> Answer:
 
 def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackHealth | None) -> Forecast:
     """The flight under its own true load, so that the battery alone is tested."""
-    options = PackOptions(load=LoggedLoad(answer.time_s, answer.power_W), forecast_period_s=PERIOD_S)
-    estimator = Estimator(battery, options, known)
+    settings = Settings(LoggedLoad(answer.time_s, answer.power_W), forecast_period_s=PERIOD_S)
+    estimator = Estimator(battery, PackOptions(), settings, remembered=known)
     lines = ours(list(steps(flight, estimator)))
-    assert estimator.resolved is not None
+    assert estimator.pack_size is not None
     length_s = answer.end_s - answer.start_s
     errors, inside = [], []
     for share in INSTANTS:
@@ -128,7 +130,7 @@ def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackH
     ahead = answer.time_s >= answer.start_s
     load = LoggedLoad(answer.time_s[ahead] - answer.start_s, answer.power_W[ahead])
     soc = min(answer.start_soc, 1.0)
-    planned = plan.endurance(battery, estimator.resolved, load, answer.ambient_C, soc, 0.0, known)
+    planned = plan.endurance(battery, estimator.pack_size, load, answer.ambient_C, soc, 0.0, known)
     return Forecast(tuple(errors), tuple(inside), planned.median_s / length_s - 1.0)
 
 

@@ -10,7 +10,7 @@ import pytest
 from uavbatt.battery import battery_file
 from uavbatt.battery.model import open_circuit_voltage
 from uavbatt.battery.scaling import pack_of
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.pack_keeper import PackKeeper
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger

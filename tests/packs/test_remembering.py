@@ -12,7 +12,8 @@ from uavbatt import remembering
 from uavbatt.battery import battery_file
 from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike
 from uavbatt.battery.scaling import pack_of
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Flight, Identity, PackFacts
 from uavbatt.simulate import Mission, fly, with_effects
@@ -106,7 +107,7 @@ def test_a_stated_name_goes_before_the_serial(emptied):
 def test_the_flights_own_evidence_overrules_what_is_remembered(record):
     """A pack remembered as aged is as good as new: at the end the flight believes its own readings."""
     aged = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
-    estimator = Estimator(BATTERY, OPTIONS, aged)
+    estimator = Estimator(BATTERY, OPTIONS, remembered=aged)
     for sample in flight(3, effects={}).samples:
         estimate, _ = estimator.step(sample)
     assert estimate.capacity_scale == pytest.approx(1.0, abs=0.05)

@@ -11,8 +11,9 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly

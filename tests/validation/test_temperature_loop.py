@@ -11,10 +11,13 @@ from command import Judged
 
 from uavbatt import dataset
 from uavbatt.fitting import prior
-from uavbatt.validation import as_json, cold_model, temperatures
-from uavbatt.validation.cold_model import OneTimeTests, Variant
-from uavbatt.validation.gate import Limits
-from uavbatt.validation.temperatures import Gain, Outcome, TemperatureLoop
+from uavbatt.validation import as_json
+from uavbatt.validation.gating import cold_model, temperatures
+from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.gating.temperature_gains import Gain, VariantOutcome
+from uavbatt.validation.gating.temperatures import TemperatureLoop
+from uavbatt.validation.judging.readings import read_once
 
 ISOTHERMAL = Variant("isothermal", False, False, False)
 HEATED = Variant("self-heating", True, False, False)
@@ -28,7 +31,7 @@ def loop(judged_study: Judged) -> TemperatureLoop:
     return found
 
 
-def outcome(loop: TemperatureLoop, scope: str, variant: str, series: bool = False) -> Outcome:
+def outcome(loop: TemperatureLoop, scope: str, variant: str, series: bool = False) -> VariantOutcome:
     return next(o for o in loop.outcomes if (o.scope, o.variant, o.series) == (scope, variant, series))
 
 
@@ -133,4 +136,4 @@ def test_every_question_has_its_sentence_and_the_whole_goes_into_json(loop: Temp
 
 
 def test_a_metered_set_has_no_such_loop(shared_data: Path) -> None:
-    assert temperatures.close_loop(dataset.load(shared_data / "truth" / "lab"), Limits()) is None
+    assert temperatures.close_loop(read_once(dataset.load(shared_data / "truth" / "lab")), Limits()) is None

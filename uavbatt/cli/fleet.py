@@ -68,11 +68,14 @@ def fleet(
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find
+    from uavbatt.prediction.forecaster import Settings
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    job = Job(read_battery(battery, allow_uncertified), options, _pattern(aircraft), teaches=packs is not None)
+    settings = Settings(reserve_soc=reserve_soc)
+    content = read_battery(battery, allow_uncertified)
+    job = Job(content, options, settings, _pattern(aircraft), teaches=packs is not None)
     found = find(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
@@ -103,16 +106,15 @@ def _fill(packs: Path, rows: Iterable[Row]) -> None:
 
 def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) -> None:
     """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
-    from uavbatt.files import atomic_write
     from uavbatt.fleet.tables import CSV, PARQUET
     from uavbatt.report.fleet import counted, fleet_report
     from uavbatt.report.fleet_groups import gathered
+    from uavbatt.report.page import write_page
 
     overview = gathered(rows)
     battery = f"{job.battery.battery.name} ({job.battery.status})"
     remarks = (("logs", f"{logs}, of which {flown} were flown in this run and the others before"),)
-    with atomic_write(folder / PAGE) as file:
-        file.write(fleet_report(overview, battery, remarks))
+    write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:

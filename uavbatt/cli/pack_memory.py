@@ -14,7 +14,7 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.remembered import PackHealth
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.packs.ledger import Ledger
     from uavbatt.records import Flight
 

@@ -32,7 +32,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.plan import Plan
     from uavbatt.prediction.load import Load
     from uavbatt.records import Flight
@@ -78,7 +78,10 @@ def plan(
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:
-        _write_report(report, found)
+        from uavbatt.report.page import write_page
+        from uavbatt.report.plan import plan_report
+
+        write_page(report, plan_report(found))
     if summary is not None:
         _write_summary(summary, found, content.certificate.content_sha256)
 
@@ -132,15 +135,6 @@ def _clock(seconds: float) -> str:
         return "unknown"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"
-
-
-def _write_report(path: Path, plan: Plan) -> None:
-    from uavbatt.files import atomic_write
-    from uavbatt.report.plan import plan_report
-
-    html = plan_report(plan)
-    with atomic_write(path, "w") as stream:
-        stream.write(html)
 
 
 def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:

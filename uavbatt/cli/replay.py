@@ -34,9 +34,9 @@ from uavbatt.errors import UsageError, terminal_line
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.cli.pack_memory import PackMemory
-    from uavbatt.estimator import PackOptions, Resolved
     from uavbatt.records import Flight
     from uavbatt.replay import Outcome, Step
 
@@ -81,9 +81,10 @@ def replay(
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results = []
+    stated = (options, reserve_soc)
     with pack_memory.opened(packs, pack) as memory:
         for log, of_one in zip(logs, targets, strict=True):
-            results.append(_one(log, content, options, (load, flown), (instance, join), memory, (*of_one, summary)))
+            results.append(_one(log, content, stated, (load, flown), (instance, join), memory, (*of_one, summary)))
     if summary is not None:
         from uavbatt.files import write_json
 
@@ -93,30 +94,29 @@ def replay(
 def _one(
     log: Path,
     content: BatteryFile,
-    options: PackOptions,
+    stated: tuple[PackOptions, float],
     load: tuple[str, VehicleFile | None],
     chosen: tuple[int | None, str],
     memory: PackMemory,
     outputs: Sequence[Path | None],
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
-    from dataclasses import replace as changed
-
     from uavbatt import output
+    from uavbatt.battery.statements import check
     from uavbatt.cli.loads import stated_load
     from uavbatt.estimator import Estimator
-    from uavbatt.replay import outcome, steps
-    from uavbatt.statements import check
-    from uavbatt.telemetry.recording import forecast_period_s
+    from uavbatt.prediction.forecaster import Settings
+    from uavbatt.replay import MANY_ROWS, engine_for, outcome, steps
+    from uavbatt.telemetry.formats.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
-    flight = asked_flight(log, *chosen)
+    flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
     check(content, options, flight)
     period_s = forecast_period_s(log)
-    if math.isfinite(period_s):
-        options = changed(options, forecast_period_s=period_s)
-    loaded = changed(options, load=stated_load(load[0], flight, load[1], content))
-    estimator = Estimator(content, loaded, memory.recalled(flight, content))
+    to_come = stated_load(load[0], flight, load[1], content)
+    settings = Settings(to_come, reserve_soc, period_s) if math.isfinite(period_s) else Settings(to_come, reserve_soc)
+    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
+    estimator = Estimator(content, options, settings, engine, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -125,14 +125,15 @@ def _one(
             run.append(step)
             for sink in out:
                 sink.write(output.line(step.estimate, step.remaining))
-        resolved = estimator.resolved
+        resolved = estimator.pack_size
         if resolved is None:
             raise UsageError(f"{log}: expected at least one row with a voltage")
         found = outcome(run, resolved.cutoff_V)
         if report is not None:
-            from uavbatt.cli import flight_page
+            from uavbatt.report.flight import flight_report
+            from uavbatt.report.page import write_page
 
-            flight_page.write(report, flight, run, resolved, found, content)
+            write_page(report, flight_report(flight, run, resolved, found, content))
     learned = memory.learn(flight, content, options)
     for line in [*_lines(flight, resolved, found, run), *learned.lines]:
         say(line, *outputs)
@@ -149,15 +150,14 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
-def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) -> list[str]:
+def _lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) -> list[str]:
     """The summary for a person."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
         f"{flight.source}: {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
         f"  battery    {resolved.battery} ({status}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, state of charge {_number(found.end_soc, '.3f')} "
-        f"± {_number(found.end_soc_sd, '.3f')}; refused in the air {_number(found.refused_in_air, '.1%')}, "
-        f"mean NIS {_number(found.mean_nis, '.2f')}",
+        f"± {_number(found.end_soc_sd, '.3f')}; {_given(found.refused_in_air)}",
     ]
     warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
     lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
@@ -176,13 +176,32 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
                 lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
     else:
         last = run[-1].remaining
-        said = f"{last.remaining_s:.0f} s left at the last row" if math.isfinite(last.remaining_s) else last.reason
-        lines.append(f"  the log does not reach the end of flight; {said}")
+        between = f"{_clock(last.remaining_lo_s)} to {_clock(last.remaining_hi_s)}"
+        left = f"{_clock(last.remaining_s)} min left at the last row ({between})"
+        said = left if math.isfinite(last.remaining_s) else f"no forecast at the last row: {last.reason}"
+        lines.append(f"  the flight ended before its battery did; {said}")
     return lines
 
 
+def _given(refused_in_air: float) -> str:
+    """Say how often a forecast was given while the aircraft flew."""
+    if not math.isfinite(refused_in_air):
+        return "not seen in the air for more than a minute"
+    if refused_in_air == 0.0:
+        return "a forecast at all times in the air"
+    return f"no forecast at {refused_in_air:.1%} of the rows in the air"
+
+
+def _clock(seconds: float) -> str:
+    """Minutes and seconds, `16:22`."""
+    if not math.isfinite(seconds):
+        return "unknown"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
 def _summary(
-    flight: Flight, resolved: Resolved, found: Outcome, run: list[Step], content: BatteryFile
+    flight: Flight, resolved: PackSize, found: Outcome, run: list[Step], content: BatteryFile
 ) -> dict[str, Any]:
     """The summary for a program (DESIGN §5)."""
     from dataclasses import asdict

@@ -1,4 +1,4 @@
-"""What all refits share, and what a refit gives back."""
+"""The values that all refits share, and the value that a refit gives back."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.battery import openloop
 from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, resistance
 from uavbatt.battery.scaling import Pack
@@ -50,13 +51,14 @@ def _hats(soc: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What all refits share: the pack of the battery file, the records, the quantities' values there."""
+    """One problem for all refits: the pack of the battery file, the records, the quantities' values there."""
 
     pack: Pack
     evidence: Evidence
     base: Array
     nuisances: tuple[Freed, ...] = ()
     tables: TableErrors | None = None
+    states: openloop.States = openloop.states  # simulates them; compiled, where the command hands that in
 
 
 @dataclass(frozen=True, slots=True)

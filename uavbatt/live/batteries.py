@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import PackOptions
 from uavbatt.live import state
 from uavbatt.live.config import Config
 from uavbatt.live.listener import tell
@@ -24,6 +24,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, Row
 from uavbatt.telemetry.parameters import BATTERY_NAMES
@@ -39,11 +40,12 @@ class Batteries:
         config: Config,
         battery: BatteryFile,
         options: PackOptions,
+        settings: Settings,
         reader: LiveReader,
         clocks: Callable[[float], state.Clock],
         now_s: float,
     ) -> None:
-        self._config, self._battery, self._options = config, battery, options
+        self._config, self._battery, self._options, self._settings = config, battery, options, settings
         self._reader, self._clocks, self._start_s = reader, clocks, now_s
         self.reports: dict[int, Report] = {}
         self.tracked: dict[int, TrackedBattery] = {}
@@ -70,7 +72,7 @@ class Batteries:
             self._reader.resume(self._resumption.meet(self._vehicle))
         if instance not in self.tracked:
             saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
-            self.tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
+            self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
             self._note_until_s = now_s + NOTE_S
         if self._keeper is not None:
             self._remember(self._keeper, row, now_s)
@@ -78,7 +80,7 @@ class Batteries:
         estimate, remaining = self.tracked[instance].step(row.sample, self._facts_of(instance), gap_s)
         if conflict := self._reader.conflict(instance):
             estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
-        before, resolved = self.reports.get(instance), self.tracked[instance].estimator.resolved
+        before, resolved = self.reports.get(instance), self.tracked[instance].estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
         report = Report(
@@ -97,7 +99,7 @@ class Batteries:
         return report
 
     def notes(self, now_s: float) -> list[str]:
-        """What the operator should know of the saved state and of the pack ledger."""
+        """Notes for the operator about the saved state and the pack ledger."""
         found = [self._problem, self._keeper.note if self._keeper is not None else ""]
         if now_s <= self._note_until_s:
             found += [self._resumption.note]
@@ -162,12 +164,12 @@ class Batteries:
         known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
         if known is not None and known.done() and not row.sample.armed:
             tracked.remember(known.result())
-        resolved = tracked.estimator.resolved
+        resolved = tracked.estimator.pack_size
         if resolved is not None:
             keeper.step(row.instance, row.sample, now_s, resolved.cells, resolved.capacity_Ah)
 
     def _found(self, now_s: float) -> Resumption:
-        """What an earlier process has left for this one."""
+        """Return the state that an earlier process has left for this one."""
         if not self._config.state.file:
             return Resumption(state.Found(None, 0.0, ""))
         found = state.read(

@@ -11,43 +11,32 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
 from uavbatt.live.listener import Frame, Listener
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
-from uavbatt.live.report import STALE_AFTER_S, Report, Trend
+from uavbatt.live.report import STALE_AFTER_S, Board
 from uavbatt.live.sender import Sender, in_order
 from uavbatt.live.systemd import notify
 from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.mavlink.pipe import wait
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Status
+from uavbatt.telemetry.formats.recording import PERIOD_NAME
 from uavbatt.telemetry.live import Row
-from uavbatt.telemetry.recording import PERIOD_NAME
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
 STATUS_PERIOD_S = 5.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
-
-
-@dataclass(slots=True)
-class Board:
-    """What other threads may read: replaced whole, never changed in place."""
-
-    reports: tuple[Report, ...] = ()
-    notes: tuple[str, ...] = ()
-    counts: Mapping[str, int] = field(default_factory=dict)
-    trend: Trend = field(default_factory=Trend)
-    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
 
 
 class Daemon:
@@ -58,6 +47,7 @@ class Daemon:
         config: Config,
         battery: BatteryFile,
         options: PackOptions,
+        settings: Settings,
         link: Link,
         stations: Sequence[Link] = (),
         *,
@@ -66,7 +56,7 @@ class Daemon:
         is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:
         self.config, self.board = config, Board()
-        self._options, self._link, self._stations = options, link, stations
+        self._settings, self._link, self._stations = settings, link, stations
         self._clock_s = clock_s
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
@@ -79,7 +69,7 @@ class Daemon:
             unix_s = wall_s()
             return state.clock(now_s, unix_s, is_clock_set(unix_s))
 
-        self.batteries = Batteries(config, battery, options, self._reader, clocks, self._start_s)
+        self.batteries = Batteries(config, battery, options, settings, self._reader, clocks, self._start_s)
         self._counts = {"rows": 0, "refused": 0}
         self._changes = 0  # of the vehicle that is followed
         self._recorder = Recorder(config.record) if config.record.folder else None
@@ -150,7 +140,7 @@ class Daemon:
         assert self._recorder is not None
         if not self._recorder.remembers(PERIOD_NAME.encode()):
             own = Outgoing(frame.header.system, self.config.link.own_component)
-            period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
+            period = own.parameter(PERIOD_NAME, self._settings.forecast_period_s)
             self._recorder.remember(PERIOD_NAME.encode(), period)
         self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 

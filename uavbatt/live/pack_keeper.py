@@ -18,8 +18,8 @@ from pathlib import Path
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import PackOptions
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, LeftOver
 from uavbatt.packs.ledger import Ledger, prior

@@ -13,13 +13,14 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
 from uavbatt.live.saved import SavedBattery, implausible
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.resolved import resolve
 from uavbatt.telemetry.builder import MAX_CURRENT_A
 
 COUNTER_SLACK_AH = 0.02
@@ -32,12 +33,13 @@ class TrackedBattery:
         self,
         battery: BatteryFile,
         options: PackOptions,
+        settings: Settings,
         saved: SavedBattery | None = None,
         max_age_s: float = math.inf,
     ) -> None:
-        self._battery, self._options = battery, options
-        self.estimator = Estimator(battery, options)
+        self._battery, self._options, self._settings = battery, options, settings
         self._remembered: PackHealth | None = None
+        self.estimator = self._anew()
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
@@ -46,7 +48,10 @@ class TrackedBattery:
         """Begin anew with what is remembered of the pack, if that is not what the estimate began with."""
         if health is not None and health is not self._remembered:
             self._remembered, self._saved = health, None
-            self.estimator = Estimator(self._battery, self._options, health)
+            self.estimator = self._anew()
+
+    def _anew(self) -> Estimator:
+        return Estimator(self._battery, self._options, self._settings, remembered=self._remembered)
 
     def step(self, sample: Sample, facts: PackFacts, gap_s: float = NAN) -> tuple[Estimate, Remaining]:
         """One row; `gap_s` is the age of the saved state at this row [s]."""
@@ -59,15 +64,15 @@ class TrackedBattery:
             self.estimator.update_facts(facts)
             return self.estimator.step(sample)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
-            self.estimator = Estimator(self._battery, self._options, self._remembered)
+            self.estimator = self._anew()
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
             return refused(sample, where + " ".join(str(error).split()))
 
     def saved(self, facts: PackFacts) -> SavedBattery | None:
-        """What is worth saving; None before the first estimate."""
-        belief, resolved, last = self.estimator.belief, self.estimator.resolved, self._last
+        """Return the values worth saving; None before the first estimate."""
+        belief, resolved, last = self.estimator.belief, self.estimator.pack_size, self._last
         past = self.estimator.past
         if belief is None or resolved is None or last is None or past is None:
             return None
@@ -92,7 +97,7 @@ class TrackedBattery:
         try:
             if why_not := implausible(was):
                 return f"the saved state holds {why_not}"
-            pack = resolve(self._battery, self._options, was.facts, was.cells, seen=Seen(sample.voltage_V))
+            pack = size_of_pack(self._battery, self._options, was.facts, was.cells, seen=Seen(sample.voltage_V))
             if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
                 return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
             at_s = sample.time_s - gap_s - was.since_row_s
@@ -100,7 +105,7 @@ class TrackedBattery:
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
             self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s))
         except Exception as error:  # nothing that a file can hold may end the process
-            self.estimator = Estimator(self._battery, self._options, self._remembered)
+            self.estimator = self._anew()
             return f"the saved state is damaged: {type(error).__name__}"
         return ""
 

@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.sampling import LONGEST
 
 MEAN_TAU_S = 60.0
@@ -35,7 +36,7 @@ SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
 
 
 class Scenarios(NamedTuple):
-    """What may be asked: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
+    """Loads that may come: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
 
     `dt_s` [steps] are the lengths of the steps.
     """
@@ -46,13 +47,14 @@ class Scenarios(NamedTuple):
 
 
 class Now(NamedTuple):
-    """Where the flight stands: log time, time since take-off [s], charge, mean power since take-off [W]."""
+    """Where the flight stands: log time, time since take-off [s], charge, mean power since take-off [W], and place."""
 
     time_s: float
     since_take_off_s: float
     soc: float
     flight_W: float
     recent: RecentLoad
+    navigation: Navigation = NOWHERE
 
 
 class Load(Protocol):
@@ -63,7 +65,7 @@ class Load(Protocol):
         ...
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """What may be asked from now on, in `steps` steps of `dt_s`."""
+        """The loads that may come from now on, in `steps` steps of `dt_s` [s]."""
         ...
 
 

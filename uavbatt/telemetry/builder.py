@@ -6,6 +6,8 @@ instant gives the same rows up to it.
 Time: seconds from the first timed record. A clock that falls back by 1 s or more is a reboot (or a
 ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is the same; a clock that
 is monotonic does not leap, so that live, and in a recording of live, a silence of days is one (`longest_step_s`).
+
+These are the rules for one row; `column_rules` has the same for the columns that the readers of big logs decode.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ MAX_CURRENT_A = 2000.0
 
 @dataclass(slots=True)
 class LogBuilder:
-    """What was read so far; mutable, and never leaves the reader of one file."""
+    """The builder collects what was read so far; mutable, it never leaves the reader of one file."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
     columns: dict[int, Rows] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
@@ -49,7 +51,7 @@ class LogBuilder:
 
     @property
     def offset_s(self) -> float:
-        """What is added to the log's own clock at present [s]; NaN before the first reading."""
+        """Return the offset that is added to the log's own clock at present [s]; NaN before the first reading."""
         return self._offset_s
 
     def time_s(self, raw_s: float) -> float:

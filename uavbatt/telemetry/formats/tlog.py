@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
 from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
-from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct, latest_before, times_s
+from uavbatt.telemetry.column_rules import add_rows, times_s
+from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.recording import is_recording
 from uavbatt.telemetry.formats.tlog_frames import Frames, frames
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
-from uavbatt.telemetry.recording import is_recording
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
@@ -85,7 +86,7 @@ def _named(source: int) -> str:
 
 
 def _identity(own: Frames, source: int, first_s: float) -> Identity:
-    """Who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
+    """Read who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
     beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
     make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
     said = own.of(fields.AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)

@@ -1,0 +1,231 @@
+"""The size of a pack (cells, capacity, cut-off, warning): the caller, the vehicle, the voltage and the battery file
+state it, in this order. Every command and the live process go by this one rule.
+
+Who tells nonsense (`limits`) is not believed: a vehicle's number is left out with a notice and the next in the order is
+asked; the caller means what he says, so that there is no number for him but the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.errors import UsageError
+from uavbatt.limits import (
+    EMPTIEST_CELL_V,
+    LOWEST_CELL_V,
+    RESTING_SLACK_V,
+    Doubt,
+    Resting,
+    Seen,
+    capacity_doubt,
+    cells_doubt,
+    check_stated,
+    ending_doubt,
+)
+from uavbatt.limits import cells_from_voltage as cells_from_voltage
+from uavbatt.records import NAN, PackFacts
+
+LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
+CAPACITY = "capacity of the vehicle,"
+SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
+
+
+@dataclass(frozen=True, slots=True)
+class PackOptions:
+    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number cannot be."""
+
+    cells: int | None = None
+    capacity_Ah: float = NAN
+    cutoff_V: float = NAN
+    low_V: float = NAN
+    ambient_C: float = NAN
+
+    def __post_init__(self) -> None:
+        check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C)
+
+
+@dataclass(frozen=True, slots=True)
+class PackSize:
+    """The size of a pack, and where each number came from."""
+
+    battery: str
+    status: str
+    cells: int
+    cells_from: str
+    capacity_Ah: float
+    capacity_from: str
+    cutoff_V: float
+    cutoff_from: str
+    low_V: float
+    low_from: str
+    notices: tuple[str, ...] = ()  # what of it is odd, and what was not believed
+    refusal: str = ""  # why there can be no number for it
+
+    @property
+    def words(self) -> str:
+        """The size of the pack and its cut-off, each with where it came from."""
+        return (
+            f"{self.cells}S from {self.cells_from}, {self.capacity_Ah:g} Ah from {self.capacity_from}, "
+            f"cut-off {self.cutoff_V:g} V from {self.cutoff_from}"
+        )
+
+
+def size_of_pack(
+    battery: BatteryFile,
+    given: PackOptions,
+    said: PackFacts,
+    guessed_cells: int,
+    guessed_from: str = "first voltage",
+    seen: Seen = Seen(),
+) -> PackSize:
+    """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
+
+    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; seen : the voltages [V]
+    that the statements are held against. Raises UsageError when nobody states the capacity.
+    """
+    typed = battery.battery
+    guess = (guessed_cells, guessed_from)
+    cells, cells_from, cells_notices = _cells(given, said, guess, seen, resting(battery))
+    if cells_notices:  # a PX4 works its critical voltage out from its count of cells
+        said = replace(said, critical_voltage_V=NAN)
+    said, notices = believed(said, cells, seen)
+    capacity_Ah, capacity_from = _first(
+        (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
+    )
+    if not math.isfinite(capacity_Ah):
+        why = "".join(f"{notice}; " for notice in notices if notice.startswith(CAPACITY))
+        raise UsageError(
+            f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah"
+        )
+    share = cells / typed.cells_series
+    cutoff_V, cutoff_from = _first(
+        (given.cutoff_V, "--cutoff-voltage"),
+        (said.critical_voltage_V, "vehicle"),
+        (typed.cutoff_V * share, "battery file"),
+    )
+    low_V, low_from = _first(
+        (given.low_V, "--low-voltage"),
+        (said.low_voltage_V, "vehicle"),
+        (None if typed.low_V is None else typed.low_V * share, "battery file"),
+        (NAN, "nobody"),
+    )
+    doubts = [
+        ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
+        ending_doubt("low-voltage warning at ", given.low_V, cells),
+    ]
+    return PackSize(
+        battery=typed.name,
+        status=battery.status,
+        cells=cells,
+        cells_from=cells_from,
+        capacity_Ah=float(capacity_Ah),
+        capacity_from=capacity_from,
+        cutoff_V=float(cutoff_V),
+        cutoff_from=cutoff_from,
+        low_V=float(low_V),
+        low_from=low_from,
+        notices=(*cells_notices, *notices, *_oddities(doubts), *_scaled_far(battery, cells, capacity_Ah)),
+        refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
+    )
+
+
+def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:
+    """The battery file scaled to a pack whose cells and capacity the caller states."""
+    size = size_of_pack(battery, given, PackFacts(), battery.battery.cells_series, "battery file")
+    return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
+
+
+def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
+    """Return `pack` if what the caller states of it fits the voltages that were seen; raises UsageError if not."""
+    if pack.refusal:
+        raise UsageError(pack.refusal)
+    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from == "--cells" else None
+    if doubt is not None and doubt.is_certain:
+        raise UsageError(f"--cells: {doubt.words}")
+    return pack
+
+
+def resting(battery: BatteryFile) -> Resting:
+    """A rested cell of this battery shows so much when empty, and when little is left [V], as far as a file may say."""
+    table = battery.parameters
+    low_V = float(np.interp(LITTLE_SOC, table.ocv_soc, table.ocv_V))
+    empty_V = min(table.ocv_V[0], EMPTIEST_CELL_V + RESTING_SLACK_V)
+    return Resting(max(empty_V - RESTING_SLACK_V, LOWEST_CELL_V), min(low_V, LITTLE_CELL_V))
+
+
+def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFacts, tuple[str, ...]]:
+    """The vehicle is believed but for what cannot be of a pack of so many cells; notices say what is left out."""
+    capacity = capacity_doubt(said.capacity_Ah)
+    critical = ending_doubt("critical voltage of the vehicle, ", said.critical_voltage_V, cells, seen.rested_V)
+    low = ending_doubt("low-voltage warning of the vehicle, ", said.low_voltage_V, cells)
+    if capacity is not None:
+        capacity = Doubt(f"{CAPACITY} {capacity.words}", True)
+
+    def kept(value: float, doubt: Doubt | None) -> float:
+        return NAN if doubt is not None and doubt.is_certain else value
+
+    sound = replace(
+        said,
+        capacity_Ah=kept(said.capacity_Ah, capacity),
+        critical_voltage_V=kept(said.critical_voltage_V, critical),
+        low_voltage_V=kept(said.low_voltage_V, low),
+    )
+    doubts = [d for d in (capacity, critical, low) if d is not None]
+    return sound, tuple(d.words + ": not used" if d.is_certain else d.words for d in doubts)
+
+
+def _cells(
+    given: PackOptions, said: PackFacts, guess: tuple[int, str], seen: Seen, cell: Resting
+) -> tuple[int, str, tuple[str, ...]]:
+    """The count of cells, where it came from, and the vehicle's own if it was not believed."""
+    if given.cells is not None:
+        if said.cells_series in (None, given.cells):
+            return int(given.cells), "--cells", ()
+        notice = f"--cells {given.cells}: the vehicle states {said.cells_series}, whose critical voltage is not used"
+        return int(given.cells), "--cells", (notice,)
+    if said.cells_series is None:
+        return int(guess[0]), guess[1], ()
+    doubt = cells_doubt(said.cells_series, seen, cell)
+    if doubt is None or not doubt.is_certain:
+        return said.cells_series, "vehicle", ()
+    return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used, nor its critical voltage",)
+
+
+def _oddities(doubts: list[Doubt | None]) -> tuple[str, ...]:
+    return tuple(doubt.words for doubt in doubts if doubt is not None and not doubt.is_certain)
+
+
+def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[str, ...]:
+    """A remark where a file from data of one pack is used for a very different one; other files have other remarks."""
+    typed = battery.battery
+    if battery.status != "fitted":
+        return ()
+    ratio = capacity_Ah / typed.capacity_Ah if typed.capacity_Ah else 1.0
+    if cells == typed.cells_series and 1.0 / SCALED_FAR <= ratio <= SCALED_FAR:
+        return ()
+    size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
+    return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
+
+
+def certificate_remark(battery: BatteryFile, pack: PackSize) -> str:
+    """Say what of this pack the certificate does not cover; empty when it covers it."""
+    typed = battery.battery
+    if battery.caveat:
+        return battery.caveat
+    if (pack.cells, pack.capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
+        return ""
+    size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
+    return f"the certificate is for a {size} pack; this one is scaled from it"
+
+
+def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
+    """The first candidate that is known, with its source; NaN and the last source when none is."""
+    for value, source in candidates:
+        if value is not None and math.isfinite(value):
+            return value, source
+    return NAN, candidates[-1][1]

@@ -1,0 +1,275 @@
+"""Statements about the pack are held against what is measured: a value that goes from row to row.
+
+The first voltages judge the count of cells, the current its own sign, a minute in flight the capacity and the power
+that a vehicle file promises, the steps of time their unit. What is certain refuses the number until the rows say
+otherwise; what is likely is said beside it. Nothing here knows the charge: a capacity that is a few times too large
+looks like a good one in flight, and only the filter, which can doubt it, sees the voltage fall too soon.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.initial_state import IDLE_C_RATE
+from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, checked, size_of_pack
+from uavbatt.errors import UsageError
+from uavbatt.limits import C_RATE, KELVIN, LONGEST_ROW_S, POWER_FACTOR, USUAL_C_RATE, Doubt, Resting, Seen, cells_doubt
+from uavbatt.records import NAN, Flight, PackFacts, Sample
+
+MINUTE_S = 60.0
+SEVERAL_ROWS = 3
+FIRST_ROWS_S = 120.0  # of a log: what a command reads before it begins
+LOADED_C_RATE = 0.4
+REVERSED_C_RATE = 0.1  # what an offset of the sensor shows on the ground is less
+REVERSED_S, REGENERATING_S = 15.0, 90.0  # of a current that never discharged, and of one that did before
+# A load that is light for the stated capacity, and yet the voltage gives way: the ohms would be those of no battery.
+# OCV_SLOPE_V a cell and unit of charge at most are the discharge itself, while a cell shows more than PLATEAU_V.
+STRAIN_CELL_V, SURE_STRAIN_CELL_V = 0.08, 0.15
+OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
+# Charge drawn against the charge stated, the cells still far from empty: sensors read up to a third too much.
+OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
+
+PowerRange = tuple[float, float]
+NOTHING = (None,) * 8
+
+
+class Means(NamedTuple):
+    """Rows under load last so long [s], and have these means of current and power over about their last minute."""
+
+    loaded_s: float = 0.0
+    current_A: float = NAN
+    power_W: float = NAN
+
+    def after(self, current_A: float, power_W: float, step_s: float) -> Means:
+        """The means with one more row."""
+        if self is NO_LOAD:
+            return Means(step_s, current_A, power_W)
+        keep = math.exp(-step_s / MINUTE_S)
+        mean_A, mean_W = (self.current_A - current_A) * keep, (self.power_W - power_W) * keep
+        return Means(self.loaded_s + step_s, current_A + mean_A, power_W + mean_W)
+
+
+class Strain(NamedTuple):
+    """The voltage has given way for so long, and so far [V a cell], beyond what the discharge explains."""
+
+    lasting_s: float = 0.0
+    mean_V: float = 0.0
+
+    def after(self, strain_V: float, step_s: float) -> Strain:
+        """The strain with one more row."""
+        keep = math.exp(-step_s / MINUTE_S) if self.lasting_s else 0.0
+        return Strain(self.lasting_s + step_s, strain_V + (self.mean_V - strain_V) * keep)
+
+
+NO_LOAD, NO_STRAIN = Means(), Strain()
+
+
+class Current(NamedTuple):
+    """The current has shown so much so far: charge, load, sign, and the strain of the voltage under it."""
+
+    time_s: float = NAN
+    current_A: float = NAN
+    load: Means = NO_LOAD
+    drawn_Ah: float = 0.0
+    plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
+    calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
+    strain: Strain = NO_STRAIN
+    negative_s: float = 0.0
+
+    @property
+    def has_flown(self) -> bool:
+        """True from the first row under load on."""
+        return self.load is not NO_LOAD
+
+    def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
+        """The value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
+        gap_s, rate, has_flown = time_s - self.time_s, current_A / pack.capacity_Ah, self.has_flown
+        step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
+        drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
+        calm_V = NAN if gap_s >= LONGEST_ROW_S else self.calm_V
+        if gap_s != gap_s or (not has_flown and calm_V == calm_V):  # NaN: the first row; no count any more
+            calm_V = rested_V
+        is_plateau = volts > PLATEAU_CELL_V * pack.cells
+        strain_V = (calm_V - volts) / pack.cells - OCV_SLOPE_V * max(drawn_Ah, 0.0) / pack.capacity_Ah
+        is_strained = strain_V > STRAIN_CELL_V and 0.0 < rate < USUAL_C_RATE[0] and is_plateau
+        return Current(
+            time_s,
+            current_A,
+            self.load.after(current_A, current_A * volts, step_s) if rate > LOADED_C_RATE else self.load,
+            drawn_Ah,
+            max(self.plateau_Ah, drawn_Ah) if is_plateau else self.plateau_Ah,
+            calm_V,
+            self.strain.after(strain_V, step_s) if is_strained else NO_STRAIN,
+            0.0 if rate > REVERSED_C_RATE else self.negative_s + step_s * (rate < -REVERSED_C_RATE),
+        )
+
+
+class Statements(NamedTuple):
+    """The rows so far, as far as they speak about the statements; `after` takes in one more."""
+
+    seen: Seen = Seen()
+    rows: int = 0
+    time_s: float = NAN
+    voltage_V: float = NAN
+    long_rows: int = 0  # in turn, LONGEST_ROW_S apart or more
+    kelvin_rows: int = 0  # in turn
+    current: Current = Current()
+
+    def after(self, raw: Sample, sample: Sample, pack: PackSize) -> Statements:
+        """The next state after a row, `raw` as it came and `sample` as the filter has it, of a pack of this size."""
+        kelvin_rows = self._kelvin_rows(raw.temp_C)
+        time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
+        if not math.isfinite(volts):
+            return self._replace(kelvin_rows=kelvin_rows)
+        seen = self._seen(volts, _is_idle(raw, pack.capacity_Ah))
+        long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
+        is_metered = math.isfinite(current_A)
+        current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
+        return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
+
+    def doubts(self, pack: PackSize, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
+        """The doubts about the statements, the certain first; power_W: lowest and highest stated of this aircraft.
+
+        The words name no number that changes from row to row: each is said once.
+        """
+        found = (
+            Doubt(pack.refusal, True) if pack.refusal else None,
+            cells_doubt(pack.cells, self.seen, resting) if self.rows else None,
+            self._time_doubt(),
+            self._sign_doubt(),
+            self._rate_doubt(pack.capacity_Ah),
+            self._charge_doubt(pack.capacity_Ah),
+            self._power_doubt(power_W),
+            self._temperature_doubt(),
+        )
+        if found == NOTHING:
+            return ()
+        return tuple(sorted((doubt for doubt in found if doubt is not None), key=lambda doubt: not doubt.is_certain))
+
+    def denies(self, cells: int, resting: Resting) -> bool:
+        """True if the voltages say for certain that there are not so many cells."""
+        doubt = cells_doubt(cells, self.seen, resting)
+        return doubt is not None and doubt.is_certain
+
+    def shown(self, volts: float, is_idle: bool) -> Statements:
+        """The value after a row of which only the voltage [V] counts."""
+        return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
+
+    def _kelvin_rows(self, temp_C: float) -> int:
+        if KELVIN[0] <= temp_C <= KELVIN[1]:
+            return self.kelvin_rows + 1
+        return 0 if math.isfinite(temp_C) else self.kelvin_rows
+
+    def _seen(self, volts: float, is_idle: bool) -> Seen:
+        """The highest voltage that two rows in turn have shown: one may be damaged. Rest ends with the first load."""
+        (first_V, rested_V), rows = self.seen, self.rows
+        shown_V = min(volts, self.voltage_V) if rows else volts
+        if rows < 2 or shown_V > first_V:
+            first_V = shown_V
+        if is_idle and not self.current.has_flown:
+            rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
+        return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
+
+    def _time_doubt(self) -> Doubt | None:
+        if self.long_rows < SEVERAL_ROWS:
+            return None
+        return Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
+
+    def _sign_doubt(self) -> Doubt | None:
+        if self.current.negative_s < (REGENERATING_S if self.current.has_flown else REVERSED_S):
+            return None
+        return Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
+
+    def _rate_doubt(self, capacity_Ah: float) -> Doubt | None:
+        load, strain = self.current.load, self.current.strain
+        if load.loaded_s >= MINUTE_S and load.current_A > USUAL_C_RATE[1] * capacity_Ah:
+            is_certain = load.current_A > C_RATE[1] * capacity_Ah
+            bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
+            words = f"more than {bound:g} C for a minute: is the capacity right?"
+            return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+        if strain.lasting_s >= MINUTE_S:
+            is_certain = self.current.current_A < C_RATE[0] * capacity_Ah and strain.mean_V > SURE_STRAIN_CELL_V
+            bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
+            words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
+            return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+        return None
+
+    def _charge_doubt(self, capacity_Ah: float) -> Doubt | None:
+        if self.current.plateau_Ah <= OVERDRAWN * capacity_Ah:
+            return None
+        is_certain = self.current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
+        share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
+        words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
+        return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
+
+    def _power_doubt(self, power_W: PowerRange | None) -> Doubt | None:
+        if power_W is None or self.current.load.loaded_s < MINUTE_S:
+            return None
+        low_W, high_W = power_W
+        if low_W / POWER_FACTOR <= self.current.load.power_W <= high_W * POWER_FACTOR:
+            return None
+        more = "more than twice" if self.current.load.power_W > high_W else "less than half"
+        spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
+        return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
+
+    def _temperature_doubt(self) -> Doubt | None:
+        if self.kelvin_rows < SEVERAL_ROWS:
+            return None
+        return Doubt("the temperature reads as if it were in kelvin: not used", False)
+
+
+def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
+    """The voltages before the load of a record, or of its first minutes; without a capacity none counts as rested."""
+    found, start_s = Statements(), NAN
+    for sample in samples:
+        if not math.isfinite(sample.voltage_V):
+            continue
+        start_s = start_s if found.rows else sample.time_s
+        is_idle = _is_idle(sample, capacity_Ah)
+        if sample.time_s - start_s > FIRST_ROWS_S or (found.rows >= SEVERAL_ROWS and not is_idle):
+            break
+        found = found.shown(sample.voltage_V, is_idle)
+    return found.seen
+
+
+def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
+    """Size the pack of a flight by its first rows and by what the vehicle says (`said`).
+
+    Raises UsageError when there is no voltage, or when what the caller states cannot be by the first rows.
+    """
+    first_V = next((s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)), NAN)
+    if math.isnan(first_V):
+        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+    guess = cells_from_voltage(first_V, battery.battery.cells_series)
+    try:
+        seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
+        return checked(battery, size_of_pack(battery, options, said, guess, seen=seen), seen)
+    except UsageError as error:
+        raise UsageError(f"{flight.source}: {error}") from None
+
+
+def check(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
+    """Raise UsageError when what the caller states of the pack cannot be, by the first rows of the flight."""
+    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
+    if first is not None:
+        size_from_rows(battery, options, flight, flight.facts_at(first.time_s + FIRST_ROWS_S))
+
+
+def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
+    """UsageError when any row of the flight contradicts for certain what is believed of its pack."""
+    found = Statements()
+    for sample in flight.samples:
+        found = found.after(sample, sample, pack)
+        doubts = found.doubts(pack, resting)
+        if doubts and doubts[0].is_certain and found.rows >= SEVERAL_ROWS:
+            raise UsageError(f"{flight.source}: {doubts[0].words}")
+
+
+def _is_idle(sample: Sample, capacity_Ah: float) -> bool:
+    """True if a row shows a pack at rest, or one that only its avionics draw from."""
+    if math.isfinite(sample.current_A):
+        return abs(sample.current_A) <= IDLE_C_RATE * capacity_Ah
+    return sample.armed is False

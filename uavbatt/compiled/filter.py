@@ -1,0 +1,312 @@
+"""The filter's recursion over a window of rows, compiled: the twin of `estimation.recursion`, equal to it to rounding.
+
+Model and noise are the functions that the recursion calls; only the recursion itself (predict, update, blocks of rows)
+stands here a second time, as loops over rows and members instead of arrays of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from uavbatt.battery import equations as eq
+from uavbatt.battery import model
+from uavbatt.battery import state_space as b
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import SIZE, C
+from uavbatt.compiled.jit import as_numbers, compiled, share
+from uavbatt.estimation import noise, recursion
+from uavbatt.estimation.block import BLOCK_S, Block
+from uavbatt.estimation.kalman import NUDGE, Moments
+from uavbatt.estimation.recursion import FULL_SOC_SD, GATE, FilterState, Innovation, Row, weighed
+from uavbatt.records import Sample
+
+share(noise)
+share(recursion)
+PER_NUDGES = 0.5 / NUDGE
+
+
+def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[Row], FilterState]:
+    """Take a window of rows in, as `recursion.filter_window` does; returns the filter after each and the last state."""
+    if not samples:
+        return [], state
+    table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
+    beliefs, in_force, times_s, shown, (current_A, block_A, block) = run(
+        as_numbers(pack),
+        state.ambient_C,
+        table,
+        state.time_s,
+        state.current_A,
+        state.block_A,
+        np.array(state.block, dtype=float),
+        *state.moments,
+    )
+    moments = [state.moments, *(Moments(*one) for one in list(zip(*beliefs, strict=True))[1:])]
+    rows = [
+        Row(moments[k], time_s, Innovation(*row))
+        for k, time_s, row in zip(in_force.tolist(), times_s.tolist(), shown.tolist(), strict=True)
+    ]
+    end = FilterState(moments[-1], rows[-1].time_s, current_A, block_A, Block(*block.tolist()), state.ambient_C)
+    return rows, end
+
+
+@compiled
+def carried(F: Array, P: Array) -> Array:
+    """F P Fᵀ; what has no influence, most of F, is passed over."""
+    half, out = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    for i in range(SIZE):
+        for k in range(SIZE):
+            share = F[i, k]
+            if share != 0.0:
+                for j in range(SIZE):
+                    half[i, j] += share * P[k, j]
+    for j in range(SIZE):
+        for k in range(SIZE):
+            share = F[j, k]
+            if share != 0.0:
+                for i in range(SIZE):
+                    out[j, i] += share * half[i, k]
+    return out
+
+
+@compiled
+def projected(P: Array, H: Array) -> tuple[Array, Array]:
+    """P Hᵀ, transposed [readings, 8], and H P Hᵀ."""
+    n = H.shape[0]
+    PHt, S = np.zeros((n, SIZE)), np.zeros((n, n))
+    for m in range(n):
+        for k in range(SIZE):
+            if H[m, k] != 0.0:
+                for j in range(SIZE):
+                    PHt[m, j] += H[m, k] * P[k, j]
+    for m in range(n):
+        for other in range(n):
+            for j in range(SIZE):
+                S[m, other] += PHt[m, j] * H[other, j]
+    return PHt, S
+
+
+@compiled
+def nudge(at: Array, x: Array, k: int) -> None:
+    """Make of point k - 1 of a central difference point k: up and down in each component in turn, `x` itself last."""
+    j = k // 2
+    if k % 2:
+        at[j] = x[j] - NUDGE[j]
+        return
+    if k > 0:
+        at[j - 1] = x[j - 1]
+    if j < SIZE:
+        at[j] = x[j] + NUDGE[j]
+
+
+@compiled
+def predict(
+    pack: Pack, x: Array, P: Array, mean_A: float, block_A: float, ambient_C: float, dt_s: float
+) -> tuple[Array, Array]:
+    """Mean and covariance `dt_s` later, as `kalman.predict` by `state_space.transition`."""
+    columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
+    stride, bias_kept = model.stride(pack.cell, dt_s), eq.kept(dt_s, pack.bias_tau_s)
+    for k in range(2 * SIZE + 1):
+        nudge(at, x, k)
+        now = b.unpack(pack, at)
+        later = model.advance_by(now.cell, now.state, c_rate(now.installation, mean_A), ambient_C, stride)
+        columns[k, C.SOC], columns[k, C.POLARISATION], columns[k, C.DIFFUSION] = later[:3]
+        columns[k, C.CORE], columns[k, C.SENSOR] = later.core_C, later.sensor_C
+        columns[k, C.LOG_RESISTANCE], columns[k, C.LOG_CAPACITY] = at[C.LOG_RESISTANCE], at[C.LOG_CAPACITY]
+        columns[k, C.BIAS] = eq.approach(at[C.BIAS], 0.0, bias_kept)
+    for j in range(SIZE):
+        for i in range(SIZE):
+            F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) * PER_NUDGES[j]
+    spread = carried(F, P)
+    rate, before = c_rate(pack.installation, mean_A), c_rate(pack.installation, block_A)
+    q = noise.process_variances(pack, x, rate, dt_s, before)
+    for j in range(SIZE):
+        spread[j, j] += q[j]
+    return columns[2 * SIZE], spread
+
+
+@compiled
+def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
+    """One measurement of at most two readings, S = H P Hᵀ + R, with Joseph's form of the covariance as in filterpy.
+
+    (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, but from the right to the left in vectors: K has two columns at most.
+    """
+    n = y.size
+    K, later, kept = np.empty((n, SIZE)), x.copy(), P.copy()
+    determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0] if n == 2 else S[0, 0]
+    for j in range(SIZE):
+        if n == 2:
+            K[0, j] = (PHt[0, j] * S[1, 1] - PHt[1, j] * S[1, 0]) / determinant
+            K[1, j] = (PHt[1, j] * S[0, 0] - PHt[0, j] * S[0, 1]) / determinant
+        else:
+            K[0, j] = PHt[0, j] / determinant
+    for m in range(n):
+        for i in range(SIZE):
+            later[i] += K[m, i] * y[m]
+            for j in range(SIZE):
+                kept[i, j] -= K[m, i] * PHt[m, j]
+    across = np.zeros((n, SIZE))  # what K must take away once more: kept Hᵀ less K R
+    for m in range(n):
+        for i in range(SIZE):
+            for j in range(SIZE):
+                across[m, i] += kept[i, j] * H[m, j]
+            for other in range(n):
+                across[m, i] -= K[other, i] * R[other, m]
+    for m in range(n):
+        for i in range(SIZE):
+            for j in range(SIZE):
+                kept[i, j] -= across[m, i] * K[m, j]
+    return later, kept
+
+
+@compiled
+def update(
+    pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float
+) -> tuple[Array, Array, float, float, float, float]:
+    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, as `recursion._update`."""
+    size = 2 if np.isfinite(temp_C) else 1
+    H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
+    volts, at = np.empty(2 * SIZE + 1), x.copy()
+    for k in range(2 * SIZE + 1):
+        nudge(at, x, k)
+        volts[k] = b.reported_voltage(pack, b.unpack(pack, at), at[C.BIAS], current_A)
+    expected_V = volts[2 * SIZE]
+    for j in range(SIZE):
+        H[0, j] = (volts[2 * j] - volts[2 * j + 1]) * PER_NUDGES[j]
+    y[0] = voltage_V - expected_V
+    R[0, 0] = noise.reading_variance(pack, x, current_A, step_A)
+    if size == 2:
+        H[1, C.SENSOR] = 1.0
+        y[1] = temp_C - (x[C.SENSOR] + pack.installation.offset_K)
+        R[1, 1] = pack.temperature_sd_K**2
+    PHt, S = projected(P, H)
+    for i in range(size):
+        S[i, i] += R[i, i]
+    variance_V2 = S[0, 0]
+    nis = y[0] ** 2 / S[0, 0]
+    if size == 2:
+        nis = y[0] ** 2 * S[1, 1] - 2.0 * y[0] * y[1] * S[0, 1] + y[1] ** 2 * S[0, 0]
+        nis /= S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
+    if nis > GATE:  # believe it less, so that its normalised innovation is GATE
+        for i in range(size):
+            for j in range(size):
+                R[i, j] += S[i, j] * (nis / GATE - 1.0)
+                S[i, j] *= nis / GATE
+    later, spread = joseph(x, P, PHt, S, H, R, y)
+    excess = later[C.SOC] - 1.0
+    if excess > 0.0:
+        full, sure, short = np.zeros((1, SIZE)), np.zeros((1, 1)), np.zeros(1)
+        full[0, C.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, -excess
+        PHt, S = projected(spread, full)
+        later, spread = joseph(later, spread, PHt, S + sure, full, sure, short)
+    for i in range(SIZE):
+        for j in range(i):
+            spread[i, j] = spread[j, i] = 0.5 * (spread[i, j] + spread[j, i])
+    return later, spread, y[0], variance_V2, nis, expected_V
+
+
+@compiled
+def close(
+    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, ambient_C: float
+) -> tuple[Array, float, float, float, float]:
+    """Take a block in, as `recursion._close`: changes every member in place.
+
+    Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, and the block's
+    mean current.
+    """
+    mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
+    weight, members = np.exp(log_weight), log_weight.size
+    innovation_V, variance_V2 = np.empty(members), np.empty(members)
+    shown_V, shown_nis, expected_V = 0.0, 0.0, 0.0
+    for k in range(members):
+        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / block[1], block_A, ambient_C, block[1])
+        step_A = mean_A - block_A
+        mean, spread, innovation_V[k], variance_V2[k], nis, volts = update(
+            pack, mean, spread, block[3] / block[0], mean_A, mean_C, step_A
+        )
+        shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
+        expected_V += weight[k] * volts
+        for i in range(SIZE):
+            x[k, i] = mean[i]
+            for j in range(SIZE):
+                P[k, i, j] = spread[i, j]
+    for i in range(block.size):
+        block[i] = 0.0
+    return weighed(log_weight, innovation_V, variance_V2), shown_V, shown_nis, expected_V, mean_A
+
+
+@compiled
+def look(
+    pack: Pack, x: Array, log_weight: Array, drawn_As: float, current_A: float, voltage_V: float, shown: Array
+) -> None:
+    """Write down what a row within a block shows, as `recursion._between`."""
+    expected_V, soc = 0.0, 0.0
+    for k in range(log_weight.size):
+        weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])
+        left = x[k, C.SOC] - drawn_As / (3600.0 * now.installation.present_capacity_Ah)
+        between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=left))
+        expected_V += weight * b.reported_voltage(pack, between, x[k, C.BIAS], current_A)
+        soc += weight * left
+    shown[0], shown[2], shown[3] = voltage_V - expected_V, expected_V, soc
+
+
+@compiled
+def run(
+    pack: Pack,
+    ambient_C: float,
+    rows: Array,
+    at_s: float,
+    before_A: float,
+    block_A: float,
+    block: Array,
+    x: Array,
+    P: Array,
+    log_weight: Array,
+) -> tuple[Any, ...]:
+    """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
+
+    Returns the moments (means [m, members, 8], covariances and ln of the weights, the given one first), which of them
+    is in force after each row, time of the last row taken in at each row, what each row shows [n, 4] as `Innovation`
+    has it, and where that ends: currents of the last row and block [A], the open block.
+    """
+    n, last = rows.shape[1], 0
+    most = min(n, int((np.nanmax(rows[0]) - min(at_s, np.nanmin(rows[0]))) / BLOCK_S)) + 4
+    means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
+    log_weights = np.empty((most, log_weight.size))
+    in_force, times_s, shown = np.zeros(n, np.int64), np.empty(n), np.full((n, 4), np.nan)
+    x, P, block = x.copy(), P.copy(), block.copy()
+    means[0], covariances[0], log_weights[0] = x, P, log_weight
+    for k in range(n):
+        time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
+        in_force[k], times_s[k] = last, at_s
+        dt_s = time_s - at_s
+        if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
+            continue
+        current_A = true_current(pack.installation, metered_A, voltage_V)
+        if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
+            log_weight, _, _, _, block_A = close(pack, x, P, log_weight, block, block_A, ambient_C)
+        block[0] += 1.0
+        block[1] += dt_s
+        block[2] += 0.5 * (before_A + current_A) * dt_s
+        block[3] += voltage_V
+        block[4] += current_A
+        if np.isfinite(temp_C):
+            block[5] += temp_C
+            block[6] += 1.0
+        at_s, before_A, times_s[k] = time_s, current_A, time_s
+        if block[1] < BLOCK_S:
+            look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
+            continue
+        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A = close(
+            pack, x, P, log_weight, block, block_A, ambient_C
+        )
+        shown[k, 3] = np.sum(np.exp(log_weight) * x[:, C.SOC])
+        last += 1
+        means[last], covariances[last], log_weights[last] = x, P, log_weight
+        in_force[k] = last
+    moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
+    return moments, in_force, times_s, shown, (before_A, block_A, block)

@@ -1,0 +1,136 @@
+"""The end of each sample of a forecast, compiled: the twin of `prediction.time_to_end`, equal to it to rounding.
+
+The model's functions are those of `battery`; the walk along the steps stands here a second time, sample by sample, so
+that each stops at its own end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from uavbatt.battery import model
+from uavbatt.battery import state_space as b
+from uavbatt.battery.equations import SECONDS_PER_HOUR
+from uavbatt.battery.model import Array
+from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import C
+from uavbatt.compiled.jit import as_numbers, compiled
+from uavbatt.prediction import sampling
+from uavbatt.prediction.batch import Question
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
+
+
+def answers(questions: Sequence[Question]) -> list[EndTimes]:
+    """Simulate the forecasts of a window, as `prediction.batch.answers` does; returns the end of each sample."""
+    return [answer(question) for question in questions]
+
+
+def answer(q: Question) -> EndTimes:
+    """Simulate one forecast; returns the end of each sample."""
+    steps, drawn = q.dt_s.size, sampling.wander()
+    ends = time_to_end(
+        as_numbers(q.pack),
+        np.ascontiguousarray(q.x),
+        np.ascontiguousarray(q.power_W),
+        float(q.ambient_C),
+        np.ascontiguousarray(q.dt_s),
+        float(q.reserve_soc),
+        drawn.bias[:steps],
+        drawn.row[:steps],
+        q.by_rows,
+    )
+    return EndTimes(*ends)
+
+
+@compiled
+def time_to_end(
+    pack: Pack,
+    x: Array,
+    power_W: Array,
+    ambient_C: float,
+    dt_s: Array,
+    reserve_soc: float,
+    bias: Array,
+    row: Array,
+    by_rows: bool,
+) -> tuple[Array, Array]:
+    """End of flight and of the low-voltage warning [s] of each column; inf beyond the horizon."""
+    batch = x.shape[1]
+    memory, end_s, low_s = np.exp(-dt_s / pack.bias_tau_s), np.empty(batch), np.empty(batch)
+    kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
+    for j in range(batch):
+        end_s[j], low_s[j] = one(
+            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, memory, kick_V2, bias[:, j], row[:, j], by_rows
+        )
+    return end_s, low_s
+
+
+@compiled
+def one(
+    pack: Pack,
+    x: Array,
+    power_W: Array,
+    ambient_C: float,
+    dt_s: Array,
+    reserve_soc: float,
+    memory: Array,
+    kick_V2: Array,
+    bias: Array,
+    row: Array,
+    by_rows: bool,
+) -> tuple[float, float]:
+    """End of flight and of the low-voltage warning [s] of one column."""
+    cell, installation, state = b.unpack(pack, x)
+    present_Ah, cells = installation.present_capacity_Ah, installation.cells
+    size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
+    steps = min(dt_s.size, bias.size)
+    bias_V, before, at_s, end_s, low_s = x[C.BIAS], 0.0, 0.0, np.inf, np.inf
+    last_end, last_low, below_end, below_low = 0.0, 0.0, 0, 0
+    for k in range(steps):
+        emf_V, r_ohmAh = model.source(cell, state)
+        series_ohmAh, emf_V = series_resistance(installation, r_ohmAh), emf_V + bias_V
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, power_W[k] / size)
+        cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
+        strong_V = cell_V - bias_V + rate * (series_ohmAh - r_ohmAh)
+        cell_V += weak_lag(installation, cell, state, rate, strong_V)
+        volts = metered_voltage(installation, cells * cell_V)
+        if by_rows and k > 0:
+            volts += cells * pack.row_share * abs(rate - before) * series_ohmAh * row[k]
+        before = rate
+        margin, above_low = volts - pack.cutoff_V, volts - pack.low_V
+        if reserve_soc > 0.0:
+            margin = min(margin, (state.soc - reserve_soc) * SOC_IN_VOLTS)
+        earlier_s = at_s - dt_s[k - 1] if k > 0 else 0.0
+        if by_rows:  # the last three rows as bits: two of three below make the middle one's median below
+            below_end, below_low = (2 * below_end + (margin < 0.0)) % 8, (2 * below_low + (above_low < 0.0)) % 8
+            if k > 1 and low_s == np.inf and below_low in (3, 5, 6, 7):
+                low_s = earlier_s
+            if k > 1 and below_end in (3, 5, 6, 7):
+                end_s = earlier_s
+        else:
+            if low_s == np.inf and above_low < 0.0:
+                low_s = crossing(k, last_low, above_low, earlier_s, at_s)
+            if margin < 0.0:
+                end_s = crossing(k, last_end, margin, earlier_s, at_s)
+        if end_s < np.inf:
+            break
+        last_end, last_low = margin, above_low
+        if by_rows:
+            mean_W = 0.5 * (power_W[k] + power_W[min(k + 1, dt_s.size - 1)])
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_W / size)
+        if dt_s[k] != lags_s:
+            lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
+        doubt_V2 = b.ocv_doubt(pack, state.soc, rate * (dt_s[k] / SECONDS_PER_HOUR))
+        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags)
+        bias_V = memory[k] * bias_V + np.sqrt(kick_V2[k] + doubt_V2) * bias[k]
+        at_s += dt_s[k]
+    return end_s, min(low_s, end_s)
+
+
+@compiled
+def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
+    """As `time_to_end._mean_crossing`: when the fall from `above` to `under` passed zero, and the lag of the mean."""
+    return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0

@@ -1,0 +1,67 @@
+"""Open-loop simulation of many columns, compiled: the twin of `openloop.states`, equal to it to rounding."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba.extending import overload
+
+from uavbatt.battery import model
+from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.compiled.jit import compiled
+
+TABLES = ("ocv_V", "r0_ohmAh")
+
+
+def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Any) -> State:
+    """Simulate columns as `battery.openloop.states` does; returns the state at every row, [rows, batch] each."""
+    rows, batch = c_rate.shape
+
+    def each(value: Any) -> Array:
+        return np.array(np.broadcast_to(value, (batch,)), dtype=float)
+
+    columns = {name: each(value) for name, value in p._asdict().items() if name not in TABLES}
+    tables = {name: np.array(np.atleast_2d(getattr(p, name)), dtype=float) for name in TABLES}
+    steps_s = np.broadcast_to(dt_s if dt_s.ndim == 2 else dt_s[:, None], (rows, batch))
+    found = walk(
+        Parameters(**tables, **columns),
+        State(*(each(value) for value in start)),
+        np.array(c_rate.T, order="C"),
+        np.array(steps_s.T, order="C"),
+        each(ambient_C),
+    )
+    return State(*(np.ascontiguousarray(values.T) for values in found))
+
+
+def column(p: Parameters, j: int) -> Parameters:
+    """Column `j` of parameters that are arrays; a table of one row serves all. For compiled code only."""
+    raise NotImplementedError
+
+
+def _column_of(p: Any, j: Any) -> Any:
+    """The source of `column`: every field of the record, whatever fields it has."""
+    rows = {name: f"p.{name}[j if p.{name}.shape[0] > 1 else 0]" for name in TABLES}
+    values = ", ".join(rows.get(name, f"p.{name}[j]") for name in p.instance_class._fields)
+    scope: dict[str, Any] = {"made": p.instance_class}
+    exec(f"def column(p, j):\n    return made({values})", scope)
+    return scope["column"]
+
+
+overload(column, strict=False)(_column_of)
+
+
+@compiled
+def walk(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Array) -> Array:
+    """States [5, batch, rows] under `c_rate` [batch, rows]."""
+    batch, rows = c_rate.shape
+    out = np.empty((5, batch, rows))
+    for j in range(batch):
+        cell = column(p, j)
+        s = State(start.soc[j], start.polarisation_V[j], start.diffusion_V[j], start.core_C[j], start.sensor_C[j])
+        for k in range(rows):
+            if k > 0:
+                s = model.step(cell, s, c_rate[j, k], ambient_C[j], dt_s[j, k])
+            out[0, j, k], out[1, j, k], out[2, j, k] = s.soc, s.polarisation_V, s.diffusion_V
+            out[3, j, k], out[4, j, k] = s.core_C, s.sensor_C
+    return out

@@ -1,0 +1,34 @@
+"""Recordings of the companion process describe themselves, so that a replay of one gives the same forecasts.
+
+A recording begins with a PARAM_VALUE that never travelled: of the companion's component, PERIOD_NAME, the seconds
+between two forecasts. Other logs have none.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from uavbatt.mavlink import fields
+from uavbatt.records import NAN
+from uavbatt.telemetry.formats.tlog_frames import frames
+from uavbatt.telemetry.formats.tlog_payloads import PARAM_VALUE, parameters
+
+PERIOD_NAME = "UAVB_FORECAST_S"
+HEAD_BYTES = 16_384
+
+
+def is_recording(data: bytes | memoryview) -> bool:
+    """Return True if a log is a recording of the companion process: its stamps come from a monotonic clock."""
+    return PERIOD_NAME.encode() in bytes(data[:HEAD_BYTES])
+
+
+def forecast_period_s(path: str | Path) -> float:
+    """Seconds between forecasts in the process that wrote the recording `path`; NaN when it does not say."""
+    with Path(path).open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    if not is_recording(head):
+        return NAN
+    said = frames(head).of(fields.PARAM_VALUE)
+    payloads = said.payloads(PARAM_VALUE.itemsize)
+    found = (value for name, value in parameters(payloads, [False] * len(payloads)) if name == PERIOD_NAME)
+    return next((value for value in found if value > 0.0), NAN)

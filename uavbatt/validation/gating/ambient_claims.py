@@ -1,0 +1,105 @@
+"""Claims at the ambient temperatures that were tested once.
+
+One run has no dispersion, so that it decides nothing: its bias is shown and the verdict is not enough data. Runs one
+degree apart are nearly repeats (`series`): their scatter about a line in temperature gives the bias an interval. That
+scatter is of one series of one pack. How far that series lies from the repeats where both were tested enters the
+guard band (rectangular, per instant); where it was not tested there, nothing can be said.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import DataSet
+from uavbatt.validation.gating import budget
+from uavbatt.validation.gating.budget import ONE_SIDED, meter_rows
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict
+from uavbatt.validation.gating.heldout import HeldOut, Single
+from uavbatt.validation.judging.readings import Readings
+from uavbatt.validation.judging.series import QuasiReplicates
+
+NAME = "voltage bias at this temperature"
+
+
+def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Claim]:
+    """Make one claim for each other ambient temperature, ascending; none of them gates."""
+    dataset, groups, series = readings.dataset, readings.near_repeats, readings.broken
+    claims = []
+    for single in sorted(held.singles, key=lambda s: s.ambient_C):
+        group = next((g for g in groups if np.any(np.abs(g.ambients_C - single.ambient_C) < 0.25)), None)
+        whole = group is not None and np.array_equal(group.time_s, single.time_s)
+        claims.append(
+            _near_repeats(dataset, held, single, group, limits, bool(series))
+            if group is not None and whole
+            else _one_run(dataset, single, limits)
+        )
+    return claims
+
+
+def _judged(dataset: DataSet, voltage_V: Array, limits: Limits) -> NDArray[np.bool_]:
+    below = voltage_V <= dataset.cutoff_V + limits.limiter_margin_V
+    return np.arange(voltage_V.size) < (int(np.argmax(below)) if below.any() else voltage_V.size)
+
+
+def _one_run(dataset: DataSet, single: Single, limits: Limits) -> Claim:
+    at = _judged(dataset, single.measured_V, limits)
+    bias = (single.model_V - single.measured_V)[at]
+    unknown = np.full(bias.size, math.nan)
+    largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
+    rmse = float(np.sqrt(np.mean(bias**2))) if bias.size else math.nan
+    reason = f"one run: nothing tells its dispersion (largest difference {largest:+.3f} V, RMSE {rmse:.3f} V)"
+    return Claim(NAME, single.ambient_C, "not enough data", reason, False, single.time_s[at], bias, unknown, unknown,
+                 limits.voltage_V, "V", statistics={"rmse_V": rmse, "largest_bias": largest})  # fmt: skip
+
+
+def _near_repeats(
+    dataset: DataSet, held: HeldOut, single: Single, group: QuasiReplicates, limits: Limits, broken: bool
+) -> Claim:
+    line = group.line(single.ambient_C)
+    at = _judged(dataset, line, limits)
+    n = int(at.sum())
+    bias = (single.model_V - line)[at]
+    rows = [r.u for r in meter_rows(held, line[at], dataset.uncertainty)]
+    step = _series_offset(dataset, held, single)
+    guard = ONE_SIDED * np.sqrt(sum((u**2 for u in rows), start=(step[at] / math.sqrt(3.0)) ** 2))
+    scatter = group.sd[at] * math.sqrt(group.leverage(single.ambient_C))
+    combined, df = budget.combine(scatter, group.df[at], guard / ONE_SIDED)
+    half = budget.coverage_factor(df, n) * combined
+    verdict, reason = _shown(bias, half, limits.voltage_V)
+    if broken and not np.isfinite(half).all():
+        reason = "one series, and series of these tests differ by an amount that is not known"
+    reason = f"{group.ambients_C.size} one-time runs a degree apart as near repeats: {reason}"
+    rmse = float(np.sqrt(np.mean(bias**2))) if n else math.nan
+    return Claim(NAME, single.ambient_C, verdict, reason, False, single.time_s[at], bias, half, guard, limits.voltage_V,
+                 "V", statistics={"rmse_V": rmse})  # fmt: skip
+
+
+def _shown(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
+    """Decide a claim that does not gate: it fails only where the whole interval lies beyond the limit."""
+    outside = np.abs(bias) - half > limit
+    if outside.any():
+        worst = int(np.argmax(np.where(outside, np.abs(bias), 0.0)))
+        return "fail", f"bias {bias[worst]:+.3g} ± {half[worst]:.2g} beyond ±{limit:g} at {int(outside.sum())}"
+    if bias.size and (np.abs(bias) + half <= limit).all():
+        return "pass", f"the interval of the bias is inside ±{limit:g} at all {bias.size}"
+    largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
+    said = f"the interval of the bias is neither inside nor outside ±{limit:g} (largest {largest:+.3g})"
+    return "not enough data", said
+
+
+def _series_offset(dataset: DataSet, held: HeldOut, single: Single) -> Array:
+    """Return how far the series of a one-time test lies from the repeats where both were tested [V] per instant.
+
+    0 for a sample that was itself repeated; NaN when the series has no test at the repeated temperature.
+    """
+    home = [r for r in dataset.at(held.ambient_C) if r.sample == single.sample]
+    if len(home) > 1:
+        return np.zeros(single.time_s.size)
+    if not home:
+        return np.full(single.time_s.size, math.nan)
+    repeats = np.interp(single.time_s, held.time_s, np.nanmean(held.measured_V, axis=(0, 1)))
+    return np.abs(np.interp(single.time_s, home[0].time_s, home[0].voltage_V) - repeats)

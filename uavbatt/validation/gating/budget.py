@@ -1,0 +1,179 @@
+"""The uncertainty budget of a bias: model minus tests, row by row, as the gate uses it.
+
+    expanded = t(ν)·u,  u² = u_A² + u_B²,  ν = (n-1)·u⁴/u_A⁴          (GUM G.4, Welch-Satterthwaite)
+
+u_A is the scatter of the occasions (type A, n-1 degrees of freedom). u_B is what that scatter cannot show (type B, its
+degrees of freedom taken as infinite): calibration, resolution, the instant of reading, and a drift over the runs, of
+which nobody knows at which end the next flight stands. t is one-sided at 5 %, shared out over the instants
+(Bonferroni). The guard band for the instruments, as if it stood alone, is 1.645·u_B.
+
+Rows that the data set does not state are assumed, never left at zero, and say so. A hand that reads at the whole
+minute is late or early by up to `reading_time_s`: rectangular, u = a/√3. All readings may be late together, so that
+nothing is divided by √n although part of it shows in the scatter too: counted twice on purpose. An error of the
+ammeter has no row: the model is fitted with that ammeter and takes it up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import Uncertainty
+from uavbatt.validation.gating.heldout import HeldOut
+
+LEVEL = 0.05
+ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))
+# What is assumed where a data set states nothing: the specification of a battery tester (a limit, so rectangular),
+# a thermocouple, a hand with a watch.
+ASSUMED_CALIBRATION = 0.001  # of the reading, ±
+ASSUMED_TEMPERATURE_C = 0.5
+ASSUMED_READING_S = 5.0
+HAND_READ_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRow:
+    """One source: standard uncertainty per instant in the budget's unit, GUM type, and how it was obtained."""
+
+    source: str
+    kind: Literal["A", "B"]
+    u: Array
+    how: str
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The rows of one claim at `at` (instants [s] or voltages [V]); all in `unit`.
+
+    `combined` is the standard uncertainty with `df` degrees of freedom, `factors` its coverage at each instant and
+    `coverage` the largest of them, `expanded` the half width that the gate adds to the bias, `guard` 1.645·u_B.
+    """
+
+    unit: str
+    at: Array
+    rows: tuple[BudgetRow, ...]
+    combined: Array
+    df: Array
+    factors: Array
+    coverage: float
+    guard: Array
+    expanded: Array
+
+
+def coverage_factor(df: Array, instants: int) -> Array:
+    """Return the one-sided t factor at 5 %, shared out over the instants (Bonferroni), per instant."""
+    return np.asarray(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df), dtype=float)
+
+
+def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
+    """Combine type A and type B uncertainty in squares; return (u, effective degrees of freedom) per instant."""
+    u = np.asarray(np.hypot(u_A, u_B))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
+    return u, df
+
+
+def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:
+    """Add the rows of a budget in squares; `df_A` are the degrees of freedom of the scatter."""
+
+    def root(kind: str) -> Array:
+        squares = [r.u**2 for r in rows if r.kind == kind]
+        return np.sqrt(np.sum(squares, axis=0)) if squares else np.zeros(at.size)
+
+    u, df = combine(root("A"), df_A, root("B"))
+    k = coverage_factor(df, at.size)
+    largest = float(k.max()) if k.size else math.nan
+    return Budget(unit, at, tuple(rows), u, df, k, largest, ONE_SIDED * root("B"), k * u)
+
+
+def scatter_rows(residual: Array) -> list[BudgetRow]:
+    """Estimate the scatter of the mean, and the drift over the runs, of residuals [occasion, instant] in run order.
+
+    Drift: d = mean of the earlier less the later half of the occasions, rectangular between its ends: |d|/2/√3.
+    """
+    n = residual.shape[0]
+    half = n // 2
+    d = np.abs(residual[:half].mean(axis=0) - residual[-half:].mean(axis=0))
+    return [
+        BudgetRow(
+            "scatter of the occasions", "A", residual.std(axis=0, ddof=1) / math.sqrt(n), f"s/√n of {n} occasions"
+        ),
+        BudgetRow(
+            "drift over the runs", "B", d / 2.0 / math.sqrt(3.0), f"first {half} against last {half}, rectangular"
+        ),
+    ]
+
+
+def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[BudgetRow]:
+    """Estimate the calibration and resolution rows of the voltmeter at `voltage_V` [V]."""
+    stated, step = known.voltage_calibration_V, known.voltage_resolution_V
+    if stated is not None:
+        calibration, how = np.full(voltage_V.size, stated), "stated by the data set"
+    else:
+        calibration = ASSUMED_CALIBRATION * np.abs(voltage_V) / math.sqrt(3.0)
+        how = f"assumed ±{ASSUMED_CALIBRATION:.1%} of reading, rectangular: none stated"
+    fine_V = held.step_V if step is None else step
+    said = f"step of {fine_V:.3g} V{' seen in the readings' if step is None else ''}, rectangular"
+    return [
+        BudgetRow("calibration of the voltmeter", "B", calibration, how),
+        BudgetRow("resolution of the voltmeter", "B", np.full(voltage_V.size, fine_V / math.sqrt(12.0)), said),
+    ]
+
+
+def reading_half_width_s(held: HeldOut, known: Uncertainty) -> tuple[float, str]:
+    """Return (a, how): readings are off their instant by at most a [s], and where that figure comes from."""
+    if known.reading_time_s is not None:
+        return known.reading_time_s, f"stated ±{known.reading_time_s:g} s, rectangular"
+    if held.row_s >= HAND_READ_S:
+        return ASSUMED_READING_S, f"assumed ±{ASSUMED_READING_S:g} s, read by hand: none stated"
+    return held.row_s / 2.0, f"half a row of {held.row_s:g} s, rectangular"
+
+
+def loaded_slope(held: HeldOut) -> Array:
+    """Return |dV/dt| of the mean test [V/s] by second-order differences, never across the start of the load."""
+    mean_V = np.nanmean(held.measured_V, axis=(0, 1))
+    out = np.zeros(mean_V.size)
+    load = ~held.at_rest
+    if int(load.sum()) >= 3:
+        out[load] = np.abs(np.gradient(mean_V[load], held.time_s[load], edge_order=2))
+    return out
+
+
+def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: Uncertainty) -> Budget:
+    """Build the budget of the voltage bias [V] at the instants with indices `at`; `residual` [occasion, instant]."""
+    half_s, how = reading_half_width_s(held, known)
+    mean_V = np.nanmean(held.measured_V, axis=(0, 1))[at]
+    moment = BudgetRow(
+        "instant of reading", "B", loaded_slope(held)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope"
+    )
+    rows = [*scatter_rows(residual), *meter_rows(held, mean_V, known), moment]
+    return assembled("V", held.time_s[at], rows, len(residual) - 1.0)
+
+
+def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty) -> Budget:
+    """Build the budget of the bias of a crossing time [s]; `slope_Vps` turns the voltmeter's rows into seconds."""
+    half_s, how = reading_half_width_s(held, known)
+    one = np.array([float(np.mean(levels_V))])
+    divided = f"over {slope_Vps * 1e3:.3g} mV/s"
+    meter = [BudgetRow(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}") for r in meter_rows(held, one, known)]
+    moment = BudgetRow("instant of reading", "B", np.array([half_s / math.sqrt(3.0)]), how)
+    return assembled("s", one, [*scatter_rows(residual_s), *meter, moment], len(residual_s) - 1.0)
+
+
+def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget:
+    """Build the budget of the bias of the surface temperature [K]."""
+    stated = known.temperature_calibration_C
+    u = ASSUMED_TEMPERATURE_C if stated is None else stated
+    how = "stated by the data set" if stated is not None else f"assumed {u:g} K: none stated"
+    rows = [*scatter_rows(residual_K), BudgetRow("calibration of the thermometer", "B", np.full(at_s.size, u), how)]
+    if known.temperature_resolution_C is not None:
+        fine = np.full(at_s.size, known.temperature_resolution_C / math.sqrt(12.0))
+        step = f"{known.temperature_resolution_C:g} K step, rectangular"
+        rows.append(BudgetRow("resolution of the thermometer", "B", fine, step))
+    return assembled("K", at_s, rows, len(residual_K) - 1.0)

@@ -1,0 +1,199 @@
+"""The models that the loop over ambient temperatures compares: one circuit, with heat or without, per test.
+
+    isothermal       the core stays at the ambient temperature: R = R₀(soc)·exp(E(1/T - 1/T_25))
+    self heating     C_th T' = losses - h(T - T_ambient), the cell of `battery.model`
+    steeper cold     R also times exp(k x²), x = (1/T - 1/T_25)/(1/T_-20 - 1/T_25) for T below 25 °C
+    series           per further series of tests ln of load and of resistance: a nuisance, no property of the cell
+
+One table of readings at whole minutes per ambient temperature, the load unmetered (`fitting.unmetered`): a constant
+C-rate that the speed controller cuts back at its limit. The OCV stays at its prior, since under one load it cannot be
+told from R₀(soc).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from uavbatt.battery import model
+from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C
+from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.scaling import dense, dense_resistance
+from uavbatt.fitting import prior
+from uavbatt.fitting.prior import Slot
+from uavbatt.fitting.unmetered import LOAD_SLOTS
+
+STEP_S = 10.0
+MISFIT_SD_V = 0.08  # what such a model leaves: weighs the readings against the priors
+NUDGE = 1e-4
+COLD_C = -20.0
+EVALUATIONS = 30
+FRESH, START_SPREAD, SEED = 10, 0.6, 5725
+KEPT = ("slow_diffusion", "temperature_resistance")
+HEAT = ("heat_capacity_JpKAh", "cooling_WpKAh")
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A model is named by the terms that are on."""
+
+    name: str
+    self_heating: bool
+    steeper_cold: bool
+    series: bool
+
+
+@dataclass(frozen=True, slots=True)
+class OneTimeTests:
+    """Voltage [V] per test (rows) and instant [s], NaN where it is flagged; `series` numbers the series from 0."""
+
+    ambient_C: Array
+    time_s: Array
+    voltage_V: Array
+    series: NDArray[np.intp]
+    cells: int
+
+    def of(self, rows: NDArray[np.bool_]) -> OneTimeTests:
+        """Some of the tests; the numbers of the series stay."""
+        return OneTimeTests(self.ambient_C[rows], self.time_s, self.voltage_V[rows], self.series[rows], self.cells)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Slots and their values in the optimiser's space."""
+
+    variant: Variant
+    slots: tuple[Slot, ...]
+    u: Array
+
+    def values(self) -> dict[str, float]:
+        """Value of every slot by name."""
+        x = prior.values(self.slots, self.u)
+        return {s.name: float(v) for s, v in zip(self.slots, x, strict=True)}
+
+
+def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
+    """List the unknowns of a variant for tests of `series` series."""
+    cell = [s for s in prior.cell_slots(KEPT) if not s.name.startswith("ocv_")]
+    heat = [Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT]
+    load = [s for s in LOAD_SLOTS if s.name != "start_offset_K"]
+    steep = [Slot("steeper_cold", 0.0, 1.0)]
+    nuisance = [Slot(f"{what}_{k}", 0.0, 0.1) for k in range(1, series) for what in ("ln_load", "ln_resistance")]
+    return (
+        *cell,
+        *(heat if variant.self_heating else []),
+        *load,
+        *(steep if variant.steeper_cold else []),
+        *(nuisance if variant.series else []),
+    )
+
+
+def predict(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: OneTimeTests) -> Array:
+    """Simulate the pack voltage [V], [batch, test, instant], for the values x [batch, slots]."""
+    batch, rows = x.shape[0], tests.ambient_C.size
+    at = {s.name: np.repeat(x[:, i], rows) for i, s in enumerate(slots)}
+    ambient = np.tile(tests.ambient_C, batch)
+    cell = _cell(variant, slots, x, at, rows)
+    series = np.tile(tests.series, batch)
+    ln_load, ln_resistance = (_nuisance(what, at, series) for what in ("ln_load", "ln_resistance"))
+    gain, rate = np.exp(ln_resistance), at["c_rate"] * np.exp(ln_load)
+    state, now_s = model.rested(np.minimum(at["start_soc"], 1.0), ambient), 0.0
+    out = np.empty((tests.time_s.size, batch * rows))
+    for k, until_s in enumerate(tests.time_s):
+        while now_s < until_s - 1e-9:
+            dt_s = min(STEP_S, until_s - now_s)
+            here = _steepened(cell, at, state, gain)
+            state = model.step(here, state, _held(here, state, rate, at["limit_cell_V"]), ambient, dt_s)
+            now_s += dt_s
+        here = _steepened(cell, at, state, gain)
+        asked = _held(here, state, rate, at["limit_cell_V"]) if until_s > 0.0 else np.zeros_like(rate)
+        out[k] = model.cell_voltage(here, state, asked)
+    return np.moveaxis(out.reshape(-1, batch, rows), 0, -1) * tests.cells
+
+
+def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Array], rows: int) -> Parameters:
+    names = [s.name for s in slots]
+    first = names.index(f"r0_{prior.RESISTANCE_SOC[0]:g}")
+    shape = x[:, first : first + prior.RESISTANCE_SOC.size] * x[:, [names.index("r0_ohmAh")]]
+    table = np.repeat(dense_resistance(prior.RESISTANCE_SOC, shape), rows, axis=0)
+    fields = {q.name: at[q.name] for e in (*KEPT, "self_heating") for q in EFFECTS[e].quantities if q.name in at}
+    return Parameters(
+        ocv_V=dense(prior.OCV_SOC, prior.OCV_V), r0_ohmAh=table, heat_gain=float(variant.self_heating), **fields
+    )
+
+
+def _nuisance(what: str, at: dict[str, Array], series: NDArray[np.intp]) -> Array:
+    out = np.zeros(series.size)
+    for k in range(1, int(series.max(initial=0)) + 1):
+        out = np.where(series == k, at.get(f"{what}_{k}", 0.0), out)
+    return out
+
+
+def _steepened(cell: Parameters, at: dict[str, Array], state: State, gain: Array) -> Parameters:
+    if "steeper_cold" not in at:
+        return cell._replace(resistance_gain=gain)
+    at_25 = 1.0 / (REFERENCE_TEMP_C + KELVIN)
+    x = (1.0 / (state.core_C + KELVIN) - at_25) / (1.0 / (COLD_C + KELVIN) - at_25)
+    return cell._replace(resistance_gain=gain * np.exp(at["steeper_cold"] * np.clip(x, 0.0, 2.0) ** 2))
+
+
+def _held(cell: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
+    room = (model.electromotive_force(cell, state) - limit_V) / model.resistance(cell, state.soc, state.core_C)
+    held: Array = np.clip(room, 0.0, rate)
+    return held
+
+
+def fit(variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, ...] = (), fresh: int = FRESH) -> Fit:
+    """Fit by least squares over all readings, under the priors; the best of several starts counts.
+
+    Where the speed controller holds the voltage, nothing but its limit has a slope, so that the sum of squares has
+    minima of its own there. Hence `fresh` starts, at the priors and (seeded) around them, each by a robust loss first.
+    `starts` from smaller variants have their new terms at the priors: a variant does not come out worse than what it
+    contains.
+    """
+    slots = slots_of(variant, series)
+    rng, begin = np.random.default_rng(SEED), [np.zeros(len(slots))][:fresh]
+    begin += [rng.normal(0.0, START_SPREAD, len(slots)) for _ in range(fresh - 1)]
+    first = [_solve(variant, slots, tests, u, robust=True)[1] for u in begin]
+    for start in starts:
+        known = dict(zip((s.name for s in start.slots), start.u, strict=True))
+        first.append(np.array([known.get(s.name, 0.0) for s in slots]))
+    found = [_solve(variant, slots, tests, u, robust=False) for u in first]
+    return Fit(variant, slots, min(found, key=lambda f: f[0])[1])
+
+
+def _solve(
+    variant: Variant, slots: tuple[Slot, ...], tests: OneTimeTests, u0: Array, robust: bool
+) -> tuple[float, Array]:
+    """Return (cost, u) of the minimum that one start leads to."""
+
+    def misfit(u: Array) -> Array:
+        gap = predict(variant, slots, prior.values(slots, u), tests) - tests.voltage_V
+        out: Array = np.concatenate([np.nan_to_num(gap).reshape(u.shape[0], -1) / MISFIT_SD_V, u], axis=1)
+        return out
+
+    def objective(u: Array) -> Array:
+        out: Array = misfit(u[None])[0]
+        return out
+
+    def jacobian(u: Array) -> Array:
+        values = misfit(np.vstack([u, u + NUDGE * np.eye(u.size)]))
+        out: Array = ((values[1:] - values[0]) / NUDGE).T
+        return out
+
+    loss: Literal["soft_l1", "linear"] = "soft_l1" if robust else "linear"
+    tolerance = 1e-3 if robust else 1e-4
+    found = least_squares(objective, u0, jacobian, loss=loss, max_nfev=EVALUATIONS, xtol=1e-4, ftol=tolerance)
+    return float(found.cost), np.asarray(found.x, dtype=float)
+
+
+def residuals(found: Fit, tests: OneTimeTests) -> Array:
+    """Return model minus measured voltage [V], [test, instant]."""
+    x = prior.values(found.slots, found.u)[None]
+    out: Array = predict(found.variant, found.slots, x, tests)[0] - tests.voltage_V
+    return out

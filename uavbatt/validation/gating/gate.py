@@ -1,0 +1,263 @@
+"""The gate asks whether the model is equivalent to the tests, within limits declared for flight safety.
+
+Two one-sided tests per instant: the interval of the bias (model minus mean of the held-out occasions) must lie inside
+±limit. It is simultaneous over the instants and holds both the scatter of the occasions and what that scatter cannot
+show of instruments and drift (`budget`).
+
+    pass             the whole interval is inside ±limit at every instant
+    fail             the bias itself is beyond the limit somewhere
+    not enough data  neither, or too few occasions
+
+"Not significantly different" is never a pass: noisier tests must make the gate harder, not easier. So the study's
+own criterion, the model inside x̄ ± C, decides only by the method `paper`: the wider the tests scatter the easier it
+is, and with many instants few genuine tests meet it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import Uncertainty
+from uavbatt.validation.gating import budget as budgets
+from uavbatt.validation.gating.budget import Budget
+from uavbatt.validation.gating.heldout import Curve, HeldOut
+from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.judging.series import KNEE_CELL_V
+
+Verdict = Literal["pass", "fail", "not enough data"]
+Method = Literal["iso", "paper"]
+LEAST_OCCASIONS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Declared flight-safety limits, before any data are seen; volts for a 3S pack, scaled by cells.
+
+    `precision_A_r`, `precision_A_R`: how well s_r and s_R must be known, relative, 95 % (A_r, A_R of ISO 5725-1).
+    """
+
+    voltage_V: float = 0.15
+    time_s: float = 10.0
+    surface_K: float = 2.0
+    crossing_V: float = 10.0
+    limiter_margin_V: float = 0.1
+    precision_A_r: float = 0.5
+    precision_A_R: float = 1.0
+
+    def for_cells(self, cells: int) -> Limits:
+        """Scale the limits in volts to a pack of `cells` in series."""
+        share = cells / 3.0
+        return Limits(
+            voltage_V=self.voltage_V * share,
+            time_s=self.time_s,
+            surface_K=self.surface_K,
+            crossing_V=self.crossing_V * share,
+            limiter_margin_V=self.limiter_margin_V * share,
+            precision_A_r=self.precision_A_r,
+            precision_A_R=self.precision_A_R,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One verdict with what it rests on. `gates`: a fail here keeps the model from shipping."""
+
+    claim: str
+    ambient_C: float
+    verdict: Verdict
+    reason: str
+    gates: bool
+    at: Array  # instants [s] or voltages [V]
+    bias: Array
+    half_width: Array  # of the bias' interval, guard band included
+    guard: Array
+    limit: float
+    unit: str
+    budget: Budget | None = None
+    statistics: Mapping[str, float] = field(default_factory=dict)
+
+
+def informing(claim: str, ambient_C: float, reason: str, statistics: Mapping[str, float] | None = None) -> Claim:
+    """Make a claim of which nothing can be said, with the reason; it does not gate."""
+    nothing = np.empty(0)
+    return Claim(claim, ambient_C, "not enough data", reason, False, nothing, nothing, nothing, nothing, np.nan, "",
+                 statistics=statistics or {})  # fmt: skip
+
+
+def gating(claim: Claim, gates: bool) -> Claim:
+    """Return the same claim, deciding or informing."""
+    return replace(claim, gates=gates)
+
+
+def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
+    """Return verdict and reason for biases with the half widths of their intervals against ±`limit`.
+
+    All three are in the unit of the claim; `bias` and `half` per instant.
+    """
+    instants = bias.size
+    beyond = np.abs(bias) > limit
+    if not instants:
+        return "not enough data", "no instant can be judged"
+    if beyond.any():
+        worst = float(bias[np.argmax(np.abs(bias))])
+        return "fail", f"bias {worst:+.3g} beyond ±{limit:g} at {int(beyond.sum())} of {instants}"
+    if (np.abs(bias) + half <= limit).all():
+        return "pass", f"the interval of the bias is inside ±{limit:g} at all {instants}"
+    open_ = int(np.sum(~(np.abs(bias) + half <= limit)))
+    return "not enough data", f"the bias is inside ±{limit:g} but its interval is not, at {open_} of {instants}"
+
+
+def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Array, Verdict, str]:
+    """(bias, half width, verdict, reason) of residuals [occasion, instant] against ±`limit`.
+
+    `type_B` is the standard uncertainty that the scatter does not show; half width as in `budget`.
+    """
+    n, instants = residual.shape
+    bias: Array = residual.mean(axis=0)
+    if n < LEAST_OCCASIONS:
+        nothing = np.full(instants, np.nan)
+        return bias, nothing, "not enough data", f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
+    u, df = budgets.combine(residual.std(axis=0, ddof=1) / np.sqrt(n), n - 1.0, type_B)
+    half = budgets.coverage_factor(df, instants) * u
+    return bias, half, *decide(bias, half, limit)
+
+
+def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
+    """Return the indices of the instants before the speed controller's limiter takes over."""
+    mean_V = np.nanmean(held.measured_V, axis=(0, 1))
+    return np.flatnonzero(mean_V > cutoff_V + limits.limiter_margin_V)
+
+
+def complete(residual: Array) -> Array:
+    """Keep the occasions whose residual is known at every instant."""
+    known: Array = residual[np.isfinite(residual).all(axis=1)]
+    return known
+
+
+def too_few(name: str, ambient_C: float, n: int) -> Claim:
+    """The claim for fewer occasions than a scatter needs: it gates, so that nothing ships on it."""
+    reason = f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
+    nothing = np.empty(0)
+    return Claim(name, ambient_C, "not enough data", reason, True, nothing, nothing, nothing, nothing, np.nan, "")
+
+
+def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
+    """Judge the bias of the voltage at fixed times, under intermediate precision."""
+    name = "voltage bias (intermediate precision)"
+    at = judged_instants(held, limits, cutoff_V)
+    residual = complete(held.residual_V()[:, at])
+    if len(residual) < LEAST_OCCASIONS:
+        return too_few(name, held.ambient_C, len(residual))
+    b = budgets.voltage_budget(held, at, residual, known)
+    bias, half = residual.mean(axis=0), b.expanded
+    verdict, reason = decide(bias, half, limits.voltage_V)
+    return Claim(name, held.ambient_C, verdict, reason, True, b.at, bias, half, b.guard, limits.voltage_V, "V", b)
+
+
+def corridor_claim(
+    held: HeldOut, mean_V: Array, limit_V: Array, limits: Limits, cutoff_V: float, gates: bool = False
+) -> Claim:
+    """Judge by the study's own criterion: the model's mean curve inside x̄ ± C at every instant before the limiter."""
+    at = judged_instants(held, limits, cutoff_V)
+    gap = (np.nanmean(held.model_V, axis=(0, 1)) - mean_V)[at]
+    inside = np.abs(gap) <= limit_V[at] + 1e-9
+    verdict: Verdict = "pass" if inside.all() else "fail"
+    reason = f"{int(inside.sum())} of {at.size} instants inside x̄ ± C"
+    zero = np.zeros(at.size)
+    return Claim(
+        "inside the corridor x̄ ± C",
+        held.ambient_C, verdict, reason, gates, held.time_s[at], gap, limit_V[at], zero, float(np.nan), "V",
+    )  # fmt: skip
+
+
+def crossing_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim:
+    """Judge the bias of the time at which the pack falls to the crossing voltage; model and data read alike."""
+    level = limits.crossing_V
+    return _timed(f"time of {level:.4g} V", held, np.array([level]), limits, known)
+
+
+def knee_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
+    """Judge the bias of the time of the knee: the mean crossing of eight voltages just above the cut-off (`series`)."""
+    return _timed("time of the knee", held, cutoff_V + held.cells * KNEE_CELL_V, limits, known)
+
+
+def _crossings(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
+    return np.array([crossing_time(time_s, voltage_V, float(v), "held") for v in levels_V])
+
+
+def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Uncertainty) -> Claim:
+    """A model that stays above a voltage to the end of a record that falls through it is late by at least the rest."""
+    at = np.array([float(np.mean(levels_V))])
+    runs = [c for c in held.runs() if np.isfinite(c.measured_V).all()]
+    measured = np.array([_crossings(c.time_s, c.measured_V, levels_V) for c in runs]).reshape(-1, levels_V.size)
+    ends = np.array([c.time_s[-1] for c in runs])
+    model = np.array([_crossings(c.time_s, c.model_V, levels_V) for c in runs]).reshape(measured.shape)
+    late = int(np.sum(np.isnan(model) & np.isfinite(measured)))
+    model = np.where(np.isnan(model), ends[:, None], model)
+    reached = np.isfinite(measured).all(axis=1)
+    residual = _by_occasion(runs, (model - measured).mean(axis=1), reached)
+    if len(residual) < LEAST_OCCASIONS:
+        reason = f"{len(residual)} occasions fall to {at[0]:.4g} V, at least {LEAST_OCCASIONS} are needed"
+        nothing = np.empty(0)
+        return Claim(name, held.ambient_C, "not enough data", reason, True, nothing, nothing, nothing, nothing,
+                     limits.time_s, "s")  # fmt: skip
+    b = budgets.time_budget(held, levels_V, residual, _slope(runs, levels_V), known)
+    bias, half = residual.mean(axis=0), b.expanded
+    verdict, reason = decide(bias, half, limits.time_s)
+    if late and verdict != "fail":
+        verdict, reason = "fail", f"the model does not fall that far in {late} of {model.size} crossings"
+    return Claim(name, held.ambient_C, verdict, reason, True, at, bias, half, b.guard, limits.time_s, "s", b)
+
+
+def _by_occasion(runs: list[Curve], values: Array, kept: NDArray[np.bool_]) -> Array:
+    """Means over the samples of each occasion, [occasion, 1], in run order."""
+    occasions = sorted({c.occasion for c, k in zip(runs, kept, strict=True) if k})
+    of = np.array([c.occasion for c in runs])
+    return np.array([[float(np.mean(values[kept & (of == o)]))] for o in occasions]).reshape(-1, 1)
+
+
+def _slope(runs: list[Curve], levels_V: Array) -> float:
+    """Median fall of the records at the middle of `levels_V` [V/s], for turning volts into seconds."""
+    half = max(float(np.ptp(levels_V)) / 2.0, 0.02 * float(np.mean(levels_V)))
+    middle = float(np.mean(levels_V))
+    falls = []
+    for c in runs:
+        high, low = _crossings(c.time_s, c.measured_V, np.array([middle + half, middle - half]))
+        if low > high:
+            falls.append(2.0 * half / (low - high))
+        else:
+            i = int(np.argmin(np.abs(c.measured_V - middle)))
+            falls.append(float(np.abs(np.gradient(c.measured_V, c.time_s))[i]))
+    return max(float(np.median(falls)), 1e-6)
+
+
+def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | None:
+    """Judge the bias of the surface temperature; it informs, does not gate. None when it was not measured."""
+    if held.measured_C is None or held.model_C is None:
+        return None
+    name = "surface temperature bias"
+    gap = held.model_C - held.measured_C
+    kept = np.isfinite(gap).any(axis=(0, 1))
+    samples = np.isfinite(gap[:, :, kept]).any(axis=(0, 2))
+    residual = complete(gap[:, samples][:, :, kept].mean(axis=1))
+    if len(residual) < LEAST_OCCASIONS or not kept.any():
+        return informing(name, held.ambient_C, f"{len(residual)} occasions, at least {LEAST_OCCASIONS} are needed")
+    b = budgets.surface_budget(held.time_s[kept], residual, known)
+    bias, half = residual.mean(axis=0), b.expanded
+    verdict, reason = decide(bias, half, limits.surface_K)
+    worst = f"largest bias {np.abs(bias).max():.2f} K; {reason}"
+    return Claim(name, held.ambient_C, verdict, worst, False, b.at, bias, half, b.guard, limits.surface_K, "K", b)
+
+
+def overall(claims: Sequence[Claim]) -> Verdict:
+    """Return the verdict that decides: that of the worst claim that gates."""
+    verdicts = [c.verdict for c in claims if c.gates]
+    if not verdicts or "fail" in verdicts:
+        return "fail" if verdicts else "not enough data"
+    return "not enough data" if "not enough data" in verdicts else "pass"

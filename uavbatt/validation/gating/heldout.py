@@ -1,0 +1,245 @@
+"""Predictions of runs that the model was not fitted to: one occasion (run k of all samples) is left out at a time.
+
+Runs of one occasion share their day and set-up, so that they leave together: what stays would tell about what left.
+The single runs at other ambient temperatures are shared out over the same folds, so that each of them too is
+predicted by a fit that has not seen it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import DataSet, Levels, Run
+from uavbatt.errors import NotEnoughData
+from uavbatt.fitting import observed, prior, solve, unmetered
+from uavbatt.fitting.unmetered import MeanTest
+from uavbatt.validation.judging import fast_records
+from uavbatt.validation.judging.readings import SURFACE, Readings
+
+Effects = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One held-out run in full, read at each of its rows (`fast_records`); [s], [V]."""
+
+    occasion: int
+    sample: int
+    time_s: Array
+    measured_V: Array
+    model_V: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Single:
+    """A run at another ambient temperature, predicted by a fit without it; [s], [V]."""
+
+    ambient_C: float
+    sample: str
+    time_s: Array
+    measured_V: Array
+    model_V: Array
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Measured and predicted [occasion, sample, level] at `time_s`; surface None where it was not measured.
+
+    `at_rest` marks the instants before the load, `row_s` and `step_V` are the spacing of the original
+    rows and the smallest step between their voltages, `curves` are the fast
+    records in full (none for tables read by hand), `singles` the runs at other temperatures.
+    """
+
+    model: str
+    ambient_C: float
+    cells: int
+    time_s: Array
+    measured_V: Array
+    model_V: Array
+    measured_C: Array | None = None
+    model_C: Array | None = None
+    row_s: float = 60.0
+    step_V: float = 0.0
+    rest: tuple[bool, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    singles: tuple[Single, ...] = ()
+
+    def residual_V(self) -> Array:
+        """Return model minus measured [V], [occasion, level], the mean over the samples of an occasion."""
+        out: Array = np.nanmean(self.model_V - self.measured_V, axis=1)
+        return out
+
+    @property
+    def at_rest(self) -> NDArray[np.bool_]:
+        """Marks of the instants before the load; unless told, the one at 0 s."""
+        return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
+
+    def runs(self) -> list[Curve]:
+        """Return the held-out runs: the full records where there are any, else the readings."""
+        if self.curves:
+            return list(self.curves)
+        grid = np.ndindex(self.measured_V.shape[:2])
+        return [Curve(i, j, self.time_s, self.measured_V[i, j], self.model_V[i, j]) for i, j in grid]
+
+
+def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
+    """Average runs that were read at the same instants under one load."""
+    grid = min((r.time_s for r in runs), key=len)
+    volts = np.array([np.interp(grid, r.time_s, r.voltage_V) for r in runs])
+    surfaces = np.array([np.interp(grid, r.time_s, r.surface_C) for r in runs])
+    known = surfaces[np.isfinite(surfaces).all(axis=1)]
+    occasions = len({r.run for r in runs})  # runs of one occasion are not independent
+    return MeanTest(
+        time_s=grid,
+        voltage_V=volts.mean(axis=0),
+        voltage_sd_V=volts.std(axis=0, ddof=1) / np.sqrt(occasions) if len(runs) > 1 else np.zeros(grid.size),
+        surface_C=known.mean(axis=0) if len(known) else np.full(grid.size, np.nan),
+        cells=dataset.cells_series,
+        ambient_C=ambient_C,
+    )
+
+
+def is_metered(dataset: DataSet) -> bool:
+    """True when the current of every run was measured."""
+    return all(np.isfinite(r.current_A).all() for r in dataset.runs)
+
+
+def repeats(readings: Readings) -> Levels:
+    """Return the repeated runs at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
+    levels = readings.levels(readings.ambient_C)
+    if levels is None or len(levels.occasions) < 2:
+        raise NotEnoughData(
+            f"{readings.dataset.path}: expected repeated runs at one ambient temperature, to leave one out"
+        )
+    return levels
+
+
+def other_runs(dataset: DataSet, levels: Levels) -> list[Run]:
+    """List the runs at other ambient temperatures than the repeated one."""
+    return [r for r in dataset.runs if r not in dataset.at(levels.ambient_C)]
+
+
+def circuit(
+    readings: Readings,
+    progress: Callable[[float], None] | None = None,
+    effects: Effects = prior.BASE_EFFECTS,
+    model: str = "circuit",
+) -> HeldOut:
+    """Predict each occasion by the circuit model with its effects, fitted to the other occasions.
+
+    `effects` are the names of the effects that are on; `progress` is called with 1 after each fit.
+    Raises NotEnoughData when nothing is left to fit once an occasion is out.
+    """
+    dataset, levels = readings.dataset, repeats(readings)
+    predict = _metered if is_metered(dataset) else _unmetered
+    others = other_runs(dataset, levels)
+    folds = []
+    for k, occasion in enumerate(levels.occasions):
+        folds.append(predict(dataset, levels, occasion, others[k :: len(levels.occasions)], effects))
+        if progress is not None:
+            progress(1.0)
+    surface = readings.levels(levels.ambient_C, SURFACE)
+    measured_C = _aligned(levels, surface)
+    return HeldOut(
+        model=model,
+        ambient_C=levels.ambient_C,
+        cells=dataset.cells_series,
+        time_s=levels.time_s,
+        measured_V=levels.values,
+        model_V=np.stack([f.volts for f in folds]),
+        measured_C=measured_C,
+        model_C=np.stack([f.surface for f in folds]) if measured_C is not None else None,
+        row_s=float(np.median(np.diff(dataset.at(levels.ambient_C)[0].time_s))),
+        step_V=smallest_step(dataset.at(levels.ambient_C)),
+        rest=rest_at(dataset, levels),
+        curves=tuple(c for f in folds for c in f.curves),
+        singles=tuple(s for f in folds for s in f.singles),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Fold:
+    volts: Array
+    surface: Array
+    curves: list[Curve]
+    singles: list[Single]
+
+
+def smallest_step(runs: tuple[Run, ...]) -> float:
+    """Return the smallest step between two voltages [V]: what the meter resolves, if nothing is stated."""
+    distinct = np.unique(np.round(np.concatenate([r.voltage_V for r in runs]), 6))
+    return float(np.diff(distinct).min()) if distinct.size > 1 else 0.0
+
+
+def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
+    """Mark the instants of the levels that come before the load: by the measured current, else the one at 0 s."""
+    run = dataset.at(levels.ambient_C)[0]
+    if not np.isfinite(run.current_A).all():
+        return tuple(bool(t <= 0.0) for t in levels.time_s)
+    phase = fast_records.phases(run.current_A)
+    rested = run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
+    at = np.searchsorted(run.time_s, levels.time_s, side="right") - 1
+    return tuple(bool(rested and phase[max(i, 0)] == 0) for i in at)
+
+
+def _unmetered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
+    runs = [r for r in dataset.at(levels.ambient_C) if r.run != occasion and r.sample in levels.samples]
+    test = mean_test(dataset, runs, levels.ambient_C)
+    found = unmetered.fit(test, effects)
+
+    def predicted(ambient_C: float, time_s: Array) -> Array:
+        there = replace(test, ambient_C=ambient_C)
+        return unmetered.predict(found.slots, found.effects, found.x[None], there, time_s)[:, :, 0]
+
+    volts, surface = predicted(levels.ambient_C, levels.time_s)
+    shape = (len(levels.samples), levels.time_s.size)
+    singles = [
+        Single(r.ambient_C, r.sample, r.time_s, r.voltage_V, predicted(r.ambient_C, r.time_s)[0]) for r in others
+    ]
+    return _Fold(np.broadcast_to(volts, shape), np.broadcast_to(surface, shape), [], singles)
+
+
+def _metered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
+    out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
+    kept = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
+    found = solve.fit(observed.stack(observed.from_dataset(kept)), effects)
+    tested = [*out, *others]
+    stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
+    run = solve.replay(stack, found, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
+    volts = np.full((len(levels.samples), levels.time_s.size), np.nan)
+    surface, curves, singles = volts.copy(), [], []
+    k = levels.occasions.index(occasion)
+    for j, test in enumerate(tested):
+        rows = stack.compare[:, j]
+        time_s, measured = stack.time_s[rows, j], stack.voltage_V[rows, j]
+        model, phase = run.voltage_V[rows, j] * stack.cells[j], fast_records.phases(stack.current_A[rows, j])
+        own = fast_records.weights(time_s, phase, time_s)
+        if test in others:
+            singles.append(Single(test.ambient_C, test.sample, time_s, own @ measured, own @ model))
+            continue
+        at, w = levels.samples.index(test.sample), fast_records.weights(time_s, phase, levels.time_s)
+        volts[at] = levels.values[k, at] + w @ (model - measured)
+        surface[at] = w @ run.sensor_C[rows, j]
+        if fast_records.is_fast(test):
+            curves.append(Curve(k, at, time_s, own @ measured, own @ model))
+    return _Fold(volts, surface, curves, singles)
+
+
+def _aligned(levels: Levels, surface: Levels | None) -> Array | None:
+    """Surface temperature on the voltage's occasions, samples and instants; None when there is none."""
+    if surface is None:
+        return None
+    out = np.full(levels.values.shape, np.nan)
+    shared = np.flatnonzero(np.isin(levels.time_s, surface.time_s))
+    from_time = np.searchsorted(surface.time_s, levels.time_s[shared])
+    for i, occasion in enumerate(surface.occasions):
+        for j, sample in enumerate(surface.samples):
+            if occasion in levels.occasions and sample in levels.samples:
+                at = (levels.occasions.index(occasion), levels.samples.index(sample))
+                out[at][shared] = surface.values[i, j, from_time]
+    return out

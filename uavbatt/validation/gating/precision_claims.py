@@ -1,0 +1,131 @@
+"""Claims about the tests themselves say whether their precision is known well enough and reaches other samples.
+
+Repeatability: s_r with its relative 95 % uncertainty A_r = 1.96/√(2ν) (ISO 5725-1) against a declared bound. Samples
+that depend on each other count as one. Drift over the runs is named in the reason.
+
+Reproducibility: the bias with the samples random too, u² = (MS_occasion + MS_sample)/(ok) of the crossed model,
+degrees of freedom by Satterthwaite (ISO 5725-3; the residual counted in both on purpose). Three samples or more,
+independent of each other, and A_R within its bound; else nothing is known of the next pack.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import Levels, Uncertainty
+from uavbatt.validation.gating import budget, gate
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict, informing
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
+from uavbatt.validation.iso5725.intermediate import crossed
+from uavbatt.validation.iso5725.intervals import satterthwaite
+from uavbatt.validation.judging.corridor import shared_table
+from uavbatt.validation.judging.drift import permutations
+from uavbatt.validation.judging.findings import Finding
+
+LEAST_SAMPLES = 3
+DEPENDENT_BELOW = 0.01
+PAIRINGS = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """All samples against random pairing of their runs; `dependent` None when p < 0.01 cannot be reached."""
+
+    p_value: float
+    dependent: bool | None
+
+
+def dependence(table: Array, seed: int = 5725) -> Dependence:
+    """Test whether the runs of `table[occasion, sample, level]` belong together in the order of their numbers.
+
+    Statistics: the sum over pairs of samples of the correlation of their residuals, and of identical readings; the
+    smaller p of the two, doubled.
+    """
+    n, k, _ = table.shape
+    if k < 2 or n < 3:
+        return Dependence(math.nan, None)
+    residual = table - table.mean(axis=0)
+    scale = np.sqrt((residual**2).sum(axis=(0, 2)))
+    residual = residual / np.where(scale > 0.0, scale, 1.0)[None, :, None]
+    orders = [np.tile(np.arange(n), (PAIRINGS, 1))]
+    orders += [permutations(n, PAIRINGS, seed + j) for j in range(1, k)]
+    together = np.zeros((2, PAIRINGS + 1))
+    for i, j in combinations(range(k), 2):
+        same = (np.abs(table[:, None, i] - table[None, :, j]) < 1e-9).sum(axis=2).astype(float)
+        for s, matrix in enumerate((residual[:, i] @ residual[:, j].T, same)):
+            together[s, 0] += np.trace(matrix)
+            together[s, 1:] += matrix[orders[i], orders[j]].sum(axis=1)
+    reached = (together[:, 1:] >= together[:, :1] - 1e-12).sum(axis=1)
+    p = min(1.0, 2.0 * (1.0 + float(reached.min())) / (PAIRINGS + 1.0))
+    attainable = 2.0 / math.factorial(min(n, 12)) ** (k - 1) < DEPENDENT_BELOW
+    return Dependence(p, p < DEPENDENT_BELOW if attainable else None)
+
+
+def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]) -> Claim:
+    """Judge whether s_r is known to within `precision_A_r`; drift over the runs is a warning."""
+    rows = [precision(levels.cells(i)) for i in range(levels.time_s.size)]
+    shared = shared_table(levels).table
+    linked = dependence(shared).dependent
+    df = shared.shape[0] - 1 if linked else sum(len(c) - 1 for c in levels.cells(0))
+    A_r = relative_uncertainty_r(df) if df else math.inf
+    s_r = max(p.s_r for p in rows)
+    verdict: Verdict = "pass" if A_r <= limits.precision_A_r else "not enough data"
+    known = f"known to ±{A_r:.0%} (declared: ±{limits.precision_A_r:.0%}), {df} degrees of freedom"
+    reason = f"s_r up to {s_r:.3g} V, {known}"
+    reason += "; the samples depend on each other and count as one" if linked else ""
+    drifts = [f for f in found if f.kind == "drift" and "voltage" in f.title]
+    reason += f"; warning: {drifts[0].title}" if drifts else ""
+    numbers = {"A_r": A_r, "degrees_of_freedom": float(df), "largest_s_r_V": s_r, "drift": float(bool(drifts))}
+    nothing = np.empty(0)
+    return Claim("repeatability", levels.ambient_C, verdict, reason, True, nothing, nothing, nothing, nothing,
+                 limits.precision_A_r, "1", statistics=numbers)  # fmt: skip
+
+
+def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
+    """Judge the bias for another sample; it informs, does not gate (a pack of the same make ships without it)."""
+    name = "reproducibility"
+    shared = shared_table(levels).table
+    k, linked = shared.shape[1], dependence(shared)
+    p_value = {"samples": float(k), "p_dependence": linked.p_value}
+    if k < LEAST_SAMPLES:
+        also = ", and they depend on each other" if linked.dependent else ""
+        return informing(name, held.ambient_C, f"{k} sample(s){also}: at least {LEAST_SAMPLES} are needed", p_value)
+    if linked.dependent is not False:
+        unknown = "too few runs to tell whether the samples are independent"
+        reason = unknown if linked.dependent is None else f"the samples depend on each other (p = {linked.p_value:.1g})"
+        return informing(name, held.ambient_C, reason, p_value)
+    at = gate.judged_instants(held, limits, cutoff_V)
+    A_R = max(precision(levels.cells(int(i))).A_R for i in at)
+    if not limits.precision_A_R >= A_R:
+        reason = f"s_R known to ±{A_R:.0%} only (declared: ±{limits.precision_A_R:.0%}), {k} samples"
+        return informing(name, held.ambient_C, reason, {**p_value, "A_R": A_R})
+    table = (held.model_V - held.measured_V)[:, :, at]
+    table = table[np.isfinite(table).all(axis=(1, 2))]
+    u, df = _random_samples(table)
+    guard = budget.voltage_budget(held, at, table.mean(axis=1), known).guard
+    combined, df = budget.combine(u, df, guard / budget.ONE_SIDED)
+    half = budget.coverage_factor(df, at.size) * combined
+    bias = table.mean(axis=(0, 1))
+    verdict, reason = gate.decide(bias, half, limits.voltage_V)
+    said = f"{k} samples of one make in one laboratory: {reason}"
+    return Claim(name, held.ambient_C, verdict, said, False, held.time_s[at], bias, half, guard, limits.voltage_V, "V",
+                 statistics={**p_value, "A_R": A_R, "least_df": float(df.min())})  # fmt: skip
+
+
+def _random_samples(table: Array) -> tuple[Array, Array]:
+    """(standard uncertainty of the mean, its degrees of freedom) per level, samples and occasions random."""
+    o, k, levels = table.shape
+    u, df = np.empty(levels), np.empty(levels)
+    for i in range(levels):
+        ms_occasion, ms_sample, _ = crossed(table[:, :, i]).mean_squares
+        parts = [ms_occasion / (o * k), ms_sample / (o * k)]
+        u[i] = math.sqrt(sum(parts))
+        df[i] = satterthwaite(parts, (o - 1.0, k - 1.0)) if sum(parts) > 0.0 else o - 1.0
+    return u, df

@@ -1,0 +1,172 @@
+"""The regression model: voltage against time and ambient temperature, without a circuit behind it.
+
+    s      = t/t_k(T),  t_k(T) = t_0·exp(c₁θ + c₂θ²),  θ = (T - 25 °C)/25 K          time in units of the knee
+    p(t,T) = p₀ + p₁θ + p₂θ² + a·exp(-t/τ) - q₁s - q₂s²                              plateau
+    V(t,T) = f + h·ln(1 + exp((p - d·w·ln(1 + exp((s-1)/w)) - f)/h))                 knee, then the limiter's floor
+
+t counts from the start of the load; before it the voltage is e₀. It knows neither current nor heat: it holds for the
+load of the tests and for nothing else. A rival to the circuit model, gated on the same held-out occasions; it does
+not ship. One-time curves that come from other series than the repeats have a level and a knee of their own, so that
+a step between series does not pass for an effect of temperature; where they divide is taken from all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import Levels, Run
+from uavbatt.validation.gating.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
+from uavbatt.validation.judging import fast_records
+from uavbatt.validation.judging.readings import Readings
+
+READING_SD_V, TIMING_SD_S = 0.02, 6.0
+FLOOR_WIDTH_V = 0.02  # a cell
+NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", "ln_w", "f", "e0")
+
+
+@dataclass(frozen=True, slots=True)
+class RunTable:
+    """Readings of many runs in one table: time under load [s] (negative at rest), T [°C], volts, series, sigma."""
+
+    time_s: Array
+    ambient_C: Array
+    voltage_V: Array
+    series: NDArray[np.intp]
+    sigma_V: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """Fitted coefficients in the order of NAMES, and per further series (level [V], ln of the knee time)."""
+
+    coefficients: Array
+    series: Array
+    cells: int
+
+    def voltage(self, time_s: Array, ambient_C: Array, series: NDArray[np.intp] | int = 0) -> Array:
+        """Return the pack voltage [V] at `time_s` [s] under load; negative times are before the load."""
+        nuisance = np.vstack([np.zeros((1, 2)), self.series])[series]
+        return curve(self.coefficients, time_s, ambient_C, nuisance[..., 0], nuisance[..., 1], self.cells)
+
+
+def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Array, cells: int) -> Array:
+    """Compute V(t, T) [V] of the coefficients x by the equations of the module; times [s], temperatures [°C]."""
+    p0, p1, p2, a, ln_tau, q1, q2, ln_t0, c1, c2, d, ln_w, f, e0 = x
+    theta, w, h = (ambient_C - 25.0) / 25.0, math.exp(ln_w), FLOOR_WIDTH_V * cells
+    t = np.maximum(time_s, 0.0)
+    s = t / np.exp(ln_t0 + ln_knee + c1 * theta + c2 * theta**2)
+    plateau = p0 + level_V + p1 * theta + p2 * theta**2 + a * np.exp(-t / math.exp(ln_tau)) - q1 * s - q2 * s**2
+    free = plateau - d * w * np.logaddexp(0.0, (s - 1.0) / w)
+    out: Array = np.where(time_s < 0.0, e0, f + h * np.logaddexp(0.0, (free - f) / h))
+    return out
+
+
+def load_start_s(run: Run) -> float:
+    """Return when the load begins [s]: by the measured current, else just after the first reading."""
+    phase = fast_records.phases(run.current_A)
+    rested = phase[-1] > 0 and run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
+    return float(run.time_s[np.argmax(phase > 0)]) if rested else float(run.time_s[0]) + 1e-6
+
+
+def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTable:
+    """Put the readings of runs into one table."""
+    slopes = [np.abs(np.gradient(r.voltage_V, r.time_s)) for r in runs]
+    early = [np.where(r.time_s <= t, 0.0, s) for r, t, s in zip(runs, starts_s, slopes, strict=True)]
+    return RunTable(
+        time_s=np.concatenate([r.time_s - t for r, t in zip(runs, starts_s, strict=True)]),
+        ambient_C=np.concatenate([np.full(r.time_s.size, r.ambient_C) for r in runs]),
+        voltage_V=np.concatenate([r.voltage_V for r in runs]),
+        series=np.concatenate([np.full(r.time_s.size, k) for r, k in zip(runs, series, strict=True)]).astype(np.intp),
+        sigma_V=np.hypot(READING_SD_V, TIMING_SD_S * np.concatenate(early)),
+    )
+
+
+def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
+    """Return (start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
+    near = np.abs(rows.ambient_C - 25.0) <= np.min(np.abs(rows.ambient_C - 25.0)) + 0.25
+    load = near & (rows.time_s >= 0.0)
+    first, last = float(np.max(rows.voltage_V[load])), float(np.min(rows.voltage_V[load]))
+    end_s = float(np.max(rows.time_s[load]))
+    rest = rows.voltage_V[rows.time_s < 0.0]
+    e0 = float(np.mean(rest)) if rest.size else first
+    c = cells / 3.0
+    start = [first, 0.0, 0.0, 0.2 * c, math.log(60.0), 0.5 * c, 0.2 * c, math.log(0.8 * end_s), 0.0, 0.0, 6.0 * c,
+             math.log(0.05), last, e0]  # fmt: skip
+    sd = [1.0 * c, 0.5 * c, 0.3 * c, 0.4 * c, 0.7, 1.0 * c, 1.0 * c, 0.3, 0.3, 0.2, 4.0 * c, 0.7, 0.05 * c, 0.1 * c]
+    return np.array(start), np.array(sd)
+
+
+def fit(rows: RunTable, cells: int) -> Regression:
+    """Fit the most probable coefficients under wide priors; the loss is robust beyond three sigma."""
+    start, sd = guess(rows, cells)
+    others, n = int(rows.series.max()), len(NAMES)
+    spread = np.concatenate([sd, np.tile([0.1 * cells, 0.2], others)])
+
+    def unpacked(u: Array) -> Regression:
+        x = spread * u
+        return Regression(start + x[:n], x[n:].reshape(-1, 2), cells)
+
+    def objective(u: Array) -> Array:
+        misfit = (unpacked(u).voltage(rows.time_s, rows.ambient_C, rows.series) - rows.voltage_V) / rows.sigma_V
+        return np.concatenate([misfit, u])
+
+    found = least_squares(objective, np.zeros(spread.size), loss="soft_l1", f_scale=3.0, max_nfev=60, ftol=1e-5)
+    return unpacked(np.asarray(found.x))
+
+
+def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
+    """Number the series of a run: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
+    edges = sorted(b.high_C for b in readings.broken or ())
+    return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
+
+
+def held_out(readings: Readings, progress: Callable[[float], None] | None = None) -> HeldOut:
+    """Predict each occasion, and its share of the one-time runs, by a regression fitted to the others."""
+    dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
+    number, others = series_of(readings, levels), other_runs(tests, levels)
+    starts = {(r.sample, r.run, r.ambient_C): load_start_s(r) for r in dataset.runs}
+    home = [r for r in tests.at(levels.ambient_C) if r.sample in levels.samples]
+    volts, curves, singles = np.full(levels.values.shape, np.nan), [], []
+    for k, occasion in enumerate(levels.occasions):
+        out = others[k :: len(levels.occasions)]
+        kept = [r for r in home if r.run != occasion] + [r for r in others if r not in out]
+        begin = [starts[r.sample, r.run, r.ambient_C] for r in kept]
+        found = fit(rows_of(kept, begin, _consecutive([number(r) for r in kept])), dataset.cells_series)
+        blocks = sorted({number(r) for r in kept} | {0})
+        for run in dataset.at(levels.ambient_C):
+            if run.sample in levels.samples and run.run == occasion:
+                at, t0 = levels.samples.index(run.sample), starts[run.sample, run.run, run.ambient_C]
+                volts[k, at] = found.voltage(levels.time_s - t0, np.full(levels.time_s.size, run.ambient_C))
+                if fast_records.is_fast(run):
+                    curves.append(_curve(found, run, k, at, t0))
+        for run in out:
+            block = blocks.index(number(run)) if number(run) in blocks else 0
+            t = run.time_s - starts[run.sample, run.run, run.ambient_C]
+            model = found.voltage(t, np.full(t.size, run.ambient_C), block)
+            singles.append(Single(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
+        if progress is not None:
+            progress(1.0)
+    runs = dataset.at(levels.ambient_C)
+    return HeldOut(
+        model="regression", ambient_C=levels.ambient_C, cells=dataset.cells_series, time_s=levels.time_s,
+        measured_V=levels.values, model_V=volts, row_s=float(np.median(np.diff(runs[0].time_s))),
+        step_V=smallest_step(runs), rest=rest_at(dataset, levels), curves=tuple(curves), singles=tuple(singles),
+    )  # fmt: skip
+
+
+def _consecutive(series: list[int]) -> list[int]:
+    order = sorted({0, *series})
+    return [order.index(s) for s in series]
+
+
+def _curve(found: Regression, run: Run, occasion: int, sample: int, start_s: float) -> Curve:
+    own = fast_records.weights(run.time_s, fast_records.phases(run.current_A), run.time_s)
+    model = found.voltage(run.time_s - start_s, np.full(run.time_s.size, run.ambient_C))
+    return Curve(occasion, sample, run.time_s, own @ run.voltage_V, own @ model)

@@ -1,0 +1,224 @@
+"""Closing the loop on one-time tests over ambient temperature shows what an isothermal model leaves, and what mends it.
+
+The isothermal model is gated first, at the temperature that has repeats, and its residual over temperature shown.
+Then the terms that could explain the residual are added one by one (`cold_model`): self-heating, a resistance that
+grows more steeply in the cold, and, as a nuisance that is no property of a battery, the steps between series of tests
+(`series.breaks`). Each is judged on tests that the fit has not seen (every fourth temperature left out in turn; one
+at a time where there are fewer than eight; such a fit starts where that of all tests ended, so that it looks for the
+same minimum). A gain holds when the squared error falls on held-out tests by more than chance: one-sided paired t over
+the temperatures at 5 %, by Holm over the questions. Neighbouring temperatures are not quite independent, so that this
+is a lenient test: what fails it has failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.model import Array
+from uavbatt.fitting import prior
+from uavbatt.validation.gating import cold_model, gate, heldout
+from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
+from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.gating.temperature_gains import TERMS, Gain, VariantOutcome, conclusions_of, gains_of
+from uavbatt.validation.judging.readings import Readings
+
+LEAST_TESTS = 8
+COLD_C = -10.0
+FOLDS = 4
+RISE_S = (60.0, 180.0)
+START_FITS = 0.5  # one start of a variant takes about half as long as one fit of the circuit model
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureLoop:
+    """The isothermal model at the gate, its residual over temperature, and what its extensions are worth.
+
+    `series_C` are the temperature ranges of the series, `measured_rise_V` the tests' change from minute 1 to 3.
+    """
+
+    ambient_C: Array
+    series_C: tuple[tuple[float, float], ...]
+    groups: Mapping[str, tuple[float, float]]
+    isothermal: HeldOut
+    isothermal_claims: tuple[Claim, ...]
+    isothermal_rmse_V: Array
+    measured_rise_V: Array
+    outcomes: tuple[VariantOutcome, ...]
+    gains: tuple[Gain, ...]
+    conclusions: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def fits(readings: Readings) -> float:
+    """Return how much work `close_loop` is, in fits of the circuit model; 0 where it has nothing to do."""
+    tests = None if heldout.is_metered(readings.dataset) else one_time_tests(readings)[0]
+    if tests is None:
+        return 0.0
+    variants = [*_variants("cold", _cold(tests)), *_variants("all", tests)]
+    return len(heldout.repeats(readings).occasions) + START_FITS * sum(map(_fresh_starts, variants))
+
+
+def close_loop(
+    readings: Readings, limits: Limits, progress: Callable[[float], None] | None = None
+) -> TemperatureLoop | None:
+    """Gate the isothermal model, add terms one by one, and judge each on tests that the fit has not seen.
+
+    Returns None when fewer than eight temperatures were tested once, or the current was measured. `progress` is called
+    with the fits just done, which add up to `fits(readings)`.
+    """
+    dataset = readings.dataset
+    if heldout.is_metered(dataset):
+        return None
+    tests, left_out = one_time_tests(readings)
+    if tests is None:
+        return None
+    declared, known = limits.for_cells(dataset.cells_series), dataset.uncertainty
+    effects = tuple(e for e in prior.BASE_EFFECTS if e != "self_heating")
+    held = heldout.circuit(readings, progress, effects=effects, model="circuit without self-heating")
+    surface = gate.surface_claim(held, declared, known)
+    claims = (
+        gate.voltage_claim(held, declared, dataset.cutoff_V, known),
+        gate.crossing_claim(held, declared, known),
+        gate.knee_claim(held, declared, dataset.cutoff_V, known),
+        *(() if surface is None else (surface,)),
+    )
+    groups = _groups(tests)
+    outcomes = (*_outcomes("cold", _cold(tests), groups, progress), *_outcomes("all", tests, groups, progress))
+    gains = gains_of(outcomes, groups)
+    by_ambient = {s.ambient_C: float(np.sqrt(np.mean((s.model_V - s.measured_V) ** 2))) for s in held.singles}
+    rise = _rise(tests.time_s, tests.voltage_V)
+    return TemperatureLoop(
+        ambient_C=tests.ambient_C,
+        series_C=tuple(
+            (float(np.min(tests.ambient_C[tests.series == k])), float(np.max(tests.ambient_C[tests.series == k])))
+            for k in range(int(tests.series.max()) + 1)
+        ),
+        groups=groups,
+        isothermal=held,
+        isothermal_claims=claims,
+        isothermal_rmse_V=np.array([by_ambient.get(float(t), np.nan) for t in tests.ambient_C]),
+        measured_rise_V=rise,
+        outcomes=outcomes,
+        gains=gains,
+        conclusions=conclusions_of(gains, outcomes, tests, rise),
+        left_out=left_out,
+    )
+
+
+def one_time_tests(readings: Readings) -> tuple[OneTimeTests | None, tuple[str, ...]]:
+    """Put the one-time tests into a table, flagged readings left out and named; None when there are too few."""
+    dataset, runs = readings.tests, readings.series
+    if len(runs) < LEAST_TESTS or any(not np.array_equal(r.time_s, runs[0].time_s) for r in runs):
+        return None, ()
+    volts, left_out = np.array([r.voltage_V for r in runs]), []
+    for flag in dataset.flags:
+        for i, r in enumerate(runs):
+            if (flag.sample, flag.run, flag.ambient_C, flag.column) == (r.sample, r.run, r.ambient_C, "voltage_v"):
+                volts[i, r.time_s == flag.time_s] = np.nan
+                left_out.append(flag.where)
+    T = np.array([r.ambient_C for r in runs])
+    edges = sorted(b.high_C for b in readings.broken or ())
+    series = np.searchsorted(edges, T, "right").astype(np.intp)
+    return OneTimeTests(T, runs[0].time_s, volts, series, dataset.cells_series), tuple(left_out)
+
+
+def _cold(tests: OneTimeTests) -> OneTimeTests:
+    return tests.of(tests.ambient_C <= COLD_C)
+
+
+def _groups(tests: OneTimeTests) -> dict[str, tuple[float, float]]:
+    """Temperature ranges: the cold, then what is left of each series; and all."""
+    out, T = {}, tests.ambient_C
+    for rows in (T <= COLD_C, *((tests.series == k) & (T > COLD_C) for k in range(int(tests.series.max()) + 1))):
+        if rows.any():
+            low, high = float(T[rows].min()), float(T[rows].max())
+            out[f"{low:+g} to {high:+g} °C"] = (low, high)
+    return {**out, "all": (float(T.min()), float(T.max()))}
+
+
+def _rise(time_s: Array, voltage_V: Array) -> Array:
+    first, last = (int(np.argmin(np.abs(time_s - t))) for t in RISE_S)
+    out: Array = voltage_V[:, last] - voltage_V[:, first]
+    return out
+
+
+def _variants(scope: str, tests: OneTimeTests) -> list[Variant]:
+    """The models to compare, what a model contains before itself; none for fewer than three tests."""
+    if tests.ambient_C.size < 3:
+        return []
+    several = len(set(tests.series.tolist())) > 1
+    return [
+        Variant(name, heat, steep, series)
+        for series in ((False, True) if several else (False,))
+        for (heat, steep), name in TERMS.items()
+        if scope == "cold" or heat == steep
+    ]
+
+
+def _fresh_starts(variant: Variant) -> int:
+    """Starts of the optimiser besides those from the smaller models."""
+    return cold_model.FRESH // 2 if variant.self_heating or variant.steeper_cold else cold_model.FRESH
+
+
+def _outcomes(
+    scope: str,
+    tests: OneTimeTests,
+    groups: Mapping[str, tuple[float, float]],
+    progress: Callable[[float], None] | None,
+) -> list[VariantOutcome]:
+    out, fitted = [], list[cold_model.Fit]()
+    for variant in _variants(scope, tests):
+        smaller = [f for f in fitted if f.variant.series == variant.series]
+        outcome, found = _outcome(scope, variant, tests, groups, smaller)
+        fitted.append(found)
+        out.append(outcome)
+        if progress is not None:
+            progress(START_FITS * _fresh_starts(variant))
+    return out
+
+
+def _outcome(
+    scope: str,
+    variant: Variant,
+    tests: OneTimeTests,
+    groups: Mapping[str, tuple[float, float]],
+    smaller: list[cold_model.Fit],
+) -> tuple[VariantOutcome, cold_model.Fit]:
+    T, count = tests.ambient_C, int(tests.series.max()) + 1
+    inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
+    found = cold_model.fit(variant, tests, count, inside, _fresh_starts(variant))
+    fitted, unseen = cold_model.residuals(found, tests), np.empty((T.size, tests.time_s.size))
+    folds = FOLDS if T.size >= 2 * FOLDS else T.size
+    for k in range(folds):
+        out = np.arange(T.size) % folds == k
+        part = cold_model.fit(variant, tests.of(~out), count, (found,), fresh=0)
+        unseen[out] = cold_model.residuals(part, tests.of(out))
+    model_V = fitted + tests.voltage_V
+    outcome = VariantOutcome(
+        scope=scope,
+        variant=variant.name,
+        series=variant.series,
+        ambient_C=T,
+        fitted_V=_rms(fitted),
+        held_out_V=_rms(unseen),
+        by_group_fitted_V=_by_group(fitted, T, groups),
+        by_group_held_out_V=_by_group(unseen, T, groups),
+        rise_V=_rise(tests.time_s, model_V),
+        parameters=found.values(),
+    )
+    return outcome, found
+
+
+def _rms(residual: Array) -> Array:
+    out: Array = np.sqrt(np.nanmean(residual**2, axis=1))
+    return out
+
+
+def _by_group(residual: Array, T: Array, groups: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    rows: dict[str, NDArray[np.bool_]] = {name: (low <= T) & (high >= T) for name, (low, high) in groups.items()}
+    return {name: float(np.sqrt(np.nanmean(residual[r] ** 2))) for name, r in rows.items() if r.any()}

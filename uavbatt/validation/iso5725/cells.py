@@ -1,0 +1,111 @@
+"""Cells of test results, checked and reduced without losing digits.
+
+Voltages of 12.5 V with millivolts of spread, or a certified set with a mean of 1e12, lose their digits in the
+sums T1..T5 of ISO 5725-2. Everything here works on deviations from one result of the set, exact for
+neighbouring numbers, and in two passes. A cell holds the results of one sample (laboratory) at one level.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from uavbatt.errors import UavbattError
+
+Array: TypeAlias = NDArray[np.float64]
+Cells: TypeAlias = Sequence[ArrayLike] | Array
+
+
+class BadCells(UavbattError, ValueError):
+    """Cells that are no results at all: empty, not numbers, of the wrong shape."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Per cell: number of results, mean less `reference`, variance (NaN from a single result)."""
+
+    reference: float
+    counts: Array
+    offsets: Array
+    variances: Array
+
+    @property
+    def means(self) -> Array:
+        """Cell means in the unit of the results."""
+        return self.reference + self.offsets
+
+    @property
+    def p(self) -> int:
+        """Number of cells (samples, laboratories)."""
+        return len(self.counts)
+
+    @property
+    def within_df(self) -> float:
+        """Degrees of freedom within cells: sum of n_i - 1."""
+        return float(np.sum(self.counts - 1))
+
+    @property
+    def within_ss(self) -> float:
+        """Sum of squares within cells."""
+        known = self.counts > 1
+        return math.fsum((self.counts[known] - 1) * self.variances[known])
+
+    @property
+    def typical_n(self) -> int:
+        """The number of results in most cells that have two or more (ISO 5725-2 for unequal n)."""
+        counts = [int(c) for c in self.counts if c > 1]
+        return max(set(counts), key=lambda c: (counts.count(c), c)) if counts else 1
+
+
+def numbers(values: ArrayLike, what: str) -> Array:
+    """Return a flat array of finite results. Raises BadCells naming `what`."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BadCells(f"{what}: expected numbers") from None
+    if array.ndim != 1:
+        raise BadCells(f"{what}: expected a flat sequence of results, found {array.ndim} dimensions")
+    if array.size == 0:
+        raise BadCells(f"{what}: expected at least one result, it is empty")
+    bad = np.flatnonzero(~np.isfinite(array))
+    if bad.size:
+        raise BadCells(f"{what}, result {bad[0] + 1}: expected a finite number, found {array[bad[0]]}")
+    return array
+
+
+def summarise(cells: Cells) -> Summary:
+    """Reduce cells to counts, means and variances, in two passes about the first result."""
+    if isinstance(cells, str) or not hasattr(cells, "__len__") or len(cells) == 0:
+        raise BadCells("cells: expected one sequence of results per sample, there is none")
+    arrays = [numbers(c, f"cell {i + 1}") for i, c in enumerate(cells)]
+    reference = float(arrays[0][0])
+    offsets, variances = [], []
+    for array in arrays:
+        deviations = array - reference
+        mean = math.fsum(deviations) / len(array)
+        offsets.append(mean)
+        variances.append(math.fsum((deviations - mean) ** 2) / (len(array) - 1) if len(array) > 1 else math.nan)
+    counts = np.array([len(a) for a in arrays], dtype=float)
+    return Summary(reference, counts, np.array(offsets), np.array(variances))
+
+
+def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summary:
+    """Make the same summary from printed cell means, standard deviations and numbers of results."""
+    m, s, n = (numbers(v, w) for v, w in ((means, "means"), (sds, "SDs"), (counts, "counts")))
+    if not len(m) == len(s) == len(n):
+        raise BadCells(f"expected as many means, SDs and counts, found {len(m)}, {len(s)} and {len(n)}")
+    if np.any(s < 0) or np.any(n < 1):
+        raise BadCells("expected SDs of at least 0 and counts of at least 1")
+    return Summary(float(m[0]), n, m - m[0], np.where(n > 1, s**2, math.nan))
+
+
+def spread(values: Array) -> tuple[Array, float]:
+    """Return deviations from the mean and their sum of squares, free of the size of the mean."""
+    offsets = values - values[0]
+    deviations = offsets - math.fsum(offsets) / len(offsets)
+    return deviations, math.fsum(deviations**2)

@@ -1,0 +1,235 @@
+"""Consistency and outliers, ISO 5725-2 section 7: Mandel's h and k, Cochran, Grubbs single and double.
+
+Critical values in closed form for any p, n and α (Wilrich, AStA 97 (2013) 1): h and k are exact, Cochran and
+single Grubbs are Bonferroni bounds that agree with the standard's tables to a unit of their third digit. Double
+Grubbs has no closed form: simulated values are packaged for p = 4..40 at 1 % and 5 %.
+Within the 5 % value "ok"; between 5 % and 1 % "straggler"; beyond 1 % "outlier".
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from uavbatt.errors import NotEnoughData
+from uavbatt.validation.iso5725.cells import Array, Cells, numbers, spread, summarise
+
+Verdict = Literal["ok", "straggler", "outlier"]
+
+
+@dataclass(frozen=True, slots=True)
+class Cochran:
+    """Largest variance over the sum of variances; `index` is the cell, `n` the results per cell assumed."""
+
+    statistic: float
+    critical_5: float
+    critical_1: float
+    index: int
+    verdict: Verdict
+    p: int
+    n: int
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Grubbs:
+    """Distance of the largest and the smallest value from the mean, in standard deviations."""
+
+    statistic_high: float
+    statistic_low: float
+    critical_5: float
+    critical_1: float
+    verdict_high: Verdict
+    verdict_low: Verdict
+    index_high: int
+    index_low: int
+
+
+@dataclass(frozen=True, slots=True)
+class DoubleGrubbs:
+    """Sum of squares without the two largest (smallest) values over the whole: small = outlying.
+
+    The critical values are NaN and the verdicts None where they are not tabulated (p > 40).
+    """
+
+    statistic_high: float
+    statistic_low: float
+    critical_5: float
+    critical_1: float
+    verdict_high: Verdict | None
+    verdict_low: Verdict | None
+    indices_high: tuple[int, int]
+    indices_low: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Mandel:
+    """Consistency of cell means (h) and cell SDs (k) with their critical values; NaN = not defined."""
+
+    h: Array
+    k: Array
+    h_critical_5: float
+    h_critical_1: float
+    k_critical_5: float
+    k_critical_1: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Scrutiny:
+    """The tests in the standard's order. `grubbs` is None below three cells; `double` runs only if the single
+    test finds nothing; `retest` is the other end after one value was found and dropped."""
+
+    mandel: Mandel
+    cochran: Cochran | None
+    grubbs: Grubbs | None
+    double: DoubleGrubbs | None
+    retest: Grubbs | None
+
+
+def cochran_critical(p: int, n: float, alpha: float) -> float:
+    """1/(1+(p-1)/F), F = F(1-α/p; n-1, (p-1)(n-1)); exact above one half."""
+    if p < 2 or n < 2:
+        return math.nan
+    F = float(stats.f.ppf(1 - alpha / p, n - 1, (p - 1) * (n - 1)))
+    return 1 / (1 + (p - 1) / F)
+
+
+def grubbs_critical(p: int, alpha: float) -> float:
+    """(p-1)/√p·√(t²/(p-2+t²)), t = t(1-α/(2p); p-2): two-sided as in ISO 5725-2 Table 5."""
+    if p < 3:
+        return math.nan
+    t2 = float(stats.t.ppf(1 - alpha / (2 * p), p - 2)) ** 2
+    return (p - 1) / math.sqrt(p) * math.sqrt(t2 / (p - 2 + t2))
+
+
+def h_critical(p: int, alpha: float) -> float:
+    """(p-1)t/√(p(t²+p-2)), t = t(1-α/2; p-2)."""
+    if p < 3:
+        return math.nan
+    t = float(stats.t.ppf(1 - alpha / 2, p - 2))
+    return (p - 1) * t / math.sqrt(p * (t * t + p - 2))
+
+
+def k_critical(p: int, n: float, alpha: float) -> float:
+    """√(p/(1+(p-1)/F)), F = F(1-α; n-1, (p-1)(n-1))."""
+    if p < 2 or n < 2:
+        return math.nan
+    F = float(stats.f.ppf(1 - alpha, n - 1, (p - 1) * (n - 1)))
+    return math.sqrt(p / (1 + (p - 1) / F))
+
+
+@cache
+def _double_table() -> dict[int, tuple[float, float]]:
+    file = resources.files("uavbatt") / "data" / "critical" / "grubbs_double.csv"
+    lines = [line for line in file.read_text("utf-8").splitlines() if not line.startswith("#")]
+    return {int(r["p"]): (float(r["crit_1pct"]), float(r["crit_5pct"])) for r in csv.DictReader(lines)}
+
+
+def double_grubbs_critical(p: int, alpha: float) -> float:
+    """The packaged value for p = 4..40 and α = 0.01 or 0.05; NaN elsewhere."""
+    one, five = _double_table().get(p, (math.nan, math.nan))
+    return one if alpha == 0.01 else five if alpha == 0.05 else math.nan
+
+
+def _verdict(statistic: float, critical_5: float, critical_1: float) -> Verdict:
+    return "outlier" if statistic > critical_1 else "straggler" if statistic > critical_5 else "ok"
+
+
+def cochran(cells: Cells) -> Cochran:
+    """C = s²_max/Σs² over the cells with two results or more. Unequal n: the n of most cells is used."""
+    summary = summarise(cells)
+    known = np.flatnonzero(summary.counts > 1)
+    p, n = len(known), summary.typical_n
+    if p < 2:
+        raise NotEnoughData("Cochran's test needs two samples with two results or more each")
+    variances = summary.variances[known]
+    total = math.fsum(variances)
+    index = int(known[int(np.argmax(variances))])
+    statistic = float(variances.max()) / total if total > 0 else math.nan
+    critical_5, critical_1 = cochran_critical(p, n, 0.05), cochran_critical(p, n, 0.01)
+    notes = [f"unequal numbers of results: n = {n} used"] if np.ptp(summary.counts[known]) else []
+    if total == 0:
+        notes.append("all standard deviations are zero: nothing to compare")
+    verdict = _verdict(statistic, critical_5, critical_1)
+    return Cochran(statistic, critical_5, critical_1, index, verdict, p, n, tuple(notes))
+
+
+def grubbs(means: ArrayLike) -> Grubbs:
+    """G = (x_max - x̄)/s and (x̄ - x_min)/s of a flat sequence of three values or more."""
+    values = numbers(means, "means")
+    p = len(values)
+    if p < 3:
+        raise NotEnoughData(f"Grubbs' test needs three values or more, found {p}")
+    deviations, squares = spread(values)
+    sd = math.sqrt(squares / (p - 1))
+    high, low = (float(deviations.max()) / sd, -float(deviations.min()) / sd) if sd > 0 else (0.0, 0.0)
+    critical_5, critical_1 = grubbs_critical(p, 0.05), grubbs_critical(p, 0.01)
+    verdicts = [_verdict(g, critical_5, critical_1) for g in (high, low)]
+    places = int(np.argmax(values)), int(np.argmin(values))
+    return Grubbs(high, low, critical_5, critical_1, verdicts[0], verdicts[1], *places)
+
+
+def double_grubbs(means: ArrayLike) -> DoubleGrubbs:
+    """s²(without two largest or smallest)/s0² of a flat sequence of four values or more."""
+    values = numbers(means, "means")
+    p = len(values)
+    if p < 4:
+        raise NotEnoughData(f"the double Grubbs test needs four values or more, found {p}")
+    order = np.argsort(values, kind="stable")
+    _, whole = spread(values)
+    high, low = (spread(values[kept])[1] / whole if whole > 0 else 1.0 for kept in (order[:-2], order[2:]))
+    critical_5, critical_1 = double_grubbs_critical(p, 0.05), double_grubbs_critical(p, 0.01)
+    known = not math.isnan(critical_5)
+    verdicts = [_verdict(-g, -critical_5, -critical_1) if known else None for g in (high, low)]
+    ends = (int(order[-1]), int(order[-2])), (int(order[0]), int(order[1]))
+    return DoubleGrubbs(high, low, critical_5, critical_1, verdicts[0], verdicts[1], *ends)
+
+
+def mandel(cells: Cells, pooling: Literal["df", "equal"] = "df") -> Mandel:
+    """h_i = (ȳ_i - ȳ)/s(ȳ), k_i = s_i/s_r; a cell with one result has no k.
+
+    s_r pools the variances by their degrees of freedom, as precision does; `pooling="equal"` is the standard's
+    s_i√p/√Σs², the same for equal numbers of results. Below three cells h has no critical value (|h| is always
+    0.707); with equal means h is 0.
+    """
+    summary = summarise(cells)
+    p, known = summary.p, summary.counts > 1
+    if p < 2:
+        raise NotEnoughData("Mandel's h and k compare samples, found one")
+    deviations, squares = spread(summary.offsets)
+    h = deviations / math.sqrt(squares / (p - 1)) if squares > 0 else np.zeros(p)
+    with_k, n = int(known.sum()), summary.typical_n
+    weights = summary.counts[known] - 1 if pooling == "df" else np.ones(with_k)
+    total = math.fsum(weights * summary.variances[known])
+    pooled = total / math.fsum(weights) if with_k else 0.0
+    k = np.sqrt(summary.variances / pooled) if pooled > 0 else np.where(known, 0.0, math.nan)
+    notes = ["fewer than three samples: h says nothing"] if p < 3 else []
+    if total == 0:
+        notes.append("all standard deviations are zero: k says nothing")
+    criticals = (h_critical(p, 0.05), h_critical(p, 0.01), k_critical(with_k, n, 0.05), k_critical(with_k, n, 0.01))
+    return Mandel(h, k, *criticals, tuple(notes))
+
+
+def scrutinise(cells: Cells) -> Scrutiny:
+    """h and k, Cochran, then Grubbs: single at both ends; if one is found drop it and test the other end,
+    if none is found test pairs (ISO 5725-2, 7.3.4)."""
+    summary = summarise(cells)
+    variance_test = cochran(cells) if np.sum(summary.counts > 1) > 1 else None
+    means = summary.offsets
+    if summary.p < 3:
+        return Scrutiny(mandel(cells), variance_test, None, None, None)
+    single = grubbs(means)
+    ends = ((single.index_high, single.verdict_high), (single.index_low, single.verdict_low))
+    found = [index for index, verdict in ends if verdict != "ok"]
+    retest = grubbs(np.delete(means, found[0])) if found and summary.p > 3 else None
+    double = double_grubbs(means) if not found and summary.p > 3 else None
+    return Scrutiny(mandel(cells), variance_test, single, double, retest)

@@ -1,0 +1,162 @@
+"""Trueness against a reference value, ISO 5725-4, and the use of precision limits, ISO 5725-6.
+
+Trueness needs a reference μ from elsewhere; ten repeats that do not drift are stable, not true. The factor 2.8 of
+a pair of results becomes f(n) for the range of n results (ISO 5725-6 Table 1): with ten results the range passes
+2.8σ in 61 % of cases although nothing is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import integrate, optimize, stats
+
+from uavbatt.errors import NotEnoughData
+from uavbatt.validation.iso5725.cells import BadCells, Cells, numbers, spread, summarise
+from uavbatt.validation.iso5725.intervals import Interval
+from uavbatt.validation.iso5725.precision import precision_of
+
+
+@dataclass(frozen=True, slots=True)
+class Bias:
+    """Mean less reference with its 95 % interval, in the unit of the results."""
+
+    bias: float
+    standard_uncertainty: float
+    interval: Interval
+    significant: bool
+    n: int
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PrecisionCheck:
+    """A check of the observed against the claimed variance with its 5 % limits (ISO 5725-4)."""
+
+    C_r: float
+    limit_r: float
+    C_R: float
+    limit_R: float
+    ok: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RangeCheck:
+    """Range of n results against f(n)·s_r, in the unit of the results."""
+
+    range: float
+    factor: float
+    critical_range: float
+    ok: bool
+    pair_share_beyond: float
+
+
+def laboratory_bias(results: ArrayLike, reference: float, u_reference: float = 0.0) -> Bias:
+    """Estimate the bias of one laboratory: Δ̂ = ȳ - μ ± t(0.975; n-1)·s/√n (ISO 5725-4).
+
+    `reference` is μ in the unit of the results; its own uncertainty `u_reference` is added in squares.
+    Raises NotEnoughData below two results.
+    """
+    values = numbers(results, "results")
+    n = len(values)
+    if n < 2:
+        raise NotEnoughData("a bias with an interval needs two results or more")
+    if u_reference < 0:
+        raise BadCells(f"expected an uncertainty of at least 0, found {u_reference:g}")
+    _, squares = spread(values)
+    bias = float(values[0] - reference + (values - values[0]).mean())
+    u_mean = math.sqrt(squares / (n - 1) / n)
+    half = math.hypot(float(stats.t.ppf(0.975, n - 1)) * u_mean, 1.96 * u_reference)
+    return Bias(bias, math.hypot(u_mean, u_reference), (bias - half, bias + half), abs(bias) > half, n)
+
+
+def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, sigma_R: float | None = None) -> Bias:
+    """Estimate the bias of a method in several laboratories: δ̂ = ȳ - μ, σ_δ² = [σ_R² - (1-1/n)σ_r²]/p (ISO 5725-4).
+
+    With known σ_r and σ_R the factor is 1.96; estimated from the cells it is t with p-1 degrees of freedom.
+    """
+    summary = summarise(cells)
+    found = precision_of(summary)
+    if summary.p < 2:
+        raise NotEnoughData("the bias of a method needs two laboratories or more; use laboratory_bias for one")
+    known = sigma_r is not None and sigma_R is not None
+    s_r, s_R = (sigma_r or 0.0, sigma_R or 0.0) if known else (found.s_r, found.s_R)
+    u = bias_uncertainty(s_r, s_R, found.n_bar, summary.p)
+    half = (1.96 if known else float(stats.t.ppf(0.975, summary.p - 1))) * u
+    bias = found.mean - reference
+    few = () if summary.p >= 3 else ("fewer than three laboratories: the interval says little",)
+    return Bias(bias, u, (bias - half, bias + half), abs(bias) > half, found.n_total, few)
+
+
+def bias_uncertainty(sigma_r: float, sigma_R: float, n: float, p: int) -> float:
+    """Compute σ_δ = √([σ_R² - (1-1/n)σ_r²]/p)."""
+    return math.sqrt(max(sigma_R**2 - (1 - 1 / n) * sigma_r**2, 0.0) / p)
+
+
+def bias_factor(p: int, n: float, gamma: float) -> float:
+    """Compute A = 1.96·√{[n(γ²-1)+1]/(γ²pn)}: a bias beyond A·σ_R is significant."""
+    return 1.96 * math.sqrt((n * (gamma**2 - 1) + 1) / (gamma**2 * p * n))
+
+
+def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float = 0.05) -> PrecisionCheck:
+    """Check a claimed σ_r and σ_R against results (ISO 5725-4).
+
+    C' = s_r²/σ_r² <= χ²(1-α;ν)/ν, C'' = [s_R²-(1-1/n)s_r²]/[σ_R²-(1-1/n)σ_r²] <= χ²(1-α;p-1)/(p-1).
+    """
+    summary = summarise(cells)
+    found, df, p = precision_of(summary), summary.within_df, summary.p
+    if p < 2:
+        raise NotEnoughData("the check of a known reproducibility needs two laboratories or more")
+    share = 1 - 1 / found.n_bar
+    C_r = found.s_r**2 / sigma_r**2
+    C_R = (found.s_R**2 - share * found.s_r**2) / (sigma_R**2 - share * sigma_r**2)
+    limits = float(stats.chi2.ppf(1 - alpha, df)) / df, float(stats.chi2.ppf(1 - alpha, p - 1)) / (p - 1)
+    return PrecisionCheck(C_r, limits[0], C_R, limits[1], bool(np.all(np.array([C_r, C_R]) <= limits)))
+
+
+@cache
+def range_factor(n: int, probability: float = 0.95) -> float:
+    """Compute f(n), the quantile of the range of n results of unit SD, unrounded (2.77 for n = 2)."""
+    if n < 2:
+        raise BadCells(f"a range needs two results or more, found {n}")
+
+    def density(x: float, w: float) -> float:  # the largest result at x, the others within w below it
+        inside = (math.erf(x / math.sqrt(2)) - math.erf((x - w) / math.sqrt(2))) / 2
+        return n * math.exp(-x * x / 2) / math.sqrt(2 * math.pi) * inside ** (n - 1)
+
+    def beyond(w: float) -> float:
+        return float(integrate.quad(density, -8, 8 + w, args=(w,), limit=200)[0]) - probability
+
+    return float(optimize.brentq(beyond, 0.01, 12.0, xtol=1e-6))
+
+
+def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
+    """Check the range of n results against f(n)·s_r, f rounded to one decimal as in the standard (ISO 5725-6).
+
+    `pair_share_beyond`, the share of pairs beyond 2.8·s_r, is for the record: pairs are dependent, it has no level.
+    """
+    values = numbers(results, "results")
+    factor = round(range_factor(len(values)), 1)
+    width = float(values.max() - values.min())
+    pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
+    share = sum(bool(p > 2.8 * s_r) for p in pairs) / len(pairs)
+    return RangeCheck(width, factor, float(factor * s_r), bool(width <= factor * s_r), share)
+
+
+def critical_difference_of_means(r: float, R: float, n1: int, n2: int) -> float:
+    """Compute the 95 % critical difference of two laboratories' means: √(R² - r²(1 - 1/(2n_1) - 1/(2n_2)))."""
+    return math.sqrt(R**2 - r**2 * (1 - 1 / (2 * n1) - 1 / (2 * n2)))
+
+
+def critical_difference_to_reference(r: float, R: float, n: int) -> float:
+    """Compute the 95 % critical difference of a laboratory's mean to a reference: √((R² - r²(1-1/n))/2)."""
+    return math.sqrt((R**2 - r**2 * (1 - 1 / n)) / 2)
+
+
+def result_uncertainty(s_r: float, s_L: float, n: int, u_bias: float = 0.0) -> float:
+    """Compute the standard uncertainty of a mean of n results, ISO 21748: u² = s_L² + s_r²/n + u²(bias)."""
+    return math.sqrt(s_L**2 + s_r**2 / n + u_bias**2)

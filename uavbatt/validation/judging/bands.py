@@ -1,0 +1,134 @@
+"""Band factors: how many standard deviations hold a share of curves, at one instant and over a whole record.
+
+Pointwise tolerance factor: Howe (JASA 64 (1969) 610), two-sided. Simultaneous factor: the distribution of
+max_j |y_j - ȳ_j|/s_j for a new curve y, simulated from the covariance of the curves with the estimation of mean
+and SD repeated in every draw (parametric bootstrap over occasions, seeded).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from uavbatt.validation.iso5725.cells import Array
+
+DRAWS = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """Covariances over the levels: occasion, sample, residual; and how many of each were tested."""
+
+    occasion: Array
+    sample: Array
+    residual: Array
+    occasions: int
+    samples: int
+
+    def sd(self, with_samples: bool) -> Array:
+        """Return the SD of one new result per level: occasion and residual, and sample if asked for."""
+        total = self.occasion + self.residual + (self.sample if with_samples else 0.0)
+        root: Array = np.sqrt(np.maximum(np.diag(total), 0.0))
+        return root
+
+
+def tolerance_factor(n: float, df: float, content: float = 0.95, confidence: float = 0.95) -> float:
+    """Return k with x̄ ± k·s holding `content` of the population with `confidence`: z·√(ν(1+1/n)/χ²(1-γ;ν)) (Howe).
+
+    n : number of results behind the mean, df : degrees of freedom ν of s; NaN where they are too few.
+    """
+    if df < 1 or n <= 0:
+        return math.nan
+    z = float(stats.norm.ppf((1 + content) / 2))
+    return z * math.sqrt(df * (1 + 1 / n) / float(stats.chi2.ppf(1 - confidence, df)))
+
+
+def components(y: Array) -> Components:
+    """Estimate the covariances of `y[occasion, sample, level]` by the crossed model, clipped to >= 0."""
+    o, k, levels = y.shape
+    d = y - y[0, 0]
+    rows, columns, grand = d.mean(axis=1), d.mean(axis=0), d.mean(axis=(0, 1))
+    r = rows - grand
+    ms_o = k * r.T @ r / (o - 1)
+    nothing = np.zeros((levels, levels))
+    if k == 1:
+        return Components(ms_o, nothing, nothing, o, 1)
+    c, e = columns - grand, (d - rows[:, None] - columns + grand).reshape(o * k, levels)
+    ms_s, ms_e = o * c.T @ c / (k - 1), e.T @ e / ((o - 1) * (k - 1))
+    return Components(_clipped((ms_o - ms_e) / k), _clipped((ms_s - ms_e) / o), ms_e, o, k)
+
+
+def _clipped(matrix: Array) -> Array:
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    clipped: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return clipped
+
+
+def _root(matrix: Array) -> Array:
+    values, vectors = np.linalg.eigh(matrix)
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
+
+
+def new_curve_scores(
+    parts: Components, with_samples: bool, seed: int = 5725, draws: int = DRAWS
+) -> tuple[Array, Array]:
+    """Simulate |new curve - mean|/s, [draw, level], with s by the crossed model and s the plain SD of all results.
+
+    One draw repeats the whole experiment (occasions x samples), estimates mean and s, and tests one new curve.
+    """
+    rng = np.random.default_rng(seed)
+    o, k = parts.occasions, parts.samples
+    occasion, sample, residual = (_root(m) for m in (parts.occasion, parts.sample, parts.residual))
+    size = len(occasion)
+
+    def draw(root: Array, *shape: int) -> Array:
+        normal: Array = rng.standard_normal((draws, *shape, size)) @ root.T
+        return normal
+
+    y = draw(occasion, o, 1) + draw(residual, o, k)
+    new = draw(occasion) + draw(residual)
+    if with_samples:
+        y, new = y + draw(sample, 1, k), new + draw(sample)
+    mean = y.mean(axis=(1, 2))
+    plain = y.reshape(draws, o * k, size).std(axis=1, ddof=1)
+    modelled = np.sqrt(_variance(y, with_samples))
+    gap = np.abs(new - mean)
+    return _ratio(gap, modelled), _ratio(gap, plain)
+
+
+def _variance(y: Array, with_samples: bool) -> Array:
+    """s_I² (or s_R²) per draw and level of `y[draw, occasion, sample, level]`."""
+    _, o, k, _ = y.shape
+    rows, columns, grand = y.mean(axis=2), y.mean(axis=1), y.mean(axis=(1, 2))
+    ms_o: Array = k * ((rows - grand[:, None]) ** 2).sum(axis=1) / (o - 1)
+    if k == 1:
+        return ms_o
+    e = y - rows[:, :, None] - columns[:, None] + grand[:, None, None]
+    ms_e = (e**2).sum(axis=(1, 2)) / ((o - 1) * (k - 1))
+    total: Array = np.maximum((ms_o - ms_e) / k, 0.0) + ms_e
+    if with_samples:
+        ms_s = o * ((columns - grand[:, None]) ** 2).sum(axis=1) / (k - 1)
+        total = total + np.maximum((ms_s - ms_e) / o, 0.0)
+    return total
+
+
+def _ratio(gap: Array, sd: Array) -> Array:
+    """gap/sd, 0 where both vanish (a level without spread holds everything)."""
+    tiny = 1e-12 * max(float(sd.max(initial=0.0)), 1e-300)
+    ratio: Array = np.where(sd > tiny, gap / np.maximum(sd, tiny), 0.0)
+    return ratio
+
+
+def simultaneous_factor(scores: Array, content: float = 0.95) -> float:
+    """Return the factor that holds a new curve at all levels at once with probability `content`."""
+    return float(np.quantile(scores.max(axis=1), content))
+
+
+def coverage(scores: Array, factor: float) -> tuple[float, float]:
+    """Return the probabilities that mean ± factor·s holds a new curve: at one level (average), at all at once."""
+    inside = scores <= factor
+    return float(inside.mean()), float(inside.all(axis=1).mean())

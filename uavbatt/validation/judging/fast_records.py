@@ -1,0 +1,93 @@
+"""A fast record is read at an instant so that one noisy row stands neither for the battery nor for the model.
+
+A record sampled faster than once a minute is read at the whole minutes by a straight line through the rows within
+±WINDOW_S/2, the mean where there are fewer than four. A window never reaches across a load step: rest and load do not
+average to anything. An instant whose own side of the step has no row is left out of every run at that temperature.
+Measured and predicted voltage are read by the same weights, so that reading cannot make a bias. Hand-read tables stay
+as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.model import Array
+from uavbatt.dataset import DataSet, Run
+
+WINDOW_S = 20.0
+MINUTE_S = 60.0
+LINE_ROWS = 4
+# Below this share of the record's upper current a row is at rest.
+REST_SHARE = 0.2
+
+
+def is_fast(run: Run) -> bool:
+    """True when the rows come so fast that a window holds several."""
+    return bool(np.median(np.diff(run.time_s)) < WINDOW_S / 2.0)
+
+
+def phases(current_A: Array) -> NDArray[np.intp]:
+    """Number the phase (rest, load, rest, ...) that each row belongs to; one phase without a current."""
+    if not np.isfinite(current_A).all() or np.max(current_A) <= 0.0:
+        return np.zeros(current_A.size, dtype=np.intp)
+    loaded = current_A > REST_SHARE * np.quantile(current_A, 0.9)
+    return np.concatenate([[0], np.cumsum(loaded[1:] != loaded[:-1])])
+
+
+def weights(time_s: Array, phase: NDArray[np.intp], at_s: Array) -> Array:
+    """Compute the matrix [instants, rows] that reads a record at `at_s` [s]; a row of NaN where nothing may be read.
+
+    time_s : times of the rows [s], phase : their phases (`phases`).
+    """
+    out = np.zeros((at_s.size, time_s.size))
+    for i, t in enumerate(at_s):
+        near = np.abs(time_s - t) <= WINDOW_S / 2.0 + 1e-9
+        before = np.searchsorted(time_s, t, side="right") - 1
+        near &= phase == phase[max(before, 0)]
+        x = time_s[near] - t
+        if not near.any():
+            out[i] = math.nan
+        elif x.size < LINE_ROWS:
+            out[i, near] = 1.0 / x.size
+        else:
+            out[i, near] = np.linalg.pinv(np.column_stack([np.ones(x.size), x]))[0]
+    return out
+
+
+def at_minutes(dataset: DataSet) -> DataSet:
+    """Read the fast runs of a data set at the whole minutes; hand-read runs stay unchanged."""
+    runs = list(dataset.runs)
+    for ambient_C in dataset.ambients_C:
+        fast = [i for i, r in enumerate(runs) if r.ambient_C == ambient_C and is_fast(r)]
+        read = {i: _at_minutes(runs[i]) for i in fast}
+        barred = {float(t) for r in read.values() for t in r.time_s[np.isnan(r.voltage_V)]}
+        for i, run in read.items():
+            runs[i] = _kept(run, ~np.isin(run.time_s, list(barred)))
+    return replace(dataset, runs=tuple(runs))
+
+
+def _at_minutes(run: Run) -> Run:
+    first, last = math.ceil(run.time_s[0] / MINUTE_S), math.floor(run.time_s[-1] / MINUTE_S)
+    at_s = MINUTE_S * np.arange(first, last + 1)
+    w = weights(run.time_s, phases(run.current_A), at_s)
+    return replace(
+        run,
+        time_s=at_s,
+        voltage_V=w @ run.voltage_V,
+        current_A=w @ run.current_A,
+        surface_C=np.array([row[row != 0.0] @ run.surface_C[row != 0.0] for row in w]),
+    )
+
+
+def _kept(run: Run, keep: NDArray[np.bool_]) -> Run:
+    return replace(
+        run,
+        time_s=run.time_s[keep],
+        voltage_V=run.voltage_V[keep],
+        current_A=run.current_A[keep],
+        surface_C=run.surface_C[keep],
+    )

@@ -1,0 +1,287 @@
+"""Findings: the tests judged by themselves, computed from the data set and said in words that a pilot understands.
+
+Nothing here knows the study's numbers; each function looks for one thing in any data set and returns what it finds,
+or nothing. `detail` carries the numbers and the test behind the words, `numbers` the same for programs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from uavbatt.dataset import DataSet, Levels
+from uavbatt.errors import NotEnoughData
+from uavbatt.validation.iso5725 import outliers
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
+from uavbatt.validation.judging.drift import abbe, curve_step
+from uavbatt.validation.judging.independence import bimodality, independence, resolution
+from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
+from uavbatt.validation.judging.series import quasi_replicates
+from uavbatt.validation.study import paper
+
+NAMES = {"voltage_V": "voltage", "surface_C": "surface temperature"}
+UNITS = {"voltage_V": "V", "surface_C": "°C"}
+HELD_WELL = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A finding tells one thing about the tests; `severity` is what it means for trust in the result."""
+
+    kind: str
+    title: str
+    detail: str
+    severity: Literal["serious", "warning", "note"]
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+
+def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tuple[Finding, ...]:
+    """Judge the tests by themselves, at `ambient_C` [°C] where it is about repeats; the most serious comes first.
+
+    `band` is the corridor of the voltage at that temperature, None where nothing was measured.
+    """
+    volts, heat = (readings.levels(ambient_C, q) for q in (VOLTAGE, SURFACE))
+    dataset, found = readings.tests, list[Finding]()
+    if volts is not None and len(volts.occasions) > 1:
+        found += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(volts, band)]
+        found += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
+    for levels in (volts, heat):
+        if levels is not None and len(levels.occasions) > 1:
+            found += [*_drift(levels), *_outliers(levels), *_two_groups(dataset, levels), *_coarse(dataset, levels)]
+    found += [*_misprints(readings), *_breaks(readings)]
+    rank = {"serious": 0, "warning": 1, "note": 2}
+    return tuple(sorted(found, key=lambda f: rank[f.severity]))
+
+
+def _minutes(times_s: Iterable[float]) -> str:
+    return ", ".join(f"{t / 60:g}" for t in times_s) + " min"
+
+
+def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
+    shared = shared_table(levels)
+    table = shared.table
+    if table.shape[1] < 2 or len(table) < 3:
+        return
+    step = dataset.uncertainty.voltage_resolution_V or 0.0
+    for i, j in combinations(range(table.shape[1]), 2):
+        found = independence(table[:, i], table[:, j], resolution=step)
+        names = f"samples {shared.samples[i]} and {shared.samples[j]}"
+        numbers = {"identical": found.identical, "compared": found.compared, "p_value": found.p_identical,
+                   "correlation": found.correlation, "expected": found.expected_identical}  # fmt: skip
+        detail = (
+            f"{found.identical} of {found.compared} readings are identical; pairing the runs at random gives "
+            f"{found.expected_identical:.1f} on the average and {found.most_identical} at most (p = "
+            f"{found.p_identical:.1g}). The departures from the mean curve move together, correlation "
+            f"{found.correlation:.2f} (p = {found.p_correlation:.1g})."
+        )
+        if found.dependent:
+            title = f"The {names} are not independent: the second tells almost nothing that the first did not"
+            yield Finding("dependent_samples", title, detail, "serious", numbers)
+        elif found.dependent is None:
+            title = f"Too few runs to tell whether the {names} are independent"
+            yield Finding("independence_unknown", title, detail, "note", numbers)
+
+
+def _few_samples(levels: Levels) -> Iterator[Finding]:
+    k = len(levels.samples)
+    if k < 3:
+        title = "How much one pack differs from another is not known"
+        tested = f"{k} sample{'s were' if k > 1 else ' was'} tested repeatedly"
+        detail = f"{tested} at {levels.ambient_C:g} °C; ISO 5725 needs three at the least, eight to be useful."
+        yield Finding("reproducibility_unknown", title, detail, "warning", {"samples": k})
+
+
+def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
+    left = leave_one_out(levels)
+    if left is None or band is None or min(left.share_all, band.covers_all) >= HELD_WELL:
+        return
+    held, total = int(left.inside.sum()), left.inside.size
+    out = [f"run {o} of sample {s}" for o, row in zip(left.occasions, left.inside, strict=True)
+           for s, ok in zip(left.samples, row, strict=True) if not ok]  # fmt: skip
+    title = f"The ±2S corridor holds only about {left.share_all:.0%} of genuine flights from start to end"
+    detail = (
+        f"Judged by the corridor of all other occasions, {held} of {total} curves stay inside at every instant "
+        f"(out: {', '.join(out[:8])}{' and more' if len(out) > 8 else ''}); simulated {band.covers_all:.0%}. At one "
+        f"instant alone {band.covers_one:.0%}. To hold 95 % throughout takes ±{band.simultaneous_factor:.2f} SD."
+    )
+    numbers = {"held": held, "total": total, "share": left.share_all, "simulated": band.covers_all}
+    yield Finding("corridor_coverage", title, detail, "serious", numbers)
+
+
+def _outside(dataset: DataSet, ambient_C: float, band: Corridor | None) -> Iterator[Finding]:
+    if band is None or band.basis != "repeats":
+        return
+    runs = dataset.at(ambient_C)
+    for run in runs:
+        if sum(r.sample == run.sample for r in runs) > 1 or run.time_s[-1] < band.at[-1]:
+            continue
+        values = np.interp(band.at, run.time_s, run.voltage_V)
+        out = ~band.inside(values)
+        if not out.any():
+            continue
+        score = (values - band.mean) / np.where(band.S > 0, band.S, np.inf)
+        worst = int(np.argmax(np.abs(score)))
+        many = f"at {int(out.sum())} of {len(out)} instants"
+        title = f"The one-time curve of {run.sample} at {ambient_C:+g} °C lies outside its own corridor {many}"
+        detail = (
+            f"Outside mean ± 2S at {_minutes(band.at[out])}; worst at {band.at[worst] / 60:g} min: "
+            f"{values[worst]:.2f} V against {band.mean[worst]:.2f} ± {band.C[worst]:.2f} V "
+            f"({values[worst] - band.mean[worst]:+.2f} V, {score[worst]:+.1f} S). "
+            f"A model fitted to that curve cannot pass this corridor."
+        )
+        numbers = {"outside": int(out.sum()), "instants": len(out), "worst_V": float(values[worst] - band.mean[worst])}
+        yield Finding("curve_outside_corridor", title, detail, "serious", numbers)
+
+
+def _paper(name: str, volts: Levels, heat: Levels | None) -> Iterator[Finding]:
+    try:
+        replay = paper.replay_levels(name, volts, heat)
+    except NotEnoughData:
+        return
+    for quantity, pooled in (("voltage_V", replay.pooled), ("surface_C", replay.pooled_surface)):
+        bad = [p for p in pooled if not p.may_pool]
+        if bad:
+            by_t, by_F = [p for p in bad if p.t > p.t_critical], [p for p in bad if p.t <= p.t_critical]
+            reasons = [f"Student's t passes its limit at {_minutes(p.time_s for p in by_t)}"] * bool(by_t)
+            reasons += [f"the variances differ too much (F) at {_minutes(p.time_s for p in by_F)}"] * bool(by_F)
+            rebuilt = " (figures of sample 2 rebuilt from the printed means and variances)" * bool(replay.agreements)
+            title = (f"The {NAMES[quantity]} of the samples may not be thrown together at "
+                     f"{_minutes(p.time_s for p in bad)}, by the study's own rules")  # fmt: skip
+            numbers = {f"minute_{p.time_s / 60:g}": p.t for p in bad}
+            detail = "; ".join(reasons) + rebuilt * (quantity == "surface_C") + "."
+            chance = f" With {len(pooled)} instants and {len(replay.samples)} samples some of that is chance."
+            few = len(replay.samples) == 2
+            detail += "" if few else chance
+            yield Finding("pooling_forbidden", title, detail, "warning" if few else "note", numbers)
+    yield from _printed(replay)
+
+
+def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
+    claim = replay.fisher
+    if claim is not None and not claim.reproducible:
+        title = f"The printed F_emp = {claim.printed:g} cannot be got from the tables"
+        sd, variance = claim.at_first_instant
+        detail = (
+            f"At 0 min the ratio of SDs is {sd:.3f} (as printed) and of variances {variance:.3f}; the nearest of all "
+            f"columns is {claim.nearest:.2f}. The limit {claim.critical_printed:g} is right ({claim.critical:.3f})."
+        )
+        numbers = {"printed": claim.printed, "nearest": claim.nearest}
+        yield Finding("F_emp_not_reproducible", title, detail, "warning", numbers)
+    slips = [s for a in replay.agreements for s in a.slips]
+    if slips:
+        score = ", ".join(f"{a.table} {a.agree}/{a.total}" for a in replay.agreements)
+        title = f"{len(slips)} printed figure{'s' * (len(slips) > 1)} of the study's tables are not what its data give"
+        yield Finding("printed_slips", title, f"{score}. {'; '.join(slips)}.", "note", {"slips": len(slips)})
+
+
+def _drift(levels: Levels) -> Iterator[Finding]:
+    """Test the occasion means for drift by Abbe, Holm over the instants, and find the step over those that drift."""
+    shared = shared_table(levels)
+    means = shared.table.mean(axis=1)
+    if len(means) < 6:
+        return
+    p = np.array([abbe(c).p_value for c in means.T])
+    drifting = np.flatnonzero(p < 0.05)
+    if not len(drifting) or np.nanmin(p) * np.sum(~np.isnan(p)) > 0.05:
+        return
+    step, unit = curve_step(means[:, drifting]), UNITS[levels.quantity]
+    last = shared.occasions[step.after - 1]
+    sizes = means[step.after :, drifting].mean(axis=0) - means[: step.after, drifting].mean(axis=0)
+    most = int(np.argmax(np.abs(sizes)))
+    way, at = "down" if sizes[most] < 0 else "up", levels.time_s[drifting]
+    title = f"The {NAMES[levels.quantity]} drifts from run to run: it steps {way} after run {last}"
+    detail = (
+        f"Abbe's test finds drift at {_minutes(at)} (smallest p = {np.nanmin(p):.1g}). The largest step is "
+        f"{sizes[most]:+.3f} {unit} at {at[most] / 60:g} min; p = {step.p_value:.2g} for a step at any place. "
+        f"The repeats are not one population, and the first-to-last rule does not see it."
+    )
+    numbers = {"after_run": last, "instants": len(drifting), "step": float(sizes[most]), "p_value": step.p_value}
+    yield Finding("drift", title, detail, "serious", numbers)
+
+
+def _outliers(levels: Levels) -> Iterator[Finding]:
+    for j, sample in enumerate(levels.samples):
+        table = levels.curves(j)
+        if len(table) < 6:
+            continue
+        runs = [o for o, row in zip(levels.occasions, levels.values[:, j], strict=True) if not np.isnan(row).any()]
+        for i, t in enumerate(levels.time_s):
+            for index, side, G, limit in _beyond(table[:, i]):
+                where = f"{t / 60:g} min ({NAMES[levels.quantity]})"
+                title = f"Run {runs[index]} of sample {sample} stands alone at {where}"
+                value = f"{table[index, i]:g} {UNITS[levels.quantity]}"
+                detail = f"{value} is too {side}: Grubbs {G:.3f} > {limit:.3f} (1 %)."
+                yield Finding("outlier", title, detail, "note", {"run": runs[index], "minute": t / 60, "G": G})
+
+
+def _beyond(values: Array) -> Iterator[tuple[int, str, float, float]]:
+    g = outliers.grubbs(values)
+    if g.verdict_high == "outlier":
+        yield g.index_high, "high", g.statistic_high, g.critical_1
+    if g.verdict_low == "outlier":
+        yield g.index_low, "low", g.statistic_low, g.critical_1
+
+
+def _step(dataset: DataSet, quantity: str) -> float | None:
+    u = dataset.uncertainty
+    return u.voltage_resolution_V if quantity == "voltage_V" else u.temperature_resolution_C
+
+
+def _two_groups(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
+    for j, sample in enumerate(levels.samples):
+        table = levels.curves(j)
+        if len(table) < 6:
+            continue
+        found = [bimodality(column, _step(dataset, levels.quantity)) for column in table.T]
+        split = [i for i, b in enumerate(found) if b.bimodal]
+        if split:
+            name, unit, when = NAMES[levels.quantity], UNITS[levels.quantity], _minutes(levels.time_s[split])
+            title = f"The {name} of sample {sample} falls into two groups at {when}"
+            gaps = "; ".join(f"{levels.time_s[i] / 60:g} min: {found[i].groups[0]} and {found[i].groups[1]} results "
+                             f"{found[i].gap:.2g} {unit} apart" for i in split)  # fmt: skip
+            detail = f"{gaps}. One mean and one SD do not describe that."
+            yield Finding("two_groups", title, detail, "note", {"instants": len(split)})
+
+
+def _coarse(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
+    step = _step(dataset, levels.quantity)
+    if step is None:
+        return
+    cells = [np.concatenate(levels.cells(i)) for i in range(len(levels.time_s))]
+    coarse = [i for i, c in enumerate(cells) if resolution(c, step).coarse]
+    if coarse:
+        title = f"The {NAMES[levels.quantity]} was read too coarsely at {_minutes(levels.time_s[coarse])}"
+        steps = f"two steps of {step:g} {UNITS[levels.quantity]}"
+        detail = f"There the spread is below {steps}: it is the meter's as much as the pack's."
+        yield Finding("coarse_resolution", title, detail, "note", {"instants": len(coarse), "step": step})
+
+
+def _misprints(readings: Readings) -> Iterator[Finding]:
+    """Find single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
+    for group in quasi_replicates(readings.series, readings.broken):
+        for i, t in enumerate(group.time_s):
+            for index, side, G, limit in _beyond(group.residuals[:, i]):
+                T = float(group.ambients_C[index])
+                value, off = group.line(T)[i] + group.residuals[index, i], group.residuals[index, i]
+                title = f"One reading is likely a misprint: {T:+g} °C, {t / 60:g} min, {value:.2f} V"
+                low, high = group.ambients_C[[0, -1]]
+                detail = (f"{abs(off):.2f} V too {side} for the line through its neighbours at {low:g} to {high:g} °C "
+                          f"(Grubbs {G:.3f} > {limit:.3f}, 1 %). It is flagged, not changed.")  # fmt: skip
+                numbers = {"ambient_C": T, "time_s": float(t), "off_V": float(off)}
+                yield Finding("likely_misprint", title, detail, "warning", numbers)
+
+
+def _breaks(readings: Readings) -> Iterator[Finding]:
+    for b in readings.broken or ():
+        title = f"The one-time tests break between {b.low_C:+g} and {b.high_C:+g} °C: two series, not one"
+        detail = (
+            f"The knee comes {abs(b.jump_s):.0f} s {'later' if b.jump_s > 0 else 'earlier'} at {b.high_C:+g} °C, "
+            f"{abs(b.score):.1f} times the usual scatter between neighbours. No battery does that; fit no law across."
+        )
+        numbers = {"low_C": b.low_C, "high_C": b.high_C, "jump_s": b.jump_s}
+        yield Finding("series_break", title, detail, "warning", numbers)

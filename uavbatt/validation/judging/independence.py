@@ -1,0 +1,139 @@
+"""Tests of what the results seem to be: independent samples, one population, resolved by the instrument.
+
+Independence: if run k of two samples were unrelated, pairing the runs at random would give as many identical
+readings, and residuals as correlated, as the order in the table. Permutation p-values, every order tried up to
+seven runs, seeded beyond.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import permutations as every_order
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from uavbatt.errors import NotEnoughData
+from uavbatt.validation.iso5725.cells import Array, numbers
+from uavbatt.validation.judging.drift import NDIndex, permutations
+
+RANDOM_PAIRINGS = 20_000
+DEPENDENT_BELOW = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Independence:
+    """Run k of one sample against run k of another.
+
+    `identical` of `compared` readings are equal; random pairings give `expected_identical` on the average and
+    `most_identical` at most. `correlation` is of the residuals about each sample's own mean curve; p-values are
+    one-sided. `dependent` is None when there are too few runs for p < 0.01.
+    """
+
+    identical: int
+    compared: int
+    expected_identical: float
+    most_identical: int
+    p_identical: float
+    correlation: float
+    p_correlation: float
+    dependent: bool | None
+    pairings: int
+
+
+@dataclass(frozen=True, slots=True)
+class Bimodality:
+    """Best split in two groups: share of the sum of squares it explains, p-value against one rounded normal."""
+
+    share: float
+    gap: float
+    groups: tuple[int, int]
+    p_value: float
+    bimodal: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """Step of the readings, SD in steps, and share of the variance that rounding alone makes (step²/12)."""
+
+    step: float
+    sd_in_steps: float
+    rounding_share: float
+    coarse: bool
+
+
+def _orders(n: int, count: int, seed: int) -> NDIndex:
+    if n <= 7:
+        return np.array(list(every_order(range(n))), dtype=np.intp)
+    return permutations(n, count, seed)
+
+
+def independence(first: Array, second: Array, seed: int = 5725, resolution: float = 0.0) -> Independence:
+    """Compare two tables run x time of equal shape, in the unit of the results.
+
+    Readings within half a `resolution` are identical.
+    """
+    a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    if a.shape != b.shape or a.ndim != 2:
+        raise ValueError(f"expected two tables run x time of one shape, found {a.shape} and {b.shape}")
+    n = len(a)
+    if n < 3:
+        raise NotEnoughData(f"pairing runs at random needs three runs or more, found {n}")
+    orders = _orders(n, RANDOM_PAIRINGS, seed)
+    same = (np.abs(a[:, None, :] - b[None, :, :]) <= max(resolution / 2, 1e-9)).sum(axis=2)
+    ra, rb = a - a.mean(axis=0), b - b.mean(axis=0)
+    scale = math.sqrt(float((ra**2).sum() * (rb**2).sum()))
+    product = ra @ rb.T / scale if scale > 0 else np.zeros((n, n))
+    rows = np.arange(n)
+    random_same, random_r = same[rows, orders].sum(axis=1), product[rows, orders].sum(axis=1)
+    observed_same, observed_r = int(np.trace(same)), float(np.trace(product))
+    extra = 0 if n <= 7 else 1  # the full set of orders holds the observed one
+    total = len(orders) + extra
+    p_same = (extra + int(np.sum(random_same >= observed_same))) / total
+    p_r = (extra + int(np.sum(random_r >= observed_r - 1e-12))) / total
+    enough = 1 / total < DEPENDENT_BELOW
+    dependent = min(p_same, p_r) < DEPENDENT_BELOW if enough else None
+    counts = (observed_same, a.size, float(random_same.mean()), int(random_same.max()))
+    return Independence(*counts, p_same, observed_r, p_r, dependent, len(orders))
+
+
+def split_share(rows: Array) -> Array:
+    """Largest between-group share of the sum of squares over all splits of each sorted row in two."""
+    ordered = np.sort(rows, axis=-1)
+    centred = ordered - ordered.mean(axis=-1, keepdims=True)
+    n = rows.shape[-1]
+    k = np.arange(1, n)
+    heads = np.cumsum(centred, axis=-1)[..., :-1]
+    whole = (centred**2).sum(axis=-1)
+    best: Array = (heads**2 * (1 / k + 1 / (n - k))).max(axis=-1) / np.where(whole > 0, whole, np.inf)
+    return best
+
+
+def bimodality(results: ArrayLike, step: float | None = None, seed: int = 5725) -> Bimodality:
+    """Test whether the results fall into two groups, three steps or more apart, each of two results or more."""
+    values = np.sort(numbers(results, "results"))
+    n = len(values)
+    if n < 6:
+        raise NotEnoughData(f"two groups cannot be told from one with {n} results")
+    grain = resolution(values).step if step is None else step
+    gaps = np.diff(values)
+    at = int(np.argmax(gaps)) + 1
+    share = float(split_share(values))
+    random = np.random.default_rng(seed).normal(values.mean(), max(values.std(ddof=1), 1e-12), (4000, n))
+    random = np.round(random / grain) * grain if grain > 0 else random
+    p = (1 + int(np.sum(split_share(random) >= share - 1e-9))) / 4001
+    apart = min(at, n - at) >= 2 and float(gaps[at - 1]) >= 3 * grain - 1e-9
+    return Bimodality(share, float(gaps.max()), (at, n - at), p, bool(apart and p < 0.05 and share > 0))
+
+
+def resolution(results: ArrayLike, step: float | None = None) -> Resolution:
+    """Compare the smallest difference between results (or the `step` given) with their SD; coarse below two steps."""
+    values = numbers(results, "results")
+    distinct = np.unique(np.round(values, 9))
+    grain = float(np.diff(distinct).min()) if step is None and len(distinct) > 1 else step or 0.0
+    sd = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    if grain == 0:
+        return Resolution(0.0, math.inf if sd > 0 else math.nan, 0.0, sd == 0)
+    share = min(grain**2 / 12 / sd**2, 1.0) if sd > 0 else 1.0
+    return Resolution(grain, sd / grain, share, sd < 2 * grain)
