@@ -7,6 +7,7 @@ else this one is asked; a test without its program is skipped with the reason.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -15,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -227,8 +229,30 @@ def test_chromium_shows_every_state_as_it_is(tmp_path: Path, state: str, width: 
     bench.now_s += 10.0 if state == "stale" else 0.1
     serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
     page = shown_in_chromium(f"http://127.0.0.1:{port}/", tmp_path, width)
-    assert f'class="state {state}"' in page
+    shown = {"refused": "waiting"}.get(state, state)  # on the ground nothing is wrong
+    assert f'class="state {shown}"' in page
     known = state in ("ok", "converging")
-    assert ("<small>min</small>" in page, 'class="time unknown"' in page) == (known, not known)
-    reasons = {"ok": "", "converging": "known only to", "refused": "on the ground", "stale": "no telemetry for 10 s"}
+    assert (re.search(r'class="time( low)?" data-k="time">\d+:\d\d<', page) is not None) == known
+    assert ('class="time last"' in page and "s ago</small>" in page) == (state == "stale")
+    assert ('class="time unknown"' in page) == (state == "refused")
+    reasons = {"ok": "probably between", "converging": "known only to", "refused": "waiting for take-off"}
+    reasons["stale"] = "no telemetry for 10 s"
     assert reasons[state] in page
+
+
+def test_the_page_answers_to_its_own_names_and_runs_its_own_scripts_only() -> None:
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
+
+    def answered(host: str) -> tuple[int, str]:
+        connection = HTTPConnection("127.0.0.1", port, timeout=5.0)
+        connection.request("GET", "/", headers={"Host": host})
+        response = connection.getresponse()
+        return response.status, response.headers.get("Content-Security-Policy", "")
+
+    for own in (f"127.0.0.1:{port}", f"localhost:{port}", "companion.local", "[::1]:80", "192.168.1.7:8080"):
+        assert answered(own)[0] == 200, own
+    assert answered("evil.example")[0] == answered(f"127.0.0.1.evil.example:{port}")[0] == 421
+    policy = answered("localhost")[1]
+    assert "default-src 'none'" in policy and "script-src 'sha256-" in policy and "unsafe-eval" not in policy

@@ -53,6 +53,10 @@ def fleet(
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
     ] = None,
     packs: PacksOption = None,
+    by: Annotated[
+        str,
+        typer.Option("--by", metavar="FIELD", help="Column that names the aircraft, as hardware."),
+    ] = "",
     aircraft: Annotated[
         str, typer.Option("--aircraft", metavar="REGEX", help="What of a log's path names the aircraft.")
     ] = "",
@@ -75,7 +79,7 @@ def fleet(
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     settings = Settings(reserve_soc=reserve_soc)
     content = read_battery(battery, allow_uncertified)
-    job = Job(content, options, settings, _pattern(aircraft), teaches=packs is not None)
+    job = Job(content, options, settings, _column(by), _pattern(aircraft), teaches=packs is not None)
     found = find(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
@@ -122,6 +126,14 @@ def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) ->
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
         raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
+
+
+def _column(name: str) -> str:
+    from uavbatt.fleet.row import IDENTITIES
+
+    if name and name not in IDENTITIES:
+        raise UsageError(f"--by {name}: expected one of {', '.join(IDENTITIES)}")
+    return name
 
 
 def _pattern(text: str) -> str:

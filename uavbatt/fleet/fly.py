@@ -40,6 +40,7 @@ class Job:
     battery: BatteryFile
     options: PackOptions
     settings: Settings = Settings()
+    by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
     teaches: bool = False  # what each flight says of its pack is worked out as well
@@ -116,7 +117,7 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
         taught=_taught(flight, job),
         size_bytes=log.size,
     )
-    row = _scored(row, found)
+    row = _scored(_identified(row, job), found)
     return replace(row, look="; ".join(_reasons(row, info.reasons)))
 
 
@@ -126,6 +127,14 @@ def _taught(flight: Flight, job: Job) -> str:
         return ""
     found = taught(job.battery, job.options, flight).record
     return json.dumps(plain_flight(found)) if found is not None else ""
+
+
+def _identified(row: Row, job: Job) -> Row:
+    """The row with the name of its aircraft, and who gave it."""
+    named = str(getattr(row, job.by) or "") if job.by else ""
+    if named:
+        return replace(row, aircraft=named, aircraft_from="--by")
+    return replace(row, aircraft_from="--aircraft" if job.aircraft_pattern else "folder")
 
 
 def _energy(flight: Flight, limit_s: float) -> tuple[float, float]:

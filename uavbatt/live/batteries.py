@@ -24,8 +24,8 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
-from uavbatt.prediction.forecaster import Settings
-from uavbatt.records import Estimate, PackFacts, Remaining, Status
+from uavbatt.prediction.forecaster import NOT_FLYING, Settings
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, Row
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 
@@ -95,6 +95,8 @@ class Batteries:
             battery=self._battery.battery.name,
             certificate=self._battery.status,
         )
+        since_s = before.flying_since_s if before is not None and math.isfinite(before.flying_since_s) else now_s
+        report = replace(report, flying_since_s=NAN if report.remaining.reason == NOT_FLYING else since_s)
         self.reports[instance] = report
         return report
 

@@ -98,8 +98,9 @@ class Outgoing:
         temp_C: float,
         soc: float,
         remaining_s: float,
+        charge_state: int = dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
     ) -> bytes:
-        """BATTERY_STATUS of a battery of our own: function and charge state unknown, NaN at the field's sentinel."""
+        """BATTERY_STATUS of a battery of our own: its function is unknown, NaN is sent as the field's sentinel."""
         return self.pack(
             dialect.MAVLink_battery_status_message(
                 battery_id,
@@ -112,7 +113,7 @@ class Outgoing:
                 -1,
                 _bounded(soc * 100.0, -1, 0, 100),
                 seconds(remaining_s),
-                dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
+                charge_state,
             )
         )
 
