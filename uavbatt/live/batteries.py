@@ -28,6 +28,7 @@ from uavbatt.prediction.forecaster import NOT_FLYING, Settings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, Row
 from uavbatt.telemetry.parameters import BATTERY_NAMES
+from uavbatt.telemetry.route.settings import NAMES
 
 NOTE_S = 60.0
 
@@ -127,7 +128,7 @@ class Batteries:
             battery_sha256=self._battery.certificate.content_sha256,
             link=self._config.link.endpoint,
             vehicle=self._vehicle,
-            parameters={n: v for n, v in known if n.startswith(BATTERY_NAMES) and math.isfinite(v)},
+            parameters={n: v for n, v in known if _is_worth_keeping(n) and math.isfinite(v)},
             batteries=batteries,
         )
         try:
@@ -190,6 +191,11 @@ class Batteries:
             facts = self._reader.facts(instance)
             self._facts[instance] = (self._reader.version, facts)
         return facts
+
+
+def _is_worth_keeping(parameter: str) -> bool:
+    """Whether a parameter says what pack this is, or how the vehicle flies and returns."""
+    return parameter.startswith(BATTERY_NAMES) or parameter in NAMES
 
 
 def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:

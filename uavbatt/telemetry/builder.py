@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from uavbatt.mavlink.fields import PackIdentity
+from uavbatt.navigation import Navigation
 from uavbatt.records import NAN, Identity, Sample
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class LogBuilder:
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
     packs: dict[int, PackIdentity] = field(default_factory=dict)  # by battery
+    navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock
     _raw_s: float = NAN
