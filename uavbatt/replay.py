@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -15,6 +15,7 @@ from uavbatt.battery.model import Array
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
@@ -41,11 +42,22 @@ def engine_for(*, is_long: bool) -> Engine:
     return compiled.engine() if compiled.is_available() else PLAIN
 
 
+def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
+    """Return the flight with the mission of a file in the place of whatever the log says of one."""
+    return replace(
+        flight,
+        navigation=tuple(
+            replace(known, mission=planned.mission, home=known.home or planned.home, transferring=False)
+            for known in flight.navigation
+        ),
+    )
+
+
 def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
     """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
     for facts, samples in _stretches(flight):
         estimator.update_facts(facts)
-        for estimate, remaining in estimator.run(samples):
+        for estimate, remaining in estimator.run(samples, flight.navigation_at):
             yield Step(estimate, remaining)
 
 
