@@ -26,6 +26,7 @@ from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, made, resol
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import Sample
+from uavbatt.report.plan import plan_report
 from uavbatt.simulate import Mission, fly, write
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0)
@@ -51,7 +52,7 @@ def planned(
 def test_a_pack_that_is_at_its_end_says_so() -> None:
     """A power that takes the voltage below the cut-off at once: no time, and why."""
     found = planned(4000.0)
-    assert found.median_s == 0.0 and "before take-off" in found.remark
+    assert found.median_s == 0.0 and found.remark == "the pack sags below its cut-off when the motors start"
 
 
 # --- what shortens it --------------------------------------------------------------------------------------------
@@ -233,3 +234,24 @@ def test_stated_before_flown_before_file() -> None:
     stated = resolve(content, replace(OPTIONS, cells=6, cutoff_V=20.0))
     assert (stated.cells, stated.capacity_Ah, stated.cutoff_V) == (6, 5.0, 20.0)
     assert (stated.cells_from, stated.cutoff_from) == ("--cells", "--cutoff-voltage")
+
+
+def test_no_headline_where_the_file_knows_nothing(tmp_path: Path) -> None:
+    content = fitted()
+    warm = {"fitted_low_C": 15.0, "fitted_high_C": 38.0}
+    certificate = msgspec.structs.replace(content.certificate, statistics=warm)
+    seen = msgspec.structs.replace(content, certificate=certificate)
+    size = resolve(seen, OPTIONS)
+    cold, mild = (made(seen, size, (ConstantLoad(300.0, 0.04), "300 W"), t) for t in (5.0, 12.0))
+    assert math.isnan(cold.here.median_s) and cold.here.remark == "not known: fitted from 15 to 38 °C"
+    assert mild.here.median_s > 0.0
+    greyed = {row.ambient_C: row.remark for row in cold.rows}
+    assert greyed[0.0] == "fitted from 15 to 38 °C" != greyed[20.0]
+    page = plan_report(cold)
+    assert "The endurance at +5 °C is not known: fitted from 15 to 38 °C." in page
+    assert 'class="quiet">0 °C' in page
+
+
+def test_a_pack_that_sags_under_the_motors_is_said_to_do_that() -> None:
+    assert planned(1600.0, -20.0, 0.3).remark == "the pack sags below its cut-off when the motors start"
+    assert planned(250.0, 20.0, 0.0).remark == "the pack is at its cut-off or its reserve before take-off"

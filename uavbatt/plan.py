@@ -16,8 +16,9 @@ from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
 from uavbatt.battery.sizing import PackOptions, PackSize, certificate_remark, size_of_pack
-from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.state_space import SIZE, Belief, C, voltage
 from uavbatt.battery.statements import check, size_from_rows
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
@@ -125,7 +126,14 @@ def made(
     if doubt is not None and doubt.is_certain:
         raise UsageError(doubt.words)
     warnings = (*filter(None, (remark, doubt.words if doubt is not None else "")), *resolved.notices)
-    return Plan(resolved, load[1], start_soc, at([ambient_C])[0], rows, curve, warnings)
+    return Plan(resolved, load[1], start_soc, _headline(battery, at([ambient_C])[0]), rows, curve, warnings)
+
+
+def _headline(battery: BatteryFile, found: Endurance) -> Endurance:
+    """The endurance, without numbers where the battery file knows nothing of this temperature."""
+    if not is_outside(battery, found.ambient_C):
+        return found
+    return Endurance(found.ambient_C, NAN, NAN, NAN, NAN, f"not known: {range_remark(battery, found.ambient_C)}")
 
 
 def endurance(
@@ -146,8 +154,17 @@ def endurance(
         return Endurance(ambient_C, NAN, NAN, NAN, NAN, "no end within six hours: this is not the load of a flight")
     times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
     if found.median_s <= 0.0:
-        return Endurance(ambient_C, *times_s, "the pack is at its cut-off or its reserve before take-off")
+        return Endurance(ambient_C, *times_s, _why_no_flight(pack, start_soc, max(reserve_soc, EMPTY_SOC), ambient_C))
     return Endurance(ambient_C, *times_s, range_remark(battery, ambient_C))
+
+
+def _why_no_flight(pack: Pack, start_soc: float, reserve_soc: float, ambient_C: float) -> str:
+    """Say why a pack does not carry the aircraft for a second."""
+    belief = rested(pack, start_soc, ambient_C)
+    volts = float(belief.weights @ voltage(pack, belief.means.T, 0.0))
+    if start_soc <= reserve_soc or volts <= pack.cutoff_V:
+        return "the pack is at its cut-off or its reserve before take-off"
+    return "the pack sags below its cut-off when the motors start"
 
 
 def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealth | None = None) -> Belief:
@@ -166,10 +183,26 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
 
 def range_remark(battery: BatteryFile, ambient_C: float) -> str:
     """Say if the certificate does not reach this temperature [°C], give or take VALID_WITHIN_K; else empty."""
-    validated = battery.certificate.validated_ambient_C
-    if not validated:
+    low, high, how = _range(battery)
+    if math.isnan(low):
         return "not tested at any temperature"
-    low, high = min(validated), max(validated)
-    if low - VALID_WITHIN_K <= ambient_C <= high + VALID_WITHIN_K:
-        return ""
-    return f"outside the validated range: {low:g} °C{'' if high == low else f' to {high:g} °C'}"
+    if not is_outside(battery, ambient_C):
+        return "" if how == "validated" else "not tested at any temperature"
+    if how == "validated":
+        return f"outside the validated range: {low:g} °C{'' if high == low else f' to {high:g} °C'}"
+    return f"fitted from {low:.0f} to {high:.0f} °C"
+
+
+def is_outside(battery: BatteryFile, ambient_C: float) -> bool:
+    """Return True at a temperature [°C] that neither certificate nor fit has seen, give or take VALID_WITHIN_K."""
+    low, high, _ = _range(battery)
+    return ambient_C < low - VALID_WITHIN_K or ambient_C > high + VALID_WITHIN_K  # NaN: no range is stated
+
+
+def _range(battery: BatteryFile) -> tuple[float, float, str]:
+    """Lowest and highest temperature [°C] that were validated, else fitted; NaN where none is stated."""
+    certificate = battery.certificate
+    if certificate.validated_ambient_C:
+        return min(certificate.validated_ambient_C), max(certificate.validated_ambient_C), "validated"
+    stated = certificate.statistics
+    return stated.get(FITTED_LOW, NAN), stated.get(FITTED_HIGH, NAN), "fitted"

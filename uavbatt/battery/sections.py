@@ -125,6 +125,9 @@ class Verdict(Record, frozen=True):
     reason: str = ""
 
 
+FITTED_LOW, FITTED_HIGH = "fitted_low_C", "fitted_high_C"  # statistics: the temperatures of the fitted records
+
+
 class Certificate(Record, frozen=True):
     """[certificate]: who says so, on which data. `edited` is no status to ship: it marks what was let through."""
 

@@ -33,7 +33,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.plan import Plan
+    from uavbatt.plan import Endurance, Plan
     from uavbatt.prediction.load import Load
     from uavbatt.records import Flight
 
@@ -132,15 +132,22 @@ def _lines(plan: Plan) -> list[str]:
         f"{resolved.battery} ({resolved.status}): {resolved.words}",
         f"  load       {plan.load}; state of charge {plan.start_soc:g} at take-off",
         *(f"  warning    {warning}" for warning in plan.warnings),
-        f"  at {here.ambient_C:g} °C: {_clock(here.median_s)} [{_clock(here.lo_s)}, {_clock(here.hi_s)}]"
-        + (f"; low-voltage warning after {_clock(here.to_low_s)}" if math.isfinite(here.to_low_s) else "")
-        + (f"; {here.remark}" if here.remark else ""),
+        f"  at {here.ambient_C:g} °C: {_headline(here)}",
         f"  {'ambient':>8}  {'median':>8}  {'5 %':>8}  {'95 %':>8}",
     ]
     for e in plan.rows:
         times = "  ".join(f"{_clock(value_s):>8}" for value_s in (e.median_s, e.lo_s, e.hi_s))
         lines.append(f"  {e.ambient_C:>5.0f} °C  {times}  {e.remark}".rstrip())
     return lines
+
+
+def _headline(here: Endurance) -> str:
+    """The endurance at the planned temperature, or why it is not known."""
+    if not math.isfinite(here.median_s):
+        return here.remark or "not known"
+    said = f"{_clock(here.median_s)} [{_clock(here.lo_s)}, {_clock(here.hi_s)}]"
+    said += f"; low-voltage warning after {_clock(here.to_low_s)}" if math.isfinite(here.to_low_s) else ""
+    return said + (f"; {here.remark}" if here.remark else "")
 
 
 def _clock(seconds: float) -> str:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
+from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
 from uavbatt.battery.sizing import PackOptions, PackSize, believed, size_of_pack
 from uavbatt.battery.statements import first_seen
 from uavbatt.dataset import DataSet
@@ -85,7 +86,11 @@ def fit_battery(
         parameters=assemble.parameter_table(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
         discrepancy=left,
-        certificate=Certificate(status="fitted", data_sha256=datasets[0].sha256 if len(datasets) == 1 else ""),
+        certificate=Certificate(
+            status="fitted",
+            data_sha256=datasets[0].sha256 if len(datasets) == 1 else "",
+            statistics=_range_C(stack),
+        ),
     )
     return Fitted(file, _known(found), _unknown(found, stack, bool(bench)))
 
@@ -159,6 +164,16 @@ def _known(found: Fit) -> tuple[str, ...]:
         value, sd = float(found.x[i]), found.standard_error(slot.name)
         lines.append(f"{slot.name} = {value:.4g} ± {sd:.2g}")
     return tuple(lines)
+
+
+def _range_C(stack: Stack) -> dict[str, float]:
+    """The temperatures [°C] that the records hold, as the certificate's statistics; empty when none was measured."""
+    temps = stack.temp_C[stack.compare]
+    temps = temps[np.isfinite(temps)]
+    if not temps.size:
+        return {}
+    low, high = np.percentile(temps, (1.0, 99.0))
+    return {FITTED_LOW: round(float(low), 1), FITTED_HIGH: round(float(high), 1)}
 
 
 def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uavbatt import __version__
-from uavbatt.plan import Plan
+from uavbatt.plan import Endurance, Plan
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
@@ -44,6 +45,10 @@ def plan_report(plan: Plan) -> str:
 
 def _answer(plan: Plan) -> Html:
     here = plan.here
+    status = paragraph(badge(plan.resolved.status), " battery file.", css="quiet")
+    if not math.isfinite(here.median_s):
+        words = f"The endurance at {celsius(here.ambient_C)} is {here.remark or 'not known'}."
+        return element("div", paragraph(words), status, css="answer unsure")
     said = paragraph(
         strong(duration(here.median_s)),
         f" at {celsius(here.ambient_C)}, with 90 % probability between {duration(here.lo_s)} and "
@@ -54,7 +59,7 @@ def _answer(plan: Plan) -> Html:
         "div",
         said,
         *([paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []),
-        paragraph(badge(plan.resolved.status), " battery file.", css="quiet"),
+        status,
         css="answer",
     )
 
@@ -86,12 +91,16 @@ def _figure(plan: Plan) -> Html:
 
 
 def _table(plan: Plan) -> Html:
-    rows = [
-        (celsius(e.ambient_C), duration(e.median_s), duration(e.lo_s), duration(e.hi_s), duration(e.to_low_s), e.remark)
-        for e in plan.rows
-    ]
+    rows = [_row(e) for e in plan.rows]
     head = ("ambient", "median", "5 %", "95 %", "low-voltage warning", "")
     return table(head, rows, "Time from take-off", text_columns=(0, 5))
+
+
+def _row(e: Endurance) -> tuple[Html, ...]:
+    """One temperature; grey where the file vouches for nothing."""
+    times = (duration(t) for t in (e.median_s, e.lo_s, e.hi_s, e.to_low_s))
+    css = "quiet" if e.remark else ""
+    return tuple(element("span", text, css=css) for text in (celsius(e.ambient_C), *times, e.remark))
 
 
 def _basis(plan: Plan) -> list[tuple[str, str]]:
