@@ -19,8 +19,8 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.log_replay import outcome, steps
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
-from uavbatt.replay import outcome, steps
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
 

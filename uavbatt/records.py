@@ -89,6 +89,13 @@ class Flight:
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)
 
+    def __repr__(self) -> str:
+        """Return one line: a flight has thousands of rows, and a prompt or a traceback needs none of them."""
+        return (
+            f"<Flight {self.source}: {self.kind}, battery {self.instance}, {len(self.samples)} rows, "
+            f"{self.duration_s:.0f} s>"
+        )
+
     def facts_at(self, time_s: float) -> PackFacts:
         """The facts known at `time_s` [s]; an empty `PackFacts` before the first."""
         known = PackFacts()

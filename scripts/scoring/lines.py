@@ -10,9 +10,9 @@ from peers.columns import FloatArray
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.log_replay import Step, steps
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
-from uavbatt.replay import Step, steps
 from uavbatt.scoring.scores import FlightScore, score_flight
 
 

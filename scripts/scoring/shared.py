@@ -17,7 +17,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator, PackOptions
-from uavbatt.replay import Outcome, Step, outcome, steps
+from uavbatt.log_replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry import read_log
 
 EMPTIED = "quad_3s_2650_emptied.BIN"

@@ -16,9 +16,9 @@ from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimator import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.log_replay import Step
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight
-from uavbatt.replay import Step
 from uavbatt.scoring.scores import end_of_flight
 from uavbatt.telemetry import read_log
 

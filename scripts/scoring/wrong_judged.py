@@ -18,7 +18,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator, PackOptions
-from uavbatt.replay import Step, steps
+from uavbatt.log_replay import Step, steps
 
 PERIOD_S = 5.0
 BEFORE_END_S = (120.0, 60.0, 20.0, 5.0)

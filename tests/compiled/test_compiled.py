@@ -25,10 +25,10 @@ from uavbatt.estimation.ahead import Row
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimation.recursion import Shown
 from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.log_replay import steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
 from uavbatt.records import NAN, Sample
-from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly, with_effects
 
 pytest.importorskip("numba", reason="the extra `fast` is not installed")

@@ -22,8 +22,8 @@ from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
 from uavbatt import fast
+from uavbatt.log_replay import Step, steps
 from uavbatt.records import Flight
-from uavbatt.replay import Step, steps
 
 IN_TIME_S, EARLIEST_S = {GENERIC: 45.0, FITTED: 60.0}, 180.0
 GENERIC_LONG_S, FITTED_LONG_S = 25.0, 15.0

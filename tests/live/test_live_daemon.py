@@ -16,9 +16,9 @@ from uavbatt.battery import battery_file
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.web import content, metrics
+from uavbatt.log_replay import steps
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
-from uavbatt.replay import steps
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 from uavbatt.telemetry.recording import forecast_period_s
@@ -56,9 +56,7 @@ def test_silence_is_stale_everywhere_after_three_seconds() -> None:
 
 
 def test_only_three_messages_travel_towards_the_autopilot() -> None:
-    bench = Bench(
-        link=LinkSection(endpoint="x", gcs=["y"], request=True), feed=FeedSection(kinds=("named", "battery"))
-    )
+    bench = Bench(link=LinkSection(endpoint="x", gcs=["y"], request=True), feed=FeedSection(kinds=("named", "battery")))
     bench.fly(30.0)
     sent = [dialect.MAVLink(None).decode(bytearray(data)) for data in bench.link.sent]
     assert {m.get_type() for m in sent} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}

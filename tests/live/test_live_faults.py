@@ -24,8 +24,8 @@ from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
+from uavbatt.log_replay import steps
 from uavbatt.records import Sample
-from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat

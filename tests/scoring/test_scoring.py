@@ -20,10 +20,10 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.log_replay import Step, steps
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
-from uavbatt.replay import Step, steps
 from uavbatt.simulate import Mission, fly, with_effects
 
 # --- tables ------------------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.log_replay import steps
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly
 from uavbatt.telemetry.join import Wiring, joined, read_joined
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.estimator import Resolved
 from uavbatt.files import atomic_write
+from uavbatt.log_replay import Outcome, Step
 from uavbatt.records import Flight
-from uavbatt.replay import Outcome, Step
 
 
 def write(

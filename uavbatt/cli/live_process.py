@@ -76,8 +76,8 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 def pack_options(pack: PackSection) -> PackOptions:
     """What the configuration states of the pack, for the estimator."""
     from uavbatt.battery import vehicle_file
-    from uavbatt.cli.loads import stated_load
     from uavbatt.estimator import PackOptions
+    from uavbatt.prediction.load_options import stated_load
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.vehicle_file import VehicleFile
     from uavbatt.estimator import PackOptions, Resolved
+    from uavbatt.log_replay import Outcome, Step
     from uavbatt.records import Flight
-    from uavbatt.replay import Outcome, Step
 
 
 def replay(
@@ -94,9 +94,9 @@ def _one(
     from dataclasses import replace as changed
 
     from uavbatt import output
-    from uavbatt.cli.loads import stated_load
     from uavbatt.estimator import Estimator
-    from uavbatt.replay import outcome, steps
+    from uavbatt.log_replay import outcome, steps
+    from uavbatt.prediction.load_options import stated_load
     from uavbatt.statements import check
     from uavbatt.telemetry.recording import forecast_period_s
 

@@ -26,9 +26,9 @@ from uavbatt.diagnosis.heldout import left_out, open_loop
 from uavbatt.diagnosis.problem import Refit
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fitting.assemble import rounded
+from uavbatt.log_replay import steps
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
-from uavbatt.replay import steps
 from uavbatt.scoring.scores import end_of_flight
 
 ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0

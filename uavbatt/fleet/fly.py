@@ -18,8 +18,8 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
+from uavbatt.log_replay import Outcome, Step, outcome, steps
 from uavbatt.records import NAN, Flight
-from uavbatt.replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 

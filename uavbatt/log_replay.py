@@ -1,4 +1,4 @@
-"""Replay of a flight log through the pipeline, and what came of it."""
+"""Replay of a flight log through the estimator: the rows that come out, and how good they were."""
 
 from __future__ import annotations
 
@@ -6,20 +6,33 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
+from dataclasses import replace as changed
 from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavbatt import fast
+from uavbatt import fast, output, statements
 from uavbatt.asked import Asked, say
+from uavbatt.battery import battery_file, vehicle_file
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
-from uavbatt.estimator import Estimator
+from uavbatt.battery.vehicle_file import VehicleFile
+from uavbatt.errors import MissingExtra, UsageError
+from uavbatt.estimator import Estimator, PackOptions, Resolved
 from uavbatt.prediction.batch import SIDE_BY_SIDE, answers
+from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.telemetry import read_log, recording
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 FORECAST_S = 0.5e-3  # measured: 1.25 ms for one of sixteen side by side, 0.75 ms compiled
 LONGEST_WINDOW = 4096
+FORECAST_PERIOD_S = 5.0
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 
@@ -155,3 +168,119 @@ def _checkpoints(run: list[Step], time_s: Array, take_off_s: float, end_s: float
         true_s = end_s - line.time_s
         found.append(Checkpoint(label, true_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
     return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A replayed flight: iterate over it for a `Step` a row, or take `rows` or `to_frame()` for a table.
+
+    flight: the log as it was read.
+    pack: cells, capacity [Ah], cut-off [V] and where each came from.
+    steps: the estimate and the forecast after each row.
+    outcome: the flight in figures, and the error of the forecasts where the log reaches the end of flight.
+    """
+
+    flight: Flight
+    pack: Resolved
+    steps: tuple[Step, ...]
+    outcome: Outcome
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __iter__(self) -> Iterator[Step]:
+        return iter(self.steps)
+
+    def __repr__(self) -> str:
+        """Return one line: the steps are thousands."""
+        return f"<Replay of {self.flight.source} on {self.pack.battery}: {len(self)} steps, {self.pack.words}>"
+
+    @property
+    def rows(self) -> list[output.Line]:
+        """The lines that `uavbatt replay --jsonl` writes, one a step; None is what is not known."""
+        return [output.line(step.estimate, step.remaining) for step in self.steps]
+
+    def to_frame(self) -> DataFrame:
+        """Return the rows as a pandas DataFrame: the columns of `output.COLUMNS`, NaN for what is not known.
+
+        Raises MissingExtra without pandas.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtra("pandas", "to_frame()") from None
+        table = pandas.DataFrame(self.rows, columns=list(output.COLUMNS))
+        return table.astype({key: float for key, digits in output.COLUMNS.items() if digits is not None})
+
+
+def replay(
+    log: str | Path | Flight,
+    battery: str | Path | BatteryFile = "lipo-generic",
+    *,
+    cells: int | None = None,
+    capacity_Ah: float = NAN,
+    cutoff_V: float = NAN,
+    reserve_soc: float = 0.0,
+    instance: int | None = None,
+    vehicle: str | Path | VehicleFile | None = None,
+    load: str | float = "learned",
+    forecast_period_s: float | None = None,
+    allow_uncertified: bool = False,
+) -> Replay:
+    """Replay a flight log: state of charge and remaining time at every row, as `uavbatt replay` works them out.
+
+    log: the path of a DataFlash, `.tlog`, `.ulg` or CSV log, or a `Flight` that was read before.
+    battery: the name of a packaged battery, a battery file, or its content.
+    cells, capacity_Ah [Ah], cutoff_V [V of the pack]: what is stated of the pack; else the vehicle's parameters, the
+        voltage and the battery file tell.
+    reserve_soc: the state of charge (0 to 0.99) that ends the flight, beside the cut-off.
+    instance: the battery of the log; by default the first that reports a current.
+    vehicle: a vehicle file, by path or as content: how this aircraft flew before.
+    load: `learned`, `recent`, `log`, or the power [W] that is to come.
+    forecast_period_s: between two forecasts [s] the last one counts down; by default 5 s, and for a recording of
+        `uavbatt live` what it was made with.
+    allow_uncertified: read a battery file whose hash or verdict is broken.
+    Raises BadInput for a file that cannot be used, UsageError for an argument that cannot be.
+    """
+    flight = _flight(log, instance)
+    content = (
+        battery if isinstance(battery, BatteryFile) else battery_file.read(battery, allow_uncertified=allow_uncertified)
+    )
+    flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read(vehicle)
+    options = PackOptions(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc)
+    statements.check(content, options, flight)
+    period_s = _recorded_period_s(log) if forecast_period_s is None else _period_s(forecast_period_s)
+    to_come = stated_load(str(load), flight, flown, content, name="load=")
+    estimator = Estimator(content, changed(options, load=to_come, forecast_period_s=period_s))
+    run = list(steps(flight, estimator))
+    if estimator.resolved is None:
+        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+    return Replay(flight, estimator.resolved, tuple(run), outcome(run, estimator.resolved.cutoff_V))
+
+
+def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:
+    """Return the content of a battery file that is named, or as it is given."""
+    if isinstance(battery, BatteryFile):
+        return battery
+    return battery_file.read(battery, allow_uncertified=allow_uncertified)
+
+
+def _recorded_period_s(log: str | Path | Flight) -> float:
+    """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
+    recorded_s = NAN if isinstance(log, Flight) else recording.forecast_period_s(log)
+    return recorded_s if math.isfinite(recorded_s) else FORECAST_PERIOD_S
+
+
+def _period_s(stated_s: object) -> float:
+    if isinstance(stated_s, int | float) and stated_s >= 0.0:
+        return float(stated_s)
+    raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")
+
+
+def _flight(log: str | Path | Flight, instance: int | None) -> Flight:
+    """Return the flight that is asked for, read if it is not yet."""
+    if not isinstance(log, Flight):
+        return read_log(log, instance)
+    if instance is not None and instance != log.instance:
+        raise UsageError(f"instance={instance}: the flight was read with battery {log.instance}; give the log's path")
+    return log

@@ -1,0 +1,92 @@
+"""The public face: what a prompt shows, what a notebook gets, and how a wrong argument is answered."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from command import called
+
+import uavbatt
+from uavbatt.battery import battery_file
+from uavbatt.dataset import load
+
+LOGS = Path(__file__).resolve().parents[1] / "logs"
+COLD = LOGS / "hexa_6s_cold.csv"
+
+
+@pytest.fixture(scope="module")
+def flown() -> uavbatt.Replay:
+    return uavbatt.replay(COLD, cells=6, capacity_Ah=5.0, cutoff_V=19.8)
+
+
+def test_python_and_the_command_say_the_same(flown: uavbatt.Replay, tmp_path: Path) -> None:
+    pack = ("--cells", "6", "--capacity-ah", "5", "--cutoff-voltage", "19.8")
+    assert called("replay", COLD, *pack, "--jsonl", "l.jsonl", folder=tmp_path).returncode == 0
+    lines = [json.loads(line) for line in (tmp_path / "l.jsonl").read_text().splitlines()]
+    assert flown.rows == lines and len(flown) == len(lines) > 100
+
+
+def test_the_rows_are_a_table_of_numbers(flown: uavbatt.Replay) -> None:
+    pytest.importorskip("pandas", reason="needs the extra pandas")
+    table = flown.to_frame()
+    assert list(table.columns) == list(flown.rows[0]) and len(table) == len(flown)
+    assert table["remaining_s"].dtype == float and table["soc"].dtype == float
+    refused = [row["remaining_s"] is None for row in flown.rows]
+    assert any(refused) and table["remaining_s"].isna().tolist() == refused  # unknown is never zero
+
+
+def test_without_pandas_the_extra_is_named(flown: uavbatt.Replay) -> None:
+    with patch.dict(sys.modules, {"pandas": None}), pytest.raises(uavbatt.MissingExtra, match=r"uavbatt\[pandas\]"):
+        flown.to_frame()
+
+
+def test_what_was_read_serves_as_well_and_a_power_is_a_number_or_text() -> None:
+    pack = {"cells": 6, "capacity_Ah": 5.0, "cutoff_V": 19.8, "forecast_period_s": 60.0}
+    by_name = uavbatt.replay(COLD, load="400", **pack)  # type: ignore[arg-type]
+    read = uavbatt.read_log(COLD), battery_file.read("lipo-generic")
+    assert uavbatt.replay(*read, load=400.0, **pack).rows == by_name.rows  # type: ignore[arg-type]
+
+
+def test_big_values_show_one_short_line(flown: uavbatt.Replay) -> None:
+    for value in (flown, flown.flight, battery_file.read("lpab-3s"), load()):
+        assert len(repr(value)) < 250 and "\n" not in repr(value)
+    assert "hexa_6s_cold.csv" in repr(flown.flight) and f"{len(flown.flight.samples)} rows" in repr(flown.flight)
+
+
+def test_a_prompt_completes_the_public_names_alone() -> None:
+    assert dir(uavbatt) == sorted(uavbatt.__all__)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"cells": 0}, "cells=0"),
+        ({"cells": 4.5}, "cells=4.5"),
+        ({"capacity_Ah": -5.0}, "capacity_Ah=-5"),
+        ({"capacity_Ah": 5000.0}, "mAh"),
+        ({"capacity_Ah": "5"}, "capacity_Ah='5'"),
+        ({"cutoff_V": 3.3}, "cutoff_V=3.3"),
+        ({"reserve_soc": 20}, "reserve_soc=20"),
+        ({"load": "fast"}, "load=fast"),
+        ({"load": -5.0}, "load=-5"),
+        ({"instance": 3}, "instance 3"),
+        ({"forecast_period_s": -1.0}, "forecast_period_s=-1"),
+        ({"forecast_period_s": "often"}, "forecast_period_s='often'"),
+    ],
+)
+def test_an_argument_that_cannot_be_is_named(given: dict[str, object], named: str) -> None:
+    stated = {"cells": 6, "capacity_Ah": 5.0, "cutoff_V": 19.8, **given}
+    with pytest.raises(uavbatt.UsageError) as error:
+        uavbatt.replay(COLD, **stated)  # type: ignore[arg-type]
+    assert named in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_estimator_names_them_too() -> None:
+    with pytest.raises(uavbatt.UsageError, match="reserve_soc=20"):
+        uavbatt.Estimator.from_battery("lipo-generic", reserve_soc=20)
+    with pytest.raises(uavbatt.BadInput, match="lpab-3s"):
+        uavbatt.Estimator.from_battery("nothing")
