@@ -97,7 +97,7 @@ def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> Batter
     try:
         file = msgspec.toml.decode(text, type=BatteryFile)
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
-        raise misread(origin, error, "a battery file (see README, `battery file`)") from None
+        raise misread(origin, error, "a battery file (see docs/formats.md)") from None
     _check_values(file, origin)
     problem = _why_uncertified(file)
     if problem and not allow_uncertified:
