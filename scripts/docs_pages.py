@@ -1,7 +1,7 @@
 """A hook of mkdocs: the pages at the root of the checkout are pages of the site, README its first.
 
-Links are written for readers of the checkout; on the site `docs/x.md` is `x.md`, `../README.md` is `index.md`, and a link
-to a file that is no page is its name alone.
+Links are written for readers of the checkout; on the site `docs/x.md` is `x.md`, `../README.md` is `index.md`, and a
+link to a file that is no page is its name alone.
 """
 
 from __future__ import annotations
