@@ -34,6 +34,15 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return ByFile(config, log)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what a test says of itself: it asks for the measured data, or lies among the tests of the live process."""
+    for item in items:
+        if "shared_data" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.data)
+        if item.path.parent.name == "live":
+            item.add_marker(pytest.mark.live)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of measured data: $UAVBATT_DATA, else `../shared/data` beside the checkout."""

@@ -229,18 +229,26 @@ def replay(
 ) -> Replay:
     """Replay a flight log: state of charge and remaining time at every row, as `uavbatt replay` works them out.
 
-    log: the path of a DataFlash, `.tlog`, `.ulg` or CSV log, or a `Flight` that was read before.
-    battery: the name of a packaged battery, a battery file, or its content.
-    cells, capacity_Ah [Ah], cutoff_V [V of the pack]: what is stated of the pack; else the vehicle's parameters, the
-        voltage and the battery file tell.
-    reserve_soc: the state of charge (0 to 0.99) that ends the flight, beside the cut-off.
-    instance: the battery of the log; by default the first that reports a current.
-    vehicle: a vehicle file, by path or as content: how this aircraft flew before.
-    load: `learned`, `recent`, `log`, or the power [W] that is to come.
-    forecast_period_s: between two forecasts [s] the last one counts down; by default 5 s, and for a recording of
-        `uavbatt live` what it was made with.
-    allow_uncertified: read a battery file whose hash or verdict is broken.
-    Raises BadInput for a file that cannot be used, UsageError for an argument that cannot be.
+    Args:
+        log: path of a DataFlash, `.tlog`, `.ulg` or CSV log, or a `Flight` that was read before.
+        battery: name of a packaged battery, a battery file by path, or its content.
+        cells: cells in series. What is not stated of the pack comes from the vehicle, the voltage, the battery file.
+        capacity_Ah: capacity of the pack [Ah].
+        cutoff_V: voltage of the pack that ends the flight [V].
+        reserve_soc: state of charge (0 to 0.99) that ends the flight, too; 0 is off.
+        instance: battery of the log; by default the first that reports a current.
+        vehicle: vehicle file by path, or its content: how this aircraft flew before.
+        load: `learned`, `recent`, `log`, or the power to come [W].
+        forecast_period_s: time between two forecasts [s]; between them the last one counts down. By default 5 s, and
+            for a recording of `uavbatt live` what it was made with.
+        allow_uncertified: read a battery file whose hash or verdict is broken.
+
+    Returns:
+        Every row and what came of it.
+
+    Raises:
+        BadInput: a file cannot be used; the message names it, the place and what was expected.
+        UsageError: an argument cannot be; the message names it and its bounds.
     """
     flight = _flight(log, instance)
     content = (
