@@ -96,7 +96,7 @@ class Mission:
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where the autopilot returns to; alt_m is above sea."""
+    """The place that the autopilot returns to; alt_m is above sea."""
 
     lat_deg: float
     lon_deg: float
@@ -121,7 +121,7 @@ class ReturnSettings:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where the aircraft is and how it moves at one instant."""
+    """Place and velocity of the aircraft at one instant."""
 
     time_s: float
     lat_deg: float

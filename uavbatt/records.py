@@ -1,4 +1,4 @@
-"""What flows through the house: frozen values, SI units, the unit in the name.
+"""Records that flow through the house: frozen values, SI units, the unit in the name.
 
 Sign convention: positive current discharges the battery. State of charge is 0..1, never percent.
 Unknown is NaN (`None` for flags); wire sentinels never get this far.
@@ -57,7 +57,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class PackFacts:
-    """What the vehicle itself says of its battery (parameters); NaN or None where it does not say."""
+    """The vehicle's own words about its battery (parameters); NaN or None where it does not say."""
 
     cells_series: int | None = None
     capacity_Ah: float = NAN
@@ -68,7 +68,7 @@ class PackFacts:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who flew and when, as far as a log says it; empty, None or NaN where it does not."""
+    """The identity of aircraft and flight, as far as a log tells it; empty, None or NaN where it does not."""
 
     system: int | None = None  # MAVLink's number of the vehicle; most are 1
     hardware: str = ""  # serial of the flight controller

@@ -32,7 +32,7 @@ LONGEST_S = 6 * 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """What is flown: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
+    """The flight to simulate: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
 
     power_W: float
     ambient_C: float = 20.0
@@ -101,7 +101,7 @@ def _delayed(samples: list[Sample], delay_s: float) -> list[Sample]:
 
 
 def _metered(installation: Installation, current_A: float, true_V: float) -> float:
-    """What the current sensor sees [A] of a true current: the inverse of `pack.true_current`."""
+    """Return the sensor's reading [A] of a true current: the inverse of `pack.true_current`."""
     seen_A = (current_A - installation.unmetered_W / true_V) * installation.gain_I + installation.offset_A
     return float(seen_A)
 

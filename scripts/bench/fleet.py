@@ -67,7 +67,7 @@ RUN = """
 import resource, sys, time
 begin = time.perf_counter()
 from pathlib import Path
-from uavbatt.battery import file
+from uavbatt.battery import battery_file
 from uavbatt.fleet import run
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import find
@@ -75,7 +75,7 @@ from uavbatt.estimator import PackOptions
 if __name__ == "__main__":
     logs, output, workers = sys.argv[1:]
     found, rows = find([logs]), []
-    job = Job(file.read("lipo-generic"), PackOptions())
+    job = Job(battery_file.read("lipo-generic"), PackOptions())
     for finished in run.run(run.connected(int(workers)), found, job, Path(output)):
         rows += [time.perf_counter()] if finished.row is not None else []
     peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -253,11 +253,12 @@ def test_a_numba_that_cannot_be_imported_is_left_out(monkeypatch: pytest.MonkeyP
 
 def test_in_flight_numba_is_never_imported() -> None:
     code = (
-        "import sys, uavbatt.live.daemon, uavbatt.cli.live_process, uavbatt.tracked\n"
-        "from uavbatt.battery import file\n"
+        "import sys, uavbatt.live.daemon, uavbatt.cli.live_process, uavbatt.live.tracked_battery\n"
+        "from uavbatt.battery import battery_file\n"
         "from uavbatt.estimator import Estimator, PackOptions\n"
         "from uavbatt.records import Sample\n"
-        "e = Estimator(file.read('lipo-generic'), PackOptions(cells=4, capacity_Ah=5.0, forecast_period_s=0.0))\n"
+        "options = PackOptions(cells=4, capacity_Ah=5.0, forecast_period_s=0.0)\n"
+        "e = Estimator(battery_file.read('lipo-generic'), options)\n"
         "out = [e.step(Sample(float(k), 15.6 - 0.002 * k, 20.0, 25.0))[1] for k in range(60)]\n"
         "assert out[-1].remaining_s > 0.0\n"
         "assert not {'numba', 'llvmlite', 'uavbatt.battery.compiled'} & set(sys.modules)\n"

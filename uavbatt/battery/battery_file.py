@@ -106,7 +106,7 @@ def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> Batter
 
 
 def _why_uncertified(file: BatteryFile) -> str:
-    """What keeps the certificate from being believed; empty when it may be."""
+    """Return the reason why the certificate may not be believed; empty when it may be."""
     if file.certificate.content_sha256 != content_hash(file):
         return (
             "certificate.content_sha256: expected the hash of the file's content, so the file was edited after it was "
@@ -154,7 +154,7 @@ def _text(name_or_path: str) -> tuple[bytes, str]:
 
 
 def _check_values(file: BatteryFile, origin: str) -> None:
-    """What types and ranges of the keys cannot say: finite throughout, ascending, of one length, fitting each other."""
+    """Raise BadInput unless the arrays are finite, ascending, of one length and fit each other."""
     for place, number in _numbers(msgspec.to_builtins(file)):
         if not math.isfinite(number):
             raise BadInput(origin, place, f"a finite number, got {number}")

@@ -1,4 +1,4 @@
-"""How much charge packs in service hold: the prior over a pack's capacity, as a bank of members.
+"""Prior of the capacity that packs in service still hold, as a bank of members (a sum of Gaussians).
 
 A season takes 10 to 25 % of a pack's capacity, and nobody writes it down: a pack that nobody measured holds between
 0.7 and 1.05 of what is printed on it. Rarely it is quite another pack than stated, or the current sensor reads low or

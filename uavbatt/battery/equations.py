@@ -29,7 +29,7 @@ SECONDS_PER_HOUR = 3600.0
 
 
 def acts(value: Number) -> bool:
-    """Whether a parameter whose neutral value is 0 does anything, in any column."""
+    """Return True if a parameter whose neutral value is 0 differs from it in any column."""
     return bool(value.any()) if isinstance(value, np.ndarray) else bool(value != 0.0)
 
 
@@ -44,7 +44,7 @@ def kept(dt_s: Number, tau_s: Number) -> Number:
 
 
 def approach(value: Number, target: Number, share: Number) -> Number:
-    """What keeps `share` of its deviation from a held target."""
+    """Return the value that keeps `share` of its deviation from a held target."""
     return target + (value - target) * share
 
 
@@ -64,7 +64,7 @@ def risen(gain_h: Number, c_rate: Number) -> Number:
 
 
 def settled_temperature(heat_W: Number, ambient_C: Number, cooling_WpK: Number) -> Number:
-    """Where a lumped core comes to rest [°C]: of C T' = q - h (T - T_ambient), for h > 0; all per Ah."""
+    """Return the temperature of a lumped core at rest [°C]: of C T' = q - h (T - T_ambient), h > 0, per Ah."""
     return ambient_C + heat_W / cooling_WpK
 
 

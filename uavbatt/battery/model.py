@@ -106,7 +106,7 @@ def source(p: Parameters, s: State) -> tuple[Number, Number]:
 
 
 def electromotive_force(p: Parameters, s: State) -> Number:
-    """What the terminals would show with the current cut off this instant [V]."""
+    """Return the voltage that the terminals would show with the current cut off this instant [V]."""
     return open_circuit_voltage(p, s.soc) - s.polarisation_V - s.diffusion_V
 
 
@@ -117,7 +117,7 @@ def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
 
 
 def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: Number) -> Number:
-    """What `source` gives behind `series_ohmAh`, its own resistance included, under `c_rate` [V]."""
+    """Return the voltage of `source` behind `series_ohmAh`, its own resistance included, under `c_rate` [V]."""
     return emf_V - c_rate * series_ohmAh - transfer_drop(p, c_rate)
 
 
@@ -138,7 +138,7 @@ def rate_at_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh
 
 
 class Lags(NamedTuple):
-    """What is left of a deviation after one step, `equations.kept` for each lag: the same for all that step alike."""
+    """The share of a deviation that is left after one step, `equations.kept` for each lag."""
 
     polarisation: Number
     diffusion: Number

@@ -63,7 +63,7 @@ def weak_soc(pack: Installation, soc: Number) -> Number:
 
 
 def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:
-    """How far the weakest cell pulls the mean of the cells below the others' `strong_V` [V]; never positive."""
+    """Return the mean of the cells less the others' `strong_V` [V], as the weakest cell pulls it; never positive."""
     if not eq.acts(pack.deficit):
         return 0.0
     return (model.cell_voltage(p, s._replace(soc=weak_soc(pack, s.soc)), c_rate) - strong_V) / pack.cells
@@ -82,5 +82,5 @@ def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Num
 
 
 def metered_voltage(pack: Installation, true_V: Number) -> Number:
-    """What the voltage sensor reports [V]."""
+    """Return the voltage that the sensor reports [V]."""
     return pack.gain_V * true_V + pack.offset_V

@@ -143,7 +143,7 @@ class BatteryFile(Record, frozen=True):
 
     @property
     def caveat(self) -> str:
-        """Why the certificate vouches for nothing, in words; empty when the file is certified."""
+        """Return the reason why the certificate vouches for nothing; empty when the file is certified."""
         if self.status == "certified":
             return ""
         return f"battery file is {self.status}, not certified" + (f": {LET_THROUGH}" if self.status == "edited" else "")

@@ -1,4 +1,4 @@
-"""What is known of a pack at one instant: a mean and a covariance over eight named components.
+"""State space of a pack: a mean and a covariance over eight named components, for each member of a sum of Gaussians.
 
 The components are the cell's state, two slow scales that tell this pack from its type, and the model's own
 slowly wandering error, so that a filter does not take a misfit of the model for knowledge:

@@ -63,7 +63,7 @@ def effect_entries(
 
 
 def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source: str) -> Discrepancy:
-    """What the model leaves on these records: bias, RMSE, correlation time of voltage; RMSE of temperature.
+    """Measure what the model leaves on these records: bias, RMSE, correlation time of voltage; RMSE of temperature.
 
     The RMSE is that of the slow part: what is uncorrelated from row to row is the sensor's noise, not the model's.
     Rows count by how flat the voltage is there (`Stack.sigma_V`), since near the end volts apart are seconds apart.

@@ -146,7 +146,7 @@ def _known(found: Fit) -> tuple[str, ...]:
 
 
 def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
-    """What the records cannot tell, in words."""
+    """Say in words which quantities the records cannot tell."""
     told_nothing = [
         s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0
     ]

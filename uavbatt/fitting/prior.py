@@ -1,4 +1,4 @@
-"""What is known of a LiPo cell before any data: the prior that keeps a fit physical.
+"""Prior of a LiPo cell before any data: it keeps a fit physical.
 
 The fit's unknowns are `Slot`s. In the optimiser's space every slot is a standard normal number u; its value is
 prior + sd·u, or prior·exp(sd·u) for what is positive. So the penalty of the prior is |u|² and no bound is needed.
@@ -102,7 +102,7 @@ def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFE
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """What a fit found: u of the slots (most probable) with its covariance, and the effects that were on."""
+    """The result of a fit: u of the slots (most probable) with its covariance, and the effects that were on."""
 
     slots: tuple[Slot, ...]
     effects: tuple[str, ...]

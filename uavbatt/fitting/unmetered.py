@@ -33,7 +33,7 @@ LOAD_SLOTS = (
 
 @dataclass(frozen=True, slots=True)
 class MeanTest:
-    """What is fitted: mean voltage [V] with its standard error, and mean surface temperature [°C], at instants [s]."""
+    """The data of a fit: mean voltage [V], its standard error, and mean surface temperature [°C], at instants [s]."""
 
     time_s: Array
     voltage_V: Array

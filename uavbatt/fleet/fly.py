@@ -32,7 +32,7 @@ SPARED_S = 0.1  # by compiled filter or forecasts in a flight of 20 minutes
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """How every log of a run is flown."""
+    """One job: every log of a run is replayed with these settings."""
 
     battery: BatteryFile
     options: PackOptions
@@ -147,7 +147,7 @@ def _warnings(flight: Flight, run: list[Step]) -> list[str]:
 
 
 def _reasons(row: Row, doubts: tuple[str, ...]) -> list[str]:
-    """Why a person should look at this flight; empty when it is like any other."""
+    """Return the reasons why a person should look at this flight; empty when it is like any other."""
     found = []
     if row.end_soc < EMPTY_SOC:
         found.append(f"landed nearly empty: state of charge {row.end_soc:.2f}")

@@ -24,12 +24,12 @@ from uavbatt.fleet.row import LOST, Row, row_of
 
 
 def key(log: LogFile, job_key: str) -> str:
-    """What a finished row is kept under."""
+    """Return the key under which a finished row is kept."""
     return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}")
 
 
 def job_key(job: Job) -> str:
-    """What of a job bears on its rows."""
+    """Return a key of all that a job says and that changes its rows."""
     return _digest(f"{__version__}\0{content_hash(job.battery)}\0{job.options!r}\0{job.aircraft_pattern}")
 
 

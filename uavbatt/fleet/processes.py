@@ -65,7 +65,7 @@ class Worker:
             self.line.send((task.job if is_new else None, task.log))
 
     def memory_bytes(self) -> int:
-        """What it holds now; 0 where the system does not tell."""
+        """Return the memory that it holds now [bytes]; 0 where the system does not tell."""
         try:
             pages = int(Path(f"/proc/{self._process.pid}/statm").read_text("ascii").split()[1])
         except (OSError, ValueError, IndexError):
@@ -100,7 +100,7 @@ class Processes:
         return next(found for found in self._rows() if found is not None)
 
     def _rows(self) -> Iterator[tuple[int, Row] | None]:
-        """What comes of each worker that has something to say or has grown too big."""
+        """Yield the rows of each worker that has something to say or has grown too big."""
         while True:
             if time.monotonic() >= self._look_s:
                 self._look_s = time.monotonic() + LOOK_PERIOD_S

@@ -25,7 +25,7 @@ CHECKPOINTS = ("half", "360", "240", "120", "60")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What is told of one flight. `status`: OK, or BAD or LOST with the reason in words."""
+    """The result of one flight. `status`: OK, or BAD or LOST with the reason in words."""
 
     file: str
     status: str = OK

@@ -24,7 +24,7 @@ _UNDER_WAY_PER_WORKER = 3
 
 
 class Crew(Protocol):
-    """Who flies the logs."""
+    """The workers that replay the logs."""
 
     size: int
 

@@ -1,4 +1,4 @@
-"""What is said aloud of a battery (STATUSTEXT, and on the page): alarms, a number that is lost, new warnings.
+"""Announcements of a battery (STATUSTEXT, and on the page): alarms, a number that is lost, new warnings.
 
 - The time left at worst falls through a threshold: once, and again only after it had risen 20 % above it.
 - A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and so is the end of
@@ -76,7 +76,7 @@ REASONS: dict[str, str] = {
 
 
 class Announcer:
-    """When to speak of one battery, and in which words."""
+    """The announcer decides when to speak of one battery, and in which words."""
 
     def __init__(self, instance: int, thresholds_s: Sequence[float]) -> None:
         self._instance = instance

@@ -93,7 +93,7 @@ class Batteries:
         return report
 
     def notes(self, now_s: float) -> list[str]:
-        """What the operator should know of the saved state."""
+        """Notes for the operator about the saved state."""
         found = [self._problem]
         if now_s <= self._note_until_s:
             found += [self._resumption.note]
@@ -134,7 +134,7 @@ class Batteries:
         }
 
     def _found(self, now_s: float) -> Resumption:
-        """What an earlier process has left for this one."""
+        """Return the state that an earlier process has left for this one."""
         if not self._config.state.file:
             return Resumption(state.Found(None, 0.0, ""))
         found = state.read(

@@ -1,4 +1,4 @@
-"""How many may be connected to the page, and for how long without asking for anything.
+"""Limits of the page's connections: their number, and the time that one may be open without asking for anything.
 
 Whoever connects takes a descriptor of the process that flies, before any token is asked: so the table is small
 (MOST_CONNECTIONS), and a connection on which no request is under way for REQUEST_WITHIN_S is closed, also one that
@@ -45,7 +45,7 @@ class Connection(H11Protocol):
 
     @property
     def is_asking(self) -> bool:
-        """Whether a request is whole and its answer is not."""
+        """Return True if a request is whole and its answer is not."""
         return self.cycle is not None and not self.cycle.response_complete
 
     def drop(self) -> None:

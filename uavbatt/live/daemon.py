@@ -41,7 +41,7 @@ STAMP_STEP_US = 4  # a tlog's times are true to 4 us
 
 @dataclass(slots=True)
 class Board:
-    """What other threads may read: replaced whole, never changed in place."""
+    """The board that other threads may read: replaced whole, never changed in place."""
 
     reports: tuple[Report, ...] = ()
     notes: tuple[str, ...] = ()

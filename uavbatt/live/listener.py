@@ -63,7 +63,7 @@ class Listener:
                 yield Frame(frame, header, sender)
 
     def notes(self) -> list[str]:
-        """What the operator should know of the link."""
+        """Notes for the operator about the link."""
         vehicle = self.reader.followed
         source = (vehicle.system, vehicle.component) if vehicle is not None else None
         found = self.reader.notes()

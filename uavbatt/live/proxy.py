@@ -42,7 +42,7 @@ LONGEST_BODY = 60_000
 
 
 class Settings(NamedTuple):
-    """What the proxy is told at its start."""
+    """The proxy gets these settings at its start."""
 
     autopilot: str
     gcs: list[str]
@@ -90,7 +90,7 @@ class Control:
         self._socket.setblocking(False)
 
     def filenos(self) -> list[int]:
-        """What to wait on."""
+        """Return the file descriptors to wait on."""
         return [self._socket.fileno(), *([self._client.fd] if self._client is not None else [])]
 
     def read(self) -> list[tuple[bytes, bytes]]:

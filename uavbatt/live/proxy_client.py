@@ -30,7 +30,7 @@ STATUS_CODES = {Status.OK: rewriter.OK, Status.CONVERGING: rewriter.CONVERGING}
 
 
 def control_path(autopilot: str) -> str:
-    """Where the proxy of an endpoint listens: $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder."""
+    """Return where an endpoint's proxy listens: in $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder."""
     named = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or os.environ.get("XDG_RUNTIME_DIR", "")
     folder = Path(named) if named else Path(tempfile.gettempdir()) / f"uavbatt-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ class ProxyClient:
             yield self._pipe.fd
 
     def read(self, now_s: float) -> list[Chunk]:
-        """What the autopilot sent; keeps the proxy alive."""
+        """Read the bytes that the autopilot sent, and keep the proxy alive."""
         if self._pipe is None:
             self._attach(now_s)
         if self._pipe is None:

@@ -51,7 +51,7 @@ class Recorder:
         self._prelude[key] = frame
 
     def remembers(self, key: bytes) -> bool:
-        """Whether a frame of this key is kept."""
+        """Return True if a frame of this key is kept."""
         return key in self._prelude
 
     def begin_anew(self, words: Mapping[bytes, bytes]) -> None:
@@ -164,7 +164,7 @@ class Recorder:
 
 
 def _is_short(path: Path) -> bool:
-    """Whether a recording spans less than SHORT_S, from its first stamp to its last writing."""
+    """Return True if a recording spans less than SHORT_S, from its first stamp to its last writing."""
     try:
         with path.open("rb") as file:
             head = file.read(8)

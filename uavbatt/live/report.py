@@ -1,4 +1,4 @@
-"""What every feed shows of a battery at this moment: the last estimate, less its age, or why there is none.
+"""Report of a battery at this moment, for every feed: the last estimate, less its age, or the reason for none.
 
 One rule for all of them: STALE_AFTER_S without telemetry and nothing is known any more; a refused number is NaN;
 a known time is counted down by the age of the row that it was made for.
@@ -19,7 +19,7 @@ TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What may be shown now; NaN is unknown."""
+    """The values that may be shown now; NaN is unknown."""
 
     status: Status
     reason: str
@@ -51,7 +51,7 @@ class Report:
         return max(now_s - self.received_s, 0.0)
 
     def at(self, now_s: float) -> Shown:
-        """What may be shown at `now_s` on the monotonic clock [s]."""
+        """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
         age_s = self.age_s(now_s)
         made = line(self.estimate, self.remaining)
         if age_s > STALE_AFTER_S:
@@ -98,7 +98,7 @@ class Report:
 
 
 class Trend:
-    """What was shown of each battery over the last ten minutes, a point every five seconds."""
+    """The trend of each battery over the last ten minutes, a point every five seconds."""
 
     def __init__(self) -> None:
         self._points: dict[int, tuple[tuple[float, Shown], ...]] = {}

@@ -1,4 +1,4 @@
-"""What is asked of the autopilot, when the operator allows it (`--request`): a rate, and the battery's parameters.
+"""Requests to the autopilot, when the operator allows them (`--request`): a rate, and the battery's parameters.
 
 SET_MESSAGE_INTERVAL for BATTERY_STATUS while it comes slower than half the wanted rate, with growing pauses;
 PARAM_REQUEST_READ for what is not known yet, a few times each, and again after a gap (the pack may be another); at once

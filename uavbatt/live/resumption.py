@@ -20,7 +20,7 @@ class Resumption:
 
     @property
     def note(self) -> str:
-        """Where it stands; what becomes of each battery, its own estimator says."""
+        """Say where the resumption stands; each battery's own estimator says what became of it."""
         if self._state is not None and self._met is None:
             return f"a state {self.age_s:.0f} s old waits for system {self._state.vehicle.system}"
         why_not = self._why_not or self._mismatch(self._met)
@@ -43,7 +43,7 @@ class Resumption:
         return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
 
     def _mismatch(self, vehicle: Vehicle | None) -> str:
-        """Why the state is not of this vehicle, as far as that is known; empty if it is."""
+        """Return the reason why the state is not of this vehicle, as far as that is known; empty if it is."""
         if self._state is None or vehicle is None:
             return ""
         was = self._state.vehicle

@@ -13,7 +13,7 @@ SILENT_AFTER_S = 3.0
 
 
 class Known(NamedTuple):
-    """What the estimator said last of one battery."""
+    """The last words of the estimator about one battery."""
 
     status: int
     remaining_s: float

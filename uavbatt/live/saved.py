@@ -65,12 +65,12 @@ class SavedBattery:
 
 
 def implausible(was: SavedBattery) -> str:
-    """What of a saved battery no battery can show; empty when it may be resumed."""
+    """Name what no battery can show of a saved one; empty when it may be resumed."""
     return implausible_belief(was.means, was.covariances, was.weights) or _implausible_memory(was)
 
 
 def implausible_belief(means: list[Column], covariances: list[Square], weights: list[Weight]) -> str:
-    """What of a sum of Gaussians no belief about a battery can be; empty when it may be one.
+    """Name what makes a sum of Gaussians impossible as a belief about a battery; empty when it is possible.
 
     A member that has long been refuted may hold strange things; the sum may not.
     """
@@ -99,7 +99,7 @@ def _implausible_moments(mean: Array, covariance: Array) -> str:
 
 
 def _no_covariance(covariance: Array) -> str:
-    """Why a matrix [8, 8] is no covariance; empty when it is one."""
+    """Return the reason why a matrix [8, 8] is no covariance; empty when it is one."""
     variance = np.diag(covariance)
     if (variance < 0.0).any():
         return "a negative variance"

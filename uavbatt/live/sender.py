@@ -1,4 +1,4 @@
-"""What the companion process sends, and to whom.
+"""Sender: everything that the companion process sends, and to whom.
 
 Towards the autopilot: HEARTBEAT, and with `--request` SET_MESSAGE_INTERVAL and PARAM_REQUEST_READ; behind the proxy
 none of them without `--request`. Everything else goes to the ground-station endpoints only.
@@ -74,7 +74,7 @@ class Sender:
         self.requests.begin_again()
 
     def _announced(self, now_s: float, reports: Sequence[Report], is_armed: bool | None) -> list[tuple[int, str]]:
-        """What is to be said aloud now."""
+        """Return the announcements that are due now."""
         if now_s < self._look_s:
             return []
         self._look_s = now_s + ANNOUNCE_PERIOD_S

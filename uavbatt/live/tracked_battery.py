@@ -58,7 +58,7 @@ class TrackedBattery:
             return refused(sample, where + " ".join(str(error).split()))
 
     def saved(self, facts: PackFacts) -> SavedBattery | None:
-        """What is worth saving; None before the first estimate."""
+        """Return the values worth saving; None before the first estimate."""
         belief, resolved, last = self.estimator.belief, self.estimator.resolved, self._last
         past = self.estimator.past
         if belief is None or resolved is None or last is None or past is None:

@@ -39,11 +39,11 @@ class BoardLike(Protocol):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What the operator should know."""
+        """Notes for the operator."""
 
     @property
     def said(self) -> Sequence[tuple[float, str]]:
-        """What was said aloud: (monotonic time [s], text), oldest first."""
+        """Announcements as (monotonic time [s], text), oldest first."""
 
     @property
     def counts(self) -> Any:
@@ -59,7 +59,7 @@ Clock = Callable[[], float]
 
 
 def content(board: BoardLike, now_s: float) -> dict[str, Any]:
-    """What /now.json and every event carry."""
+    """Return the content of /now.json and of every event."""
     batteries = [report.as_line(now_s) for report in board.reports]
     first = batteries[0] if batteries else None
     return {

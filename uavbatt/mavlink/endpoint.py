@@ -28,7 +28,7 @@ class Endpoint(NamedTuple):
 
 
 class Link(Protocol):
-    """What the loops see of an endpoint."""
+    """The loops' view of an endpoint."""
 
     is_stream: bool
 

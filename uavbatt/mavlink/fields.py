@@ -1,4 +1,4 @@
-"""What the fields of MAVLink messages mean: units made SI, sentinels made NaN.
+"""Fields of MAVLink messages as values: units made SI, sentinels made NaN.
 
 The functions take a decoded message (any object with the attributes of the MAVLink XML), so that a
 log file and a live link share them. Sentinels (common.xml): -1 for currents, charges and percents,

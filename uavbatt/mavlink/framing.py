@@ -44,7 +44,7 @@ def crc16(data: bytes, extra: int) -> int:
 
 
 class Header(NamedTuple):
-    """Who sent a frame, and what it is."""
+    """The header tells who sent a frame, and what it is."""
 
     system: int
     component: int
@@ -101,12 +101,12 @@ def sequence(frame: bytes) -> int:
 
 
 def is_signed(frame: bytes) -> bool:
-    """Whether a whole frame carries a signature."""
+    """Return True if a whole frame carries a signature."""
     return frame[0] == V2 and bool(frame[2] & SIGNED)
 
 
 class Battery(NamedTuple):
-    """What a rewriter must know of a BATTERY_STATUS."""
+    """The parts of a BATTERY_STATUS that a rewriter needs."""
 
     id: int
     percent: int
@@ -145,7 +145,7 @@ class Splitter:
 
     @property
     def waiting(self) -> bool:
-        """Whether the beginning of a frame is held."""
+        """Return True if the beginning of a frame is held."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[tuple[bytes, bool]]:

@@ -44,7 +44,7 @@ def open_autopilot(text: str) -> Link:
 
 
 class Peer(NamedTuple):
-    """Who sent to a listening socket: how many datagrams, and when the last."""
+    """A peer that sent to a listening socket: its count of datagrams, and the time of the last."""
 
     datagrams: int
     heard_s: float
@@ -129,7 +129,7 @@ class StreamLink:
             yield self._pipe.fd
 
     def read(self, now_s: float) -> list[Chunk]:
-        """What has come in; opens the line when it is closed."""
+        """Return the bytes that have come in; open the line when it is closed."""
         pipe = self._opened(now_s)
         if pipe is None:
             return []

@@ -23,7 +23,7 @@ def wait(descriptors: Iterable[int], longest_s: float) -> None:
 
 
 def takes_bytes(descriptor: int) -> bool:
-    """Whether a write would not wait."""
+    """Return True if a write would not wait."""
     waiting = select.poll()
     waiting.register(descriptor, select.POLLOUT)
     return any(events & select.POLLOUT for _, events in waiting.poll(0.0))
@@ -36,7 +36,7 @@ class Pipe:
         self.fd, self._owner, self._pending = fd, owner, b""
 
     def read(self) -> bytes | None:
-        """What has come in; empty when nothing; None when the other side is gone."""
+        """Return the bytes that have come in; empty when nothing; None when the other side is gone."""
         try:
             return os.read(self.fd, LARGEST_READ) or None
         except BlockingIOError:

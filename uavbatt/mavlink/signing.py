@@ -33,7 +33,7 @@ class Verifier:
         self.rejected = 0
 
     def accepts(self, frame: bytes, header: framing.Header) -> bool:
-        """Whether a whole frame counts."""
+        """Return True if a whole frame is to be believed."""
         why = self._fault(frame, header)
         if not why:
             return True
@@ -43,7 +43,7 @@ class Verifier:
         return False
 
     def notes(self, followed: tuple[int, int] | None) -> list[str]:
-        """What the operator should know of the followed vehicle (system, component), and of what was rejected."""
+        """Notes for the operator about the followed vehicle (system, component), and about rejected frames."""
         found = [f"{n} frames of system {of} {why} rejected" for (of, why), n in sorted(self._rejected.items())]
         if any(why == WRONG for _, why in self._rejected) and not self._signing:
             found.append("no frame fits the key: is link.signing_key_file the vehicle's?")

@@ -40,7 +40,7 @@ class TcpServer:
         yield from (client.fd for client in self._clients)
 
     def read(self, now_s: float) -> list[Chunk]:
-        """What the clients sent; forgets those that left or are silent, takes in new ones."""
+        """Return the bytes that the clients sent; forget those that left or are silent, take in new ones."""
         found: list[Chunk] = []
         for client, (has_spoken, since_s) in list(self._clients.items()):
             data = client.read()
@@ -82,7 +82,7 @@ class TcpServer:
             self._clients[Pipe(made.fileno(), made)] = (False, now_s)
 
     def _has_place(self, now_s: float) -> bool:
-        """Whether there is room for one more; made, where somebody may be dropped."""
+        """Return True if there is room for one more; make it where a client may be dropped."""
         if len(self._clients) < MOST_CLIENTS:
             return True
         weakest = min(self._clients, key=lambda client: self._clients[client])

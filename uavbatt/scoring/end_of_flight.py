@@ -1,4 +1,4 @@
-"""When a flight ended, from its telemetry: the truth that forecasts are scored against."""
+"""End of a flight from its telemetry: the truth that forecasts are scored against."""
 
 from __future__ import annotations
 

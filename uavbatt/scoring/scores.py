@@ -1,4 +1,4 @@
-"""How good were the forecasts of one flight, and of many: the field's scores, in seconds.
+"""Scores of the forecasts of one flight, and of many, in seconds.
 
 r* is the true remaining time, t_E the end of flight, [t_P, t_E] the window from the first line to the end. The
 forecast **in force** at an instant is the last line at or before it, less its age (what a display shows

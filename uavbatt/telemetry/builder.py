@@ -30,7 +30,7 @@ MAX_CURRENT_A = 2000.0
 
 @dataclass(slots=True)
 class LogBuilder:
-    """What was read so far; mutable, and never leaves the reader of one file."""
+    """The builder collects what was read so far; mutable, it never leaves the reader of one file."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
     columns: dict[int, Rows] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
@@ -47,7 +47,7 @@ class LogBuilder:
 
     @property
     def offset_s(self) -> float:
-        """What is added to the log's own clock at present [s]; NaN before the first reading."""
+        """Return the offset that is added to the log's own clock at present [s]; NaN before the first reading."""
         return self._offset_s
 
     def time_s(self, raw_s: float) -> float:

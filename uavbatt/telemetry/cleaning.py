@@ -1,4 +1,4 @@
-"""What telemetry must pass before the filter believes it; a value that goes from sample to sample.
+"""Cleaning of telemetry before the filter believes it; a value that goes from sample to sample.
 
 A voltage that leaps between two rows and a cell voltage that no cell has are damage until they are repeated. A
 temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
@@ -111,7 +111,7 @@ class Intake(NamedTuple):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a reader of the estimate should know of the sensors."""
+        """Notices about the sensors for whoever reads the estimate."""
         found = []
         if self.is_board_sensor:
             found.append(f"the temperature started above {BOARD_START_C:.0f} °C: a board's, not the pack's, not used")

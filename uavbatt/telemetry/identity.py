@@ -1,4 +1,4 @@
-"""Who flew, with what and when: what logs of each kind say of it.
+"""Identity of a flight (who, with what, when) from logs of each kind.
 
     DataFlash   MSG with the firmware's name and version; GPS with week and time of week; SYSID_THISMAV
     tlog        the frames' own system and clock; AUTOPILOT_VERSION

@@ -1,4 +1,4 @@
-"""What a log holds, and whether a replay of it can be trusted: `describe(flight)`, `lines(info)`."""
+"""Description of a log, and a judgement if a replay of it can be trusted: `describe(flight)`, `lines(info)`."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
 
 
 class Wiring(StrEnum):
-    """How the batteries of an aircraft are wired."""
+    """The wiring of an aircraft's batteries."""
 
     PARALLEL = "parallel"
     SERIES = "series"
@@ -87,7 +87,7 @@ def _row(rows: Sequence[Sample], wiring: Wiring) -> Sample:
 
 
 def _facts(facts: Sequence[PackFacts], wiring: Wiring) -> PackFacts:
-    """What the vehicle says of the joined pack, where it says it of each battery."""
+    """Join the vehicle's words about each battery into words about the joined pack."""
     capacities = [f.capacity_Ah for f in facts]
     said = [f.sag_compensated for f in facts if f.sag_compensated is not None]
     sag_compensated = any(said) if said else None

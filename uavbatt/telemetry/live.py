@@ -28,7 +28,7 @@ AUTOPILOT_COMPONENT = 1
 
 
 class Taken(NamedTuple):
-    """What came of a frame: the rows that it completes, and whether it is the followed vehicle's (to be recorded)."""
+    """The result of a frame: the rows that it completes, and True if it is the followed vehicle's (to be recorded)."""
 
     rows: list[Row]
     is_ours: bool
@@ -38,7 +38,7 @@ NOTHING = Taken([], False)
 
 
 def checksum() -> Callable[[bytes], bool]:
-    """Whether a whole frame's checksum is good; a message that this dialect does not know counts as good."""
+    """Return True if a whole frame's checksum is good; a message that this dialect does not know counts as good."""
     from pymavlink.dialects.v20 import ardupilotmega
     from pymavlink.generator.mavcrc import x25crc
 
@@ -81,7 +81,7 @@ class LiveReader:
 
     @property
     def is_found(self) -> bool:
-        """Whether there is a vehicle."""
+        """Return True if a vehicle has been found."""
         return self.followed is not None
 
     @property
@@ -96,7 +96,7 @@ class LiveReader:
 
     @property
     def is_px4(self) -> bool:
-        """Whether the followed autopilot is PX4."""
+        """Return True if the followed autopilot is PX4."""
         return self.followed is not None and self.followed.is_px4
 
     @property
@@ -136,15 +136,15 @@ class LiveReader:
             self._resumed = dict(parameters)
 
     def facts(self, instance: int) -> PackFacts:
-        """What the vehicle has said so far of one battery."""
+        """Return the vehicle's words so far about one battery."""
         return self.followed.facts(instance) if self.followed is not None else PackFacts()
 
     def conflict(self, instance: int) -> str:
-        """What the senders of a battery disagree on; empty while they agree."""
+        """Name what the senders of a battery disagree on; empty while they agree."""
         return self.followed.senders.conflict(instance, self._now_s) if self.followed is not None else ""
 
     def notes(self) -> list[str]:
-        """What the operator should know of who is heard and who is believed."""
+        """Notes for the operator about who is heard and who is believed."""
         found, vehicle = [], self.followed
         if len(self._heard) > 1 or (self._heard and vehicle is None):
             whom = f"following {vehicle.system}" if vehicle is not None else f"waiting for {self._wanted}"

@@ -38,7 +38,7 @@ def plausible_temperature_C(temp_C: float, previous_C: float = NAN, elapsed_s: f
 
 
 def temperature_verdict(samples: Sequence[Sample]) -> str:
-    """What the temperature of a log seems to be: `absent`, `plausible`, or why it is doubtful."""
+    """Judge the temperature of a log: `absent`, `plausible`, or the reason why it is doubtful."""
     rows = [(s.time_s, s.temp_C) for s in samples if math.isfinite(s.temp_C)]
     if not rows:
         return "absent"

@@ -140,7 +140,7 @@ def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
 
 
 def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
-    """What reads logs of a kind; only that is imported."""
+    """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
         from uavbatt.telemetry.formats.dataflash_binary import read as read_binary
 

@@ -1,4 +1,4 @@
-"""What a recording of the companion process says of itself, so that a replay of it gives the same forecasts.
+"""Recordings of the companion process describe themselves, so that a replay of one gives the same forecasts.
 
 A recording begins with a PARAM_VALUE that never travelled: of the companion's component, PERIOD_NAME, the seconds
 between two forecasts. Other logs have none.
@@ -18,7 +18,7 @@ HEAD_BYTES = 16_384
 
 
 def is_recording(data: bytes | memoryview) -> bool:
-    """Whether a log is a recording of the companion process: its stamps come from a monotonic clock."""
+    """Return True if a log is a recording of the companion process: its stamps come from a monotonic clock."""
     return PERIOD_NAME.encode() in bytes(data[:HEAD_BYTES])
 
 

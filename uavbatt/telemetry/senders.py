@@ -1,4 +1,4 @@
-"""Who speaks for a vehicle when frames of its system and component come from several addresses.
+"""Choice of the sender that speaks for a vehicle when frames of its identity come from several addresses.
 
 MAVLink frames without a signature carry no proof of their sender: whoever is on the link can send them. Only one sender
 is believed at a time: the first, until it falls silent or leaves the batteries to another. The rows of the others are
@@ -44,7 +44,7 @@ class Senders:
         self._conflicts: dict[int, tuple[float, str]] = {}
 
     def admits(self, sender: object, time_s: float, is_battery: bool) -> bool:
-        """Whether a frame of this sender counts. `time_s` [s]: reception."""
+        """Return True if a frame of this sender counts. `time_s` [s]: reception."""
         if sender != self._believed:
             is_silent = time_s - self._heard_s > SILENT_S
             if not (is_silent or (is_battery and time_s - self._spoke_s > WORDLESS_S)):
@@ -75,7 +75,7 @@ class Senders:
                 self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")
 
     def conflict(self, battery_id: int, time_s: float) -> str:
-        """What the senders of a battery disagree on, and who they are; empty while they agree."""
+        """Name what the senders of a battery disagree on, and who they are; empty while they agree."""
         at_s, words = self._conflicts.get(battery_id, (-math.inf, ""))
         return words if time_s - at_s <= HELD_S else ""
 

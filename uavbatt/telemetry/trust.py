@@ -36,7 +36,7 @@ Finding = tuple[int, str]  # gravity, reason
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What the judgement rests on; gaps are (start [s], length [s])."""
+    """The findings that the judgement rests on; gaps are (start [s], length [s])."""
 
     samples: Sequence[Sample]
     step_s: float
@@ -114,7 +114,7 @@ def _voltage(found: Findings) -> Iterator[Finding]:
 
 
 def _statements(facts: PackFacts, samples: Sequence[Sample]) -> Iterator[Finding]:
-    """What the vehicle says of its pack, against the voltages of the log."""
+    """Hold the vehicle's words about its pack against the voltages of the log."""
     lowest_V, highest_V = min(s.voltage_V for s in samples), max(s.voltage_V for s in samples)
     cells = facts.cells_series
     if cells and (lowest_V < LOWEST_CELL_V * cells or highest_V > HIGHEST_CELL_V * cells):

@@ -75,7 +75,7 @@ class Vehicle:
         return self._log.time_s(stamp_s)
 
     def facts(self, instance: int) -> PackFacts:
-        """What the vehicle has said so far of one battery."""
+        """Return the vehicle's words so far about one battery."""
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.known.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
 

@@ -26,7 +26,7 @@ _BLOCK = 1 << 16  # bytes; masks of this size the allocator keeps, bigger ones c
 
 
 class Chain:
-    """How far a file has been walked; what lies between sound records is counted as skipped."""
+    """The walk through a file: its place, and the bytes between sound records, which count as skipped."""
 
     def __init__(self) -> None:
         self.position = 0

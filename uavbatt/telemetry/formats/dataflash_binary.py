@@ -40,7 +40,7 @@ CHARACTERS = {
 
 @dataclass(frozen=True, slots=True)
 class _Definition:
-    """What one FMT record says; a type with unknown characters has no layout: it can be walked over but not read."""
+    """The content of one FMT record; a type with unknown characters has no layout and can only be walked over."""
 
     type: int
     length: int
@@ -87,7 +87,7 @@ def read(data: bytes | memoryview) -> LogBuilder:
 
 
 class _Records:
-    """Where the wanted records of a file are, by definition, and the first and last of any kind that carry a time."""
+    """Places of the wanted records of a file, by definition, and the first and last of any kind that carry a time."""
 
     def __init__(self, data: Bytes) -> None:
         self.data = data
@@ -198,7 +198,7 @@ def _headers(data: Bytes, begin: int, end: int) -> Places:
 
 
 def _padding_start(data: Bytes) -> int:
-    """Where erased flash (0xFF) or zeros begin that last to the end of the file; its size if there are none."""
+    """Return where erased flash (0xFF) or zeros begin that last to the file's end; its size if there are none."""
     if not len(data) or data[-1] not in (0x00, 0xFF):
         return len(data)
     length = 1

@@ -1,4 +1,4 @@
-"""What DataFlash records say of firmware and time; labels as in the log's own FMT records.
+"""Firmware and time from DataFlash records; labels as in the log's own FMT records.
 
 MSG   Message                       first the firmware's name and version
 GPS   Week, TimeMS or GWk, GMS      GPS time of a fix; both are 0 before there is one
@@ -20,7 +20,7 @@ _WEEK, _TIME_OF_WEEK = ("GWk", "Week"), ("GMS", "TimeMS")
 
 
 def identity(tables: Sequence[Table], first: Moment | None, head: Iterable[str] = ()) -> Identity:
-    """Who flew and when, from the records that TELLING names; `head`: lines before them that may name the firmware."""
+    """Read who flew and when from the records of TELLING; `head`: lines before them that may name the firmware."""
     messages = [text for t in tables if t.layout.name == "MSG" for text in t.texts.get("Message", ())]
     starts = [_start_utc_s(t, first) for t in tables if t.layout.name == "GPS"]
     start_utc_s = next((s for s in starts if s == s), NAN)

@@ -84,7 +84,7 @@ def _named(source: int) -> str:
 
 
 def _identity(own: Frames, source: int, first_s: float) -> Identity:
-    """Who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
+    """Read who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
     beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
     make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
     said = own.of(fields.AUTOPILOT_VERSION).payloads(tlog_payloads.AUTOPILOT_VERSION.itemsize)

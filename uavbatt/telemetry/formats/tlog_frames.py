@@ -207,7 +207,7 @@ def _wanted(data: Bytes, start: Places) -> tuple[Places, _Heads, Mask]:
 
 
 def _is_sound(data: Bytes, heads: _Heads, seed: NDArray[np.int64]) -> Mask:
-    """Whether the checksums are right."""
+    """Return True if the checksums are right."""
     after = heads.payload + heads.length
     sent = data[after].astype(np.int64) | data[after + 1].astype(np.int64) << 8
     found = checksums(data, heads.start + _STAMP + 1, after - heads.start - _STAMP - 1, seed)
@@ -251,7 +251,7 @@ def _judge(data: Bytes, start: Places, stop: Places, wanted: Mask, sound: Mask) 
 
 
 def _is_stamp_torn(data: Bytes, start: int, next_mark: int) -> bool:
-    """Whether damage reaches into the stamp before a frame that is whole itself: it is days from the next one's."""
+    """Return True if the stamp before a whole frame is damaged: it is days from the next one's."""
     if start == 0 or next_mark >= len(data):
         return False
     this_us, next_us = (int.from_bytes(data[at : at + _STAMP].tobytes(), "big") for at in (start, next_mark - _STAMP))

@@ -35,7 +35,7 @@ _SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest 
 
 
 class Said(NamedTuple):
-    """What battery messages say, an entry a message; `cells_V` has a line a message, or is None if none tells cells."""
+    """The content of battery messages, one entry each; `cells_V` has one row each, or is None if none tells cells."""
 
     instance: NDArray[np.int64]
     voltage_V: Column
@@ -58,7 +58,7 @@ class Kind(NamedTuple):
     read: Callable[[Any], Said]
 
     def said(self, payloads: Bytes) -> Said:
-        """What the payloads say."""
+        """Read the payloads."""
         return self.read(payloads.view(self.layout)[:, 0])
 
 
