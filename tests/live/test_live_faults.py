@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 from daemon_bench import Bench
+from factories import generic_pack
 from live_rig import ROOT
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt import output
 from uavbatt.battery import battery_file, model
-from uavbatt.battery.scaling import pack_of
 from uavbatt.estimator import Estimator, PackOptions
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.report import Report
@@ -36,7 +36,7 @@ GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three mi
 
 @cache
 def flight(start_soc: float = 1.0, seed: int = 1) -> tuple[Sample, ...]:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, math.nan)
+    pack = generic_pack(4, 5.0, 13.2, math.nan)
     return tuple(fly(pack, Mission(power_W=180.0, start_soc=start_soc, seed=seed))[: GROUND_ROWS + FLIGHT_ROWS])
 
 
@@ -135,7 +135,7 @@ def test_a_changed_pack_is_noticed_on_the_ground(tmp_path: Path, new_soc: float,
 
 def test_the_same_pack_after_a_rest_is_no_other() -> None:
     """Landed, silent for a minute while its voltage recovers, and heard again: the belief goes on."""
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, math.nan)
+    pack = generic_pack(4, 5.0, 13.2, math.nan)
     cell, state = pack.cell, model.rested(1.0, 20.0)
     bench, rows = Bench(OPTIONS), []
     for k in range(1000):
