@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 ROOT = Path(__file__).resolve().parents[1]
-QUAD = ROOT / "logs" / "quad_4s.tlog"
+LEADS = ("harness_resistance", "harness_ohm=0.015")
 
 
 def ran(name: str, *words: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -27,8 +27,8 @@ def test_every_example_is_run_here() -> None:
     assert names == {"replay_a_log", "live_udp", "plan_a_flight", "add_an_effect"}
 
 
-def test_replay_a_log(tmp_path: Path) -> None:
-    done = ran("replay_a_log.py", QUAD, folder=tmp_path)
+def test_replay_a_log(tmp_path: Path, short_log: Path) -> None:
+    done = ran("replay_a_log.py", short_log, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "half time: said" in done.stdout and "less than two minutes left at worst: from" in done.stdout
     wrong = ran("replay_a_log.py", "nothing.tlog", folder=tmp_path)
@@ -41,14 +41,16 @@ def test_plan_a_flight(tmp_path: Path, minutes: str, code: int, said: str) -> No
     assert (done.returncode, done.stdout.count(said)) == (code, 1), done.stderr
 
 
-def test_add_an_effect(tmp_path: Path) -> None:
-    done = ran("add_an_effect.py", QUAD, "new.battery.toml", "harness_resistance", "harness_ohm=0.015", folder=tmp_path)
+def test_add_an_effect(tmp_path: Path, short_log: Path) -> None:
+    done = ran(
+        "add_an_effect.py", short_log, "new.battery.toml", *LEADS, folder=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     without, with_it = done.stdout.splitlines()
     assert without.startswith("without: ") and with_it.startswith("with harness_resistance: ")
     assert without.partition(": ")[2] != with_it.partition(": ")[2]
     assert "harness_ohm = 0.015" in (tmp_path / "new.battery.toml").read_text()
-    wrong = ran("add_an_effect.py", QUAD, "new.battery.toml", "wishes", "size=1", folder=tmp_path)
+    wrong = ran("add_an_effect.py", short_log, "new.battery.toml", "wishes", "size=1", folder=tmp_path)
     assert wrong.returncode == 1 and "wishes" in wrong.stderr and "Traceback" not in wrong.stderr
 
 

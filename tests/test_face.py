@@ -14,18 +14,15 @@ import uavbatt
 from uavbatt.battery import battery_file
 from uavbatt.dataset import load
 
-LOGS = Path(__file__).resolve().parents[1] / "logs"
-COLD = LOGS / "hexa_6s_cold.csv"
-
 
 @pytest.fixture(scope="module")
-def flown() -> uavbatt.Replay:
-    return uavbatt.replay(COLD, cells=6, capacity_Ah=5.0, cutoff_V=19.8)
+def flown(short_log: Path) -> uavbatt.Replay:
+    return uavbatt.replay(short_log, cells=4, capacity_Ah=2.1, cutoff_V=13.0)
 
 
-def test_python_and_the_command_say_the_same(flown: uavbatt.Replay, tmp_path: Path) -> None:
-    pack = ("--cells", "6", "--capacity-ah", "5", "--cutoff-voltage", "19.8")
-    assert called("replay", COLD, *pack, "--jsonl", "l.jsonl", folder=tmp_path).returncode == 0
+def test_python_and_the_command_say_the_same(flown: uavbatt.Replay, short_log: Path, tmp_path: Path) -> None:
+    pack = ("--cells", "4", "--capacity-ah", "2.1", "--cutoff-voltage", "13")
+    assert called("replay", short_log, *pack, "--jsonl", "l.jsonl", folder=tmp_path).returncode == 0
     lines = [json.loads(line) for line in (tmp_path / "l.jsonl").read_text().splitlines()]
     assert flown.rows == lines and len(flown) == len(lines) > 100
 
@@ -44,17 +41,16 @@ def test_without_pandas_the_extra_is_named(flown: uavbatt.Replay) -> None:
         flown.to_frame()
 
 
-def test_what_was_read_serves_as_well_and_a_power_is_a_number_or_text() -> None:
-    pack = {"cells": 6, "capacity_Ah": 5.0, "cutoff_V": 19.8, "forecast_period_s": 60.0}
-    by_name = uavbatt.replay(COLD, load="400", **pack)  # type: ignore[arg-type]
-    read = uavbatt.read_log(COLD), battery_file.read("lipo-generic")
-    assert uavbatt.replay(*read, load=400.0, **pack).rows == by_name.rows  # type: ignore[arg-type]
+def test_what_was_read_serves_as_well_and_a_power_is_a_number_or_text(short_log: Path) -> None:
+    by_name = uavbatt.replay(short_log, load="300", forecast_period_s=60.0)
+    read = uavbatt.read_log(short_log), battery_file.read("lipo-generic")
+    assert uavbatt.replay(*read, load=300.0, forecast_period_s=60.0).rows == by_name.rows
 
 
 def test_big_values_show_one_short_line(flown: uavbatt.Replay) -> None:
     for value in (flown, flown.flight, battery_file.read("lpab-3s"), load()):
         assert len(repr(value)) < 250 and "\n" not in repr(value)
-    assert "hexa_6s_cold.csv" in repr(flown.flight) and f"{len(flown.flight.samples)} rows" in repr(flown.flight)
+    assert "short.tlog" in repr(flown.flight) and f"{len(flown.flight.samples)} rows" in repr(flown.flight)
 
 
 def test_a_prompt_completes_the_public_names_alone() -> None:
@@ -78,10 +74,10 @@ def test_a_prompt_completes_the_public_names_alone() -> None:
         ({"forecast_period_s": "often"}, "forecast_period_s='often'"),
     ],
 )
-def test_an_argument_that_cannot_be_is_named(given: dict[str, object], named: str) -> None:
-    stated = {"cells": 6, "capacity_Ah": 5.0, "cutoff_V": 19.8, **given}
+def test_an_argument_that_cannot_be_is_named(short_log: Path, given: dict[str, object], named: str) -> None:
+    stated = {"cells": 4, "capacity_Ah": 2.0, "cutoff_V": 13.2, **given}
     with pytest.raises(uavbatt.UsageError) as error:
-        uavbatt.replay(COLD, **stated)  # type: ignore[arg-type]
+        uavbatt.replay(short_log, **stated)  # type: ignore[arg-type]
     assert named in str(error.value) and "\n" not in str(error.value)
 
 
