@@ -32,7 +32,8 @@ import time
 begin = time.perf_counter()
 import uavbatt.cli.live_process, uavbatt.live.daemon, filterpy.kalman
 from uavbatt.battery import battery_file
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.records import Sample
 estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0))
 estimator.step(Sample(0.0, 16.4, 20.0, 25.0))

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -24,9 +25,10 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.pack import c_rate
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.state_space import SIZE
-from uavbatt.estimation import noise
+from uavbatt.estimation import kalman, noise, recursion
+from uavbatt.estimation.block import Block
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimation.recursion import Moments
+from uavbatt.estimation.kalman import Moments
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.telemetry import read_log
 
@@ -34,41 +36,40 @@ DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] /
 SETS = ("reference/r0", "practice/p1")
 
 
-class UnscentedSocFilter(SocFilter):
-    """SocFilter with filterpy's unscented transform for both steps: the linear maps that it hands over are not used."""
+def unscented_close(pack, state, _):
+    """`recursion._close` with filterpy's unscented transform for both steps; the linear maps it is handed go unused."""
+    block, at = state.block, state.moments
+    mean_A = block.charge_As / block.duration_s
+    points = MerweScaledSigmaPoints(SIZE, alpha=0.3, beta=2.0, kappa=0.0)
+    ukf = UnscentedKalmanFilter(SIZE, 2, dt=1.0, hx=None, fx=None, points=points)
+    ukf.x, ukf.P = at.x[0].copy(), at.P[0] + 1e-12 * np.eye(SIZE)
+    rate, before = (float(c_rate(pack.installation, amps)) for amps in (mean_A, state.block_A))
+    ukf.Q = np.diag(noise.process_variances(pack, at.x[0], rate, block.duration_s, before))
+    ukf.predict(fx=lambda x, dt: b.transition(pack, x, mean_A, state.ambient_C, block.duration_s))
+    updates = 0
 
-    def _predict(self, mean_A, dt_s):
-        at = self._moments()
-        points = MerweScaledSigmaPoints(SIZE, alpha=0.3, beta=2.0, kappa=0.0)
-        self._ukf = ukf = UnscentedKalmanFilter(SIZE, 2, dt=1.0, hx=None, fx=None, points=points)
-        ukf.x, ukf.P = at.x[0].copy(), at.P[0] + 1e-12 * np.eye(SIZE)
-        rate, before = (float(c_rate(self.pack.installation, amps)) for amps in (mean_A, self._block_A))
-        ukf.Q = np.diag(noise.process_variances(self.pack, at.x[0], rate, dt_s, before))
-        ukf.predict(fx=lambda x, dt: b.transition(self.pack, x, mean_A, self._ambient_C, dt_s))
-        self._at = Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
-
-    def _update(self, block, step_A):
-        self._block_seen = block
-        return super()._update(block, step_A)
-
-    def _condition(self, at, innovation, observation, noise_R):
-        block, ukf = self._block_seen, self._ukf
-        if block is None:  # a cell is never more than full
-            return super()._condition(at, innovation, observation, noise_R)
-        self._block_seen = None
+    def by_unscented(x, P, innovation, observation, noise_R):
+        nonlocal updates
+        updates += 1
+        if updates > 1:  # a cell is never more than full
+            return kalman.condition(x, P, innovation, observation, noise_R)
         count = innovation.shape[1]
 
         def reading(x):
-            volts = float(b.voltage(self.pack, x, block.current_A))
+            volts = float(b.voltage(pack, x, block.current_A))
             return np.array([volts, x[b.C.SENSOR]])[:count]
 
         ukf._dim_z = count
         ukf.z, ukf.sigmas_h = np.zeros((count, 1)), np.zeros((2 * SIZE + 1, count))
         ukf.update(np.array([block.voltage_V, block.temp_C])[:count], R=noise_R[0], hx=reading)
-        return Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
+        return ukf.x[None].copy(), ukf.P[None].copy()
+
+    predicted = Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
+    moments, shown = recursion._update(pack, predicted, block, block.current_A - state.block_A, by_unscented)
+    return state._replace(moments=moments, block_A=block.current_A, block=Block()), shown
 
 
-def score(kind: type[SocFilter], battery: battery_file.BatteryFile) -> tuple[float, float, float]:
+def score(battery: battery_file.BatteryFile) -> tuple[float, float, float]:
     """(soc RMSE over the eight flights, the worst flight's, microseconds a sample)."""
     errors, spent, rows = [], 0.0, 0
     for folder in SETS:
@@ -76,7 +77,7 @@ def score(kind: type[SocFilter], battery: battery_file.BatteryFile) -> tuple[flo
             flight = read_log(DATA / "truth" / folder / f"flight_{number}.tlog")
             answers = DATA / "truth/answers" / folder / f"flight_{number}.csv"
             truth = np.genfromtxt(answers, delimiter=",", skip_header=1)
-            estimator = kind(pack_of(battery, 4, 5.016, 13.2, 14.0))
+            estimator = SocFilter(pack_of(battery, 4, 5.016, 13.2, 14.0))
             begun = time.perf_counter()
             said = np.array([(s.time_s, estimator.step(s).soc) for s in flight.samples])
             spent, rows = spent + time.perf_counter() - begun, rows + len(said)
@@ -97,8 +98,9 @@ def main() -> None:
         battery_file.write(fitted.file, path)
     battery = battery_file.read(path)
     print("filter     soc RMSE   worst flight   us a sample")
-    for name, kind in (("extended", SocFilter), ("unscented", UnscentedSocFilter)):
-        rmse, worst, cost = score(kind, battery)
+    for name, close in (("extended", recursion._close), ("unscented", unscented_close)):
+        with patch.object(recursion, "_close", close):
+            rmse, worst, cost = score(battery)
         print(f"{name:10s} {rmse:8.4f} {worst:14.4f} {cost:13.0f}")
 
 

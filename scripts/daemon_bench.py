@@ -8,10 +8,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink.endpoint import Chunk
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -45,13 +46,19 @@ class Bench:
     """A daemon, its links and its clocks."""
 
     def __init__(
-        self, options: PackOptions = OPTIONS, start_s: float = 1000.0, *, is_clock_set: bool = True, **sections: Any
+        self,
+        options: PackOptions = OPTIONS,
+        start_s: float = 1000.0,
+        *,
+        settings: Settings = Settings(),
+        is_clock_set: bool = True,
+        **sections: Any,
     ) -> None:
         self.now_s, self.wall_offset_s = start_s, 1.7e9
         self.link, self.station = FakeLink(), FakeLink()
         sections.setdefault("link", LinkSection(endpoint="udpin:127.0.0.1:1", gcs=["udpout:127.0.0.1:2"]))
         self.daemon = Daemon(
-            Config(**sections), battery_file.read("lipo-generic"), options, self.link, [self.station],
+            Config(**sections), battery_file.read("lipo-generic"), options, settings, self.link, [self.station],
             clock_s=lambda: self.now_s, wall_s=lambda: self.wall_offset_s + self.now_s,
             is_clock_set=lambda wall_s: is_clock_set,
         )  # fmt: skip

@@ -23,7 +23,8 @@ from diagnose_cases_inject import Change, Flown
 from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.telemetry import read_log
 
@@ -100,7 +101,7 @@ def pools(battery: BatteryFile) -> dict[str, list[Flown]]:
 def run(flown: list[Flown], change: Change, battery: BatteryFile, *without: str) -> Diagnosis:
     """The diagnosis of the flights with the change in them."""
     records = [change(f).observed() for f in flown]
-    return diagnose(records, battery, pack_for(battery, plant.CELLS, plant.CAPACITY_AH), without)
+    return diagnose(records, battery, pack_from(battery, PackOptions(plant.CELLS, plant.CAPACITY_AH)), without)
 
 
 def kin(effect: str) -> set[str]:

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from uavbatt import dataset
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import close
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
@@ -73,7 +74,7 @@ def plain(name: str, ocv: tuple[Array, Array], ohm_Ah: float, capacity_Ah: float
 
 def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutoff_V: float) -> str:
     """One line of the table: the diagnosis of the records, each left out in turn for the error."""
-    pack = pack_for(file, records[0].cells, records[0].capacity_Ah)._replace(cutoff_V=cutoff_V)
+    pack = pack_from(file, PackOptions(records[0].cells, records[0].capacity_Ah, cutoff_V))
     try:
         found = diagnose(records, file, pack)
     except NotEnoughData as error:

@@ -18,7 +18,7 @@ from typing import Any
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import FeedSection
 from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
@@ -70,7 +70,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     dice, start_s = random.Random(args.seed), time.monotonic()
-    options = PackOptions(capacity_Ah=5.0, cells=4, forecast_period_s=5.0)
+    options = PackOptions(capacity_Ah=5.0, cells=4)
     bench = Bench(options, feed=FeedSection(kinds=("named", "battery")))
     daemon, rewriter, slipped, forged, rows = bench.daemon, Rewriter(soc=True), [], [], 0
     step = daemon._step

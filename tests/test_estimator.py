@@ -17,14 +17,17 @@ from factories import generic_pack
 import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay import outcome, steps
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
 
-STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, forecast_period_s=20.0)
+STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+EVERY_20_S = Settings(forecast_period_s=20.0)
 
 
 @cache
@@ -35,7 +38,7 @@ def flown() -> tuple[Sample, ...]:
 
 def lines(flight: Flight, options: PackOptions | None = None) -> list[str]:
     """The JSON lines that `uavbatt replay --jsonl` writes."""
-    estimator = Estimator(battery_file.read("lipo-generic"), options)
+    estimator = Estimator(battery_file.read("lipo-generic"), options, EVERY_20_S)
     return [json.dumps(output.line(s.estimate, s.remaining)) for s in steps(flight, estimator)]
 
 
@@ -70,7 +73,7 @@ def test_a_log_cut_by_bytes_has_the_same_lines(suffix: str, share: float, tmp_pa
     write(whole_log, list(flown()), pack)
     data = whole_log.read_bytes()
     cut_log.write_bytes(data[: int(len(data) * share) + 3])
-    options = PackOptions(capacity_Ah=5.0, forecast_period_s=20.0)
+    options = PackOptions(capacity_Ah=5.0)
     whole, cut = (lines(read_log(p), options) for p in (whole_log, cut_log))
     assert_prefix(cut, whole, int(len(whole) * (share - 0.1)))
 
@@ -80,7 +83,7 @@ def test_a_real_text_log_cut_by_rows(shared_data: Path, tmp_path: Path) -> None:
     text = path.read_text(errors="replace").splitlines(keepends=True)
     cut_log = tmp_path / path.name
     cut_log.write_text("".join(text[: len(text) // 2]))
-    options = PackOptions(cutoff_V=9.6, forecast_period_s=20.0)
+    options = PackOptions(cutoff_V=9.6)
     assert_prefix(lines(read_log(cut_log), options), lines(read_log(path), options), 100)
 
 
@@ -97,7 +100,7 @@ def test_a_real_log_cut_by_bytes(shared_data: Path, tmp_path: Path, name: str, s
     data = (shared_data / name).read_bytes()
     cut_log = tmp_path / Path(name).name
     cut_log.write_bytes(data[: int(len(data) * share)])
-    options = PackOptions(capacity_Ah=5.7 if "m100" in name else NAN, forecast_period_s=20.0)
+    options = PackOptions(capacity_Ah=5.7 if "m100" in name else NAN)
     assert_prefix(lines(read_log(cut_log), options), lines(read_log(shared_data / name), options), rows)
 
 
@@ -128,7 +131,7 @@ def test_garbage_in_a_tlog_changes_nothing(tmp_path: Path) -> None:
     told = nonsense("backwards")
     for name, samples in (("a", flown()), ("b", [told(k, s) for k, s in enumerate(flown())])):
         write(tmp_path / f"{name}.tlog", list(samples), pack)
-    options = PackOptions(forecast_period_s=20.0)
+    options = PackOptions()
     assert lines(read_log(tmp_path / "a.tlog"), options) == lines(read_log(tmp_path / "b.tlog"), options)
 
 
@@ -140,7 +143,7 @@ def resolved(options: PackOptions, facts: PackFacts | None, volts: float = 16.2,
     if facts is not None:
         estimator.update_facts(facts)
     estimator.step(Sample(0.0, volts, 1.0))
-    return estimator.resolved
+    return estimator.pack_size
 
 
 SAID = PackFacts(cells_series=6, capacity_Ah=8.0, low_voltage_V=21.0, critical_voltage_V=20.0)
@@ -193,7 +196,7 @@ def test_a_capacity_that_nobody_states() -> None:
 
 def test_a_new_cutoff_changes_the_forecast_and_keeps_the_estimate() -> None:
     estimator, other = (
-        Estimator(battery_file.read("lipo-generic"), PackOptions(forecast_period_s=1.0)) for _ in range(2)
+        Estimator(battery_file.read("lipo-generic"), settings=Settings(forecast_period_s=1.0)) for _ in range(2)
     )
     facts = PackFacts(4, 5.0, critical_voltage_V=13.2)
     for e in (estimator, other):
@@ -214,8 +217,8 @@ def test_another_capacity_starts_anew() -> None:
     estimator.update_facts(PackFacts(4, 3.0))
     assert estimator.belief is None
     estimate, _ = estimator.step(flown()[200])
-    assert estimate.status is Status.CONVERGING and estimator.resolved is not None
-    assert estimator.resolved.capacity_Ah == 3.0
+    assert estimate.status is Status.CONVERGING and estimator.pack_size is not None
+    assert estimator.pack_size.capacity_Ah == 3.0
 
 
 # --- what a reader must know beside the number -------------------------------------------------------------------
@@ -249,7 +252,7 @@ def test_rows_without_a_voltage_come_first() -> None:
     estimator = Estimator(battery_file.read("lipo-generic"), STATED)
     estimate, remaining = estimator.step(Sample(0.0, NAN, 5.0))
     assert estimate.status is remaining.status is Status.REFUSED and estimate.reason == "no voltage in this row"
-    assert estimator.resolved is None and estimator.belief is None
+    assert estimator.pack_size is None and estimator.belief is None
     assert estimator.step(Sample(1.0, 16.4, 1.0))[0].soc > 0.5
 
 

@@ -81,7 +81,15 @@ def test_an_argument_that_cannot_be_is_named(short_log: Path, given: dict[str, o
     assert named in str(error.value) and "\n" not in str(error.value)
 
 
+def test_what_the_log_denies_is_named_in_python_s_words(short_log: Path) -> None:
+    with pytest.raises(uavbatt.UsageError, match=r"short.tlog: cells: 9 cells in series: 16"):
+        uavbatt.replay(short_log, cells=9)
+    assert uavbatt.replay(short_log, capacity_Ah=2.1, forecast_period_s=600.0).pack.capacity_from == "capacity_Ah"
+
+
 def test_an_estimator_names_them_too() -> None:
+    with pytest.raises(uavbatt.UsageError, match=r"states one: give capacity_Ah$"):
+        uavbatt.Estimator.from_battery("lipo-generic").step(uavbatt.Sample(0.0, 15.6, 10.0))
     with pytest.raises(uavbatt.UsageError, match="reserve_soc=20"):
         uavbatt.Estimator.from_battery("lipo-generic", reserve_soc=20)
     with pytest.raises(uavbatt.BadInput, match="lpab-3s"):

@@ -19,10 +19,10 @@ from typer.testing import CliRunner
 from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import PackOptions
 from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, made, resolve
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load

@@ -24,19 +24,22 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.battery.vehicle_file import write as write_vehicle
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.limits import OPTIONS, Resting, Seen, capacity_doubt, cells_doubt, check_stated, ending_doubt
 from uavbatt.live.web import content
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
 
-STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, forecast_period_s=30.0)
+STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+EVERY_30_S = Settings(forecast_period_s=30.0)
 LOGS = Path(__file__).parents[1] / "logs"
 
 
@@ -54,7 +57,7 @@ def after(
     battery: str = "lipo-generic",
 ) -> list[tuple[Estimate, Remaining]]:
     """Every row's estimate, as the library gives it."""
-    estimator = Estimator(battery_file.read(battery), options)
+    estimator = Estimator(battery_file.read(battery), options, EVERY_30_S)
     if facts is not None:
         estimator.update_facts(facts)
     return [estimator.step(sample) for sample in samples or flown()]
@@ -78,7 +81,7 @@ def test_true_statements_are_held_against_nothing() -> None:
 
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_a_count_of_cells_that_the_voltage_denies_is_refused(cells: int) -> None:
-    rows = after(PackOptions(cells=cells, capacity_Ah=5.0, forecast_period_s=30.0))
+    rows = after(PackOptions(cells=cells, capacity_Ah=5.0))
     assert all(is_refused(row) for row in rows)
     assert f"{cells} cell" in rows[0][0].reason and "V a cell" in rows[0][0].reason and "as with 4" in rows[0][0].reason
     line = output.line(*rows[-1])
@@ -88,7 +91,7 @@ def test_a_count_of_cells_that_the_voltage_denies_is_refused(cells: int) -> None
 
 def test_a_count_of_cells_that_is_hardly_possible_is_said() -> None:
     """16.7 V at rest are 3.3 V a cell of five: an empty pack of five, or a full one of four."""
-    rows = after(PackOptions(cells=5, capacity_Ah=5.0, forecast_period_s=30.0))
+    rows = after(PackOptions(cells=5, capacity_Ah=5.0))
     assert "5 cells in series at 3.3" in said(rows) and "nearly empty, or another count" in said(rows)
 
 
@@ -150,12 +153,12 @@ def test_wrong_arguments_of_the_library_are_named_with_their_bounds(wrong: dict[
 )  # fmt: skip
 def test_wrong_options_are_named_with_their_bounds(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(UsageError, match=words):
-        PackOptions(**{"cells": 4, **wrong})
+        Settings(**wrong) if "forecast_period_s" in wrong else PackOptions(**{"cells": 4, **wrong})
 
 
 @pytest.mark.parametrize("cutoff_V", [3.3, 17.5, 60.0])
 def test_a_cut_off_is_refused_when_the_voltage_tells_the_cells(cutoff_V: float) -> None:
-    rows = after(PackOptions(capacity_Ah=5.0, cutoff_V=cutoff_V, forecast_period_s=30.0))
+    rows = after(PackOptions(capacity_Ah=5.0, cutoff_V=cutoff_V))
     assert is_refused(rows[0]) and is_refused(rows[-1])
     assert f"cut-off {cutoff_V:g} V is {cutoff_V / 4:.3g} V a cell of 4" in rows[-1][1].reason
 
@@ -207,10 +210,10 @@ FACTS = PackFacts(capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -> None:
-    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(forecast_period_s=30.0))
+    estimator = Estimator(battery_file.read("lipo-generic"), settings=EVERY_30_S)
     estimator.update_facts(replace(FACTS, cells_series=cells, critical_voltage_V=3.5 * cells))
     rows = [estimator.step(sample) for sample in flown()]
-    pack = estimator.resolved
+    pack = estimator.pack_size
     assert pack is not None and (pack.cells, pack.cells_from, pack.cutoff_V) == (
         4,
         "first voltage",
@@ -230,10 +233,10 @@ def test_a_critical_voltage_that_cannot_be_is_left_out(critical_V: float) -> Non
 
 
 def test_a_critical_voltage_for_another_count_than_the_callers_is_left_out() -> None:
-    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, forecast_period_s=30.0))
+    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4), EVERY_30_S)
     estimator.update_facts(replace(FACTS, cells_series=3, critical_voltage_V=10.5))  # 3 cells of 3.5 V: PX4
     estimate, _ = estimator.step(flown()[0])
-    assert estimator.resolved is not None and estimator.resolved.cutoff_V == pytest.approx(13.2)
+    assert estimator.pack_size is not None and estimator.pack_size.cutoff_V == pytest.approx(13.2)
     assert any("the vehicle states 3" in warning for warning in estimate.warnings)
 
 
@@ -313,7 +316,7 @@ def test_a_battery_file_of_another_pack_is_said(tmp_path: Path) -> None:
 
 def live(parameters: dict[str, float], options: PackOptions | None = None) -> Bench:
     """A flight of 40 s as the companion process hears it, the vehicle's parameters before it."""
-    bench = Bench(options or PackOptions(capacity_Ah=5.0, forecast_period_s=5.0))
+    bench = Bench(options or PackOptions(capacity_Ah=5.0))
     for name, value in parameters.items():
         bench.send(dialect.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
         bench.send(dialect.MAVLink_param_value_message(name.encode(), value, 9, 1, 0))
@@ -361,12 +364,12 @@ def test_live_refuses_an_absurd_statement_and_goes_on(stated: dict[str, Any]) ->
     ],
 )
 def test_the_crew_hears_what_cannot_be(stated: dict[str, Any], parameters: dict[str, float], words: str) -> None:
-    bench = live(parameters, PackOptions(**{"capacity_Ah": 5.0, "forecast_period_s": 5.0, **stated}))
+    bench = live(parameters, PackOptions(**{"capacity_Ah": 5.0, **stated}))
     assert f"Battery 0: {words}" in [text for _, text in bench.daemon.board.said]
 
 
 def test_live_says_what_capacity_was_not_used() -> None:
-    bench = live({"BATT_CAPACITY": 5.0}, PackOptions(forecast_period_s=5.0))  # Ah where mAh were asked
+    bench = live({"BATT_CAPACITY": 5.0}, PackOptions())  # Ah where mAh were asked
     report = bench.daemon.board.reports[0]
     assert report.remaining.status is Status.REFUSED and "0.005 Ah" in report.remaining.reason
 
@@ -525,8 +528,8 @@ def test_limits_let_ordinary_statements_pass() -> None:
 @pytest.mark.parametrize("name", ["hexa_6s_cold.csv", "quad_3s.BIN", "quad_4s.tlog"])
 def test_the_sample_logs_contradict_nothing(name: str) -> None:
     flight = read_log(LOGS / name)
-    options = PackOptions(capacity_Ah=5.0, forecast_period_s=math.inf)
-    estimator = Estimator(battery_file.read("lipo-generic"), options)
+    settings = Settings(forecast_period_s=math.inf)
+    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(capacity_Ah=5.0), settings)
     estimator.update_facts(flight.facts_at(math.inf))
     told = {w for s in flight.samples for w in estimator.step(s)[0].warnings}
     assert not {w for w in told if "cell of" in w or "in series" in w or "stated" in w or "sign" in w}

@@ -6,22 +6,22 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
-from dataclasses import replace as changed
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavbatt import fast, output, statements
-from uavbatt.asked import Asked, say
-from uavbatt.battery import battery_file, vehicle_file
+from uavbatt import output
+from uavbatt.battery import battery_file, statements, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError
-from uavbatt.estimator import Estimator, PackOptions, Resolved
-from uavbatt.prediction.batch import SIDE_BY_SIDE, answers
+from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.limits import Names
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
@@ -30,8 +30,7 @@ from uavbatt.telemetry import read_log, recording
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-FORECAST_S = 0.5e-3  # measured: 1.25 ms for one of sixteen side by side, 0.75 ms compiled
-LONGEST_WINDOW = 4096
+MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 FORECAST_PERIOD_S = 5.0
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
@@ -44,47 +43,30 @@ class Step:
     remaining: Remaining
 
 
+def engine_for(*, is_long: bool) -> Engine:
+    """The engine for a work: compiled where that is long enough to repay it and the extra `fast` is installed."""
+    if not is_long:
+        return PLAIN
+    try:
+        from uavbatt import compiled
+    except ImportError:  # an installation without it
+        return PLAIN
+    return compiled.engine() if compiled.is_available() else PLAIN
+
+
 def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
     """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
-    fast.pays(_spared_s(flight, estimator), "forecast")
-    for facts, samples in _windows(flight):
+    for facts, samples in _stretches(flight):
         estimator.update_facts(facts)
-        estimator.look_ahead(samples)
-        waiting: list[Asked] = []
-        questions = 0
-        for sample in samples:
-            asked = estimator.ask(sample)
-            waiting.append(asked)
-            questions += asked.question is not None
-            if questions == SIDE_BY_SIDE:
-                yield from _said(waiting)
-                waiting, questions = [], 0
-        yield from _said(waiting)
+        for estimate, remaining in estimator.run(samples):
+            yield Step(estimate, remaining)
 
 
-def _windows(flight: Flight) -> Iterator[tuple[PackFacts, list[Sample]]]:
-    """The rows in pieces that the filter may look ahead over: the vehicle says the same all along."""
+def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
+    """The rows in pieces in which the vehicle says the same all along."""
     since_s = [time_s for time_s, _ in flight.facts]
     for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
-        facts = flight.facts[count - 1][1] if count else PackFacts()
-        every = list(rows)
-        for first in range(0, len(every), LONGEST_WINDOW):
-            yield facts, every[first : first + LONGEST_WINDOW]
-
-
-def _said(waiting: list[Asked]) -> Iterator[Step]:
-    """The lines of rows whose questions are answered all at once."""
-    ends = iter(answers([asked.question for asked in waiting if asked.question is not None]))
-    for asked in waiting:
-        yield Step(*say(asked, next(ends) if asked.question is not None else None))
-
-
-def _spared_s(flight: Flight, estimator: Estimator) -> float:
-    """About how much sooner the forecasts of a replay are done by compiled code [s]."""
-    if not flight.samples:
-        return 0.0
-    duration_s = flight.samples[-1].time_s - flight.samples[0].time_s
-    return FORECAST_S * min(duration_s / max(estimator.options.forecast_period_s, 1e-3), len(flight.samples))
+        yield flight.facts[count - 1][1] if count else PackFacts(), rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +163,7 @@ class Replay:
     """
 
     flight: Flight
-    pack: Resolved
+    pack: PackSize
     steps: tuple[Step, ...]
     outcome: Outcome
 
@@ -255,15 +237,16 @@ def replay(
         battery if isinstance(battery, BatteryFile) else battery_file.read(battery, allow_uncertified=allow_uncertified)
     )
     flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read(vehicle)
-    options = PackOptions(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc)
+    options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
     statements.check(content, options, flight)
     period_s = _recorded_period_s(log) if forecast_period_s is None else _period_s(forecast_period_s)
     to_come = stated_load(str(load), flight, flown, content, name="load=")
-    estimator = Estimator(content, changed(options, load=to_come, forecast_period_s=period_s))
+    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
+    estimator = Estimator(content, options, Settings(to_come, reserve_soc, period_s), engine)
     run = list(steps(flight, estimator))
-    if estimator.resolved is None:
+    if estimator.pack_size is None:
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    return Replay(flight, estimator.resolved, tuple(run), outcome(run, estimator.resolved.cutoff_V))
+    return Replay(flight, estimator.pack_size, tuple(run), outcome(run, estimator.pack_size.cutoff_V))
 
 
 def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:

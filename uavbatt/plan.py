@@ -16,18 +16,16 @@ from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.capacity_prior import capacities
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions, PackSize, certificate_remark, size_of_pack
 from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.statements import check, size_from_rows
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
-from uavbatt.estimator import Estimator, PackOptions, Resolved
 from uavbatt.limits import rate_doubt
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
 from uavbatt.prediction.load_library import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
 from uavbatt.records import NAN, Flight, PackFacts
-from uavbatt.resolved import certificate_remark
-from uavbatt.resolved import resolve as size_of_pack
-from uavbatt.statements import check
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
@@ -56,7 +54,7 @@ class Endurance:
 class Plan:
     """What was asked and what came of it: at the planned temperature, as a table, and as a finer curve."""
 
-    resolved: Resolved
+    resolved: PackSize
     load: str
     start_soc: float
     here: Endurance
@@ -87,13 +85,14 @@ class FromTakeOff:
         return Scenarios(power_W, np.full(power_W.shape[1], 1.0 / power_W.shape[1]), np.full(steps, dt_s))
 
 
-def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = None) -> Resolved:
+def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = None) -> PackSize:
     """The pack's size from the options, else from the past flight, else from the battery file.
 
     Raises UsageError when nobody states the cells or the capacity.
     """
     if like is not None:
-        return _as_flown(battery, options, like)
+        check(battery, options, like)
+        return size_from_rows(battery, options, like, like.facts_at(math.inf))
     typed = battery.battery
     if options.cells is None and not battery.is_measured:
         raise UsageError(f"cells: battery `{typed.name}` is per cell: give --cells")
@@ -103,20 +102,9 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     return found
 
 
-def _as_flown(battery: BatteryFile, options: PackOptions, like: Flight) -> Resolved:
-    check(battery, options, like)
-    estimator = Estimator(battery, options)
-    estimator.update_facts(like.facts_at(math.inf))
-    for sample in like.samples:
-        estimator.step(sample)
-        if estimator.resolved is not None:
-            return estimator.resolved
-    raise UsageError(f"{like.source}: expected at least one row with a voltage")
-
-
 def made(
     battery: BatteryFile,
-    resolved: Resolved,
+    resolved: PackSize,
     load: tuple[Load, str],
     ambient_C: float,
     start_soc: float = 1.0,
@@ -141,7 +129,7 @@ def made(
 
 def endurance(
     battery: BatteryFile,
-    resolved: Resolved,
+    resolved: PackSize,
     load: Load,
     ambient_C: float,
     start_soc: float = 1.0,

@@ -5,25 +5,27 @@ Each figure is the median over repeats that take turns, so that what else the ma
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 
-from uavbatt import fast
+from uavbatt import compiled
 from uavbatt.battery import battery_file
-from uavbatt.battery.capacity_prior import capacities
+from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, C
-from uavbatt.estimation import ahead
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.log_replay import steps
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
@@ -34,7 +36,7 @@ from uavbatt.records import Flight, Sample
 from uavbatt.simulate import Mission, fly
 
 Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio
-HAS_TWIN = fast.is_installed()
+HAS_TWIN = compiled.is_available()
 PROGPY = Path(__file__).with_name("progpy_forecast.py")
 LOAD_SPREAD = 0.15  # of the power that the forecasts are asked about
 
@@ -101,9 +103,9 @@ def filter_rows() -> Iterator[Row]:
             for sample in samples:
                 made.step(sample)
 
-        works = [alone, one_by_one, lambda samples=rows: ahead.by_numpy(bank(), samples)]
+        works = [alone, one_by_one, lambda samples=rows: bank().run(samples)]
         if HAS_TWIN:
-            works += [twin(rows, bank()), twin(rows, SocFilter(pack()))]
+            works += [twin(rows, capacities(pack())), twin(rows, known_capacity(pack()))]
         took = [s / len(rows) * 1e6 for s in in_turn(works, 3)]
         yield (
             f"filter, {name}, row by row",
@@ -111,7 +113,7 @@ def filter_rows() -> Iterator[Row]:
             f"filterpy's EKF alone {took[0]:.1f} µs",
             _ratio(took[0], took[1]),
         )
-        yield f"filter, {name}, looking ahead", f"{took[2]:.1f} µs", f"{took[0]:.1f} µs", _ratio(took[0], took[2])
+        yield f"filter, {name}, in windows", f"{took[2]:.1f} µs", f"{took[0]:.1f} µs", _ratio(took[0], took[2])
         if HAS_TWIN:
             yield (
                 f"filter, {name}, twin over arrays, all members",
@@ -133,19 +135,17 @@ def bank() -> SocFilter:
     return SocFilter(pack(), capacities=capacities(pack()))
 
 
-def twin(samples: list[Sample], made: SocFilter) -> Callable[[], Any]:
+def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
     """The twin alone: columns in, as a reader gives them, columns out."""
-    from uavbatt.battery.compiled import as_numbers
-    from uavbatt.estimation import compiled
-    from uavbatt.estimation.recursion import Begun
+    from uavbatt.compiled.filter import run
+    from uavbatt.compiled.jit import as_numbers
+    from uavbatt.estimation.recursion import start
 
-    made.start(samples[0])
-    now = made.standing
-    assert now.moments is not None
-    table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
-    begun = Begun(now.time_s, now.current_A, now.block_A, True, np.array(now.block, dtype=float))
-    numbers = as_numbers(made.pack)
-    return lambda: compiled.run(numbers, now.ambient_C, table, begun, *now.moments)
+    state, _ = start(pack(), samples[0], float("nan"), members)
+    table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples[1:]]).T.copy()
+    at = (state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *state.moments)
+    numbers = as_numbers(pack())
+    return lambda: run(numbers, state.ambient_C, table, *at)
 
 
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
@@ -173,11 +173,9 @@ def _one_forecast(minutes: float, progpy_s: float) -> Iterator[Row]:
     works: list[Callable[[], Any]] = [lambda: forecaster.forecast(belief, 0.0)]
     works.append(lambda: batch.answers([asked] * batch.SIDE_BY_SIDE))
     if HAS_TWIN:
-        from uavbatt.prediction import compiled
-
-        works.append(lambda: compiled.answer(asked))
-    with fast.left_out():
-        took = in_turn(works, 15)
+        answers = compiled.engine().answers
+        works.append(lambda: answers([asked]))
+    took = in_turn(works, 15)
     took[1] /= batch.SIDE_BY_SIDE
     peer = f"ProgPy, unscented, {progpy_s:.2f} s" if np.isfinite(progpy_s) else ""
     names = (f"forecast, end in {minutes:.0f} min, 128 draws, numpy", "  sixteen side by side, each", "  compiled")
@@ -219,26 +217,21 @@ def progpy_s(python: str) -> tuple[float, str]:
 def replay_rows() -> Iterator[Row]:
     """A 20-minute flight at 10 Hz in memory: its estimates alone over arrays; all rows and a forecast every 5 s."""
     if HAS_TWIN:
-        (alone_s,) = in_turn([twin(flight(20.0))], 15)
+        (alone_s,) = in_turn([twin(flight(20.0), capacities(pack()))], 15)
         told = f"{1.0 / alone_s:.0f} flights/s a core"
         yield "estimates of 20 min at 10 Hz, arrays", f"{1e3 * alone_s:.1f} ms", told, ""
     whole = Flight("simulated", "csv", tuple(flight(20.0)))
-
-    def plain() -> None:
-        with fast.left_out():
-            replayed(whole)
-
-    took = in_turn([plain, *([lambda: replayed(whole)] if HAS_TWIN else [])], 5)
+    engines = [PLAIN, *([compiled.engine()] if HAS_TWIN else [])]
+    took = in_turn([partial(replayed, whole, engine) for engine in engines], 5)
     names = ("replay of 20 min at 10 Hz, numpy", "  with numba")
     for name, ours in zip(names, took, strict=False):
         yield name, f"{ours:.2f} s", f"{1.0 / ours:.1f} flights/s a core", ""
 
 
-def replayed(flight: Flight) -> int:
-    """Rows of a replay; with numba from the first row where that is installed."""
-    for work in ("filter", "forecast"):
-        fast.pays(float("inf"), work)
-    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
+def replayed(flight: Flight, engine: Engine) -> int:
+    """Rows of a replay."""
+    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimator = Estimator(battery_file.read("lipo-generic"), options, engine=engine)
     return sum(1 for _ in steps(flight, estimator))
 
 
@@ -267,8 +260,9 @@ def _ratio(theirs: float, ours: float) -> str:
 
 
 def run_cli(arguments: list[str], plain: bool) -> float:
-    """Wall seconds of a whole `uavbatt` command in a new process."""
-    code = "import sys; from uavbatt import fast; from uavbatt.cli import main; fast._allowed = " + str(not plain)
+    """Wall seconds of a whole `uavbatt` command in a new process: in numpy, or compiled however short it is."""
+    code = "import sys; from uavbatt import replay; replay.MANY_ROWS = 0; from uavbatt.cli import main; main()"
+    environment = {**os.environ, **({"XDG_CACHE_HOME": f"{os.devnull}/none"} if plain else {})}
     begin = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code + "; main()", *arguments], check=True, capture_output=True)
+    subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True, env=environment)
     return time.perf_counter() - begin

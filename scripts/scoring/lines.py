@@ -9,8 +9,10 @@ import numpy as np
 from peers.columns import FloatArray
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay import Step, steps
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.scoring.scores import FlightScore, score_flight
@@ -41,9 +43,11 @@ class Lines:
         )
 
 
-def replayed(flight: Flight, battery: BatteryFile, options: PackOptions) -> list[Step]:
+def replayed(
+    flight: Flight, battery: BatteryFile, options: PackOptions, settings: Settings | None = None
+) -> list[Step]:
     """Every row of the flight through a fresh estimator."""
-    return list(steps(flight, Estimator(battery, options)))
+    return list(steps(flight, Estimator(battery, options, settings)))
 
 
 def ours(run: Sequence[Step]) -> Lines:

@@ -22,15 +22,17 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.links import open_link
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status
 
 START_S, WALL_S = 1000.0, 1.7e9  # of the process's clocks at the first row
+PERIOD_S = 5.0  # between forecasts; in flight it is 1 s, which would take four times as long here
 TURN_S = 1.0
 BUSY_GAP_S, SLOW_TURN_S = 30.0, 600.0  # of a long silence only the first and last half minute are turned through
 STATUSTEXT = 253
@@ -138,7 +140,8 @@ class Flight:
         self._at_daemon = at_daemon
         link = LinkSection(endpoint=f"udpin:{_address(at_daemon)}", gcs=[f"udpout:{_address(at_station)}"])
         self._daemon = Daemon(
-            Config(link=link, **sections), battery, options, open_link(link.endpoint), [open_link(link.gcs[0])],
+            Config(link=link, **sections), battery, options, Settings(forecast_period_s=PERIOD_S),
+            open_link(link.endpoint), [open_link(link.gcs[0])],
             clock_s=lambda: START_S + (self._time_s or 0.0), wall_s=lambda: WALL_S + (self._time_s or 0.0),
         )  # fmt: skip
 

@@ -7,7 +7,7 @@ two other aircraft, so that no number of the aircraft held out is in it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from peers import ardupilot, inav, px4
@@ -16,9 +16,10 @@ from peers.columns import FloatArray, column, drawn_Ah, drawn_Wh
 from scoring.data import M100, M100_CELLS, M100_CUTOFF_V, ended
 from scoring.lines import Lines, logged, ours, replayed
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import Load, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft, learned_load
 from uavbatt.scoring.scores import FlightScore
@@ -74,9 +75,7 @@ def our_lines(known: Fold, flight: M100) -> dict[str, Lines]:
         UNKNOWN: UnknownAircraft(),
         RECENT: RecentMean(),
     }
-    return {
-        name: ours(replayed(flight.flight, known.battery, replace(OPTIONS, load=load))) for name, load in loads.items()
-    }
+    return {name: ours(replayed(flight.flight, known.battery, OPTIONS, Settings(load))) for name, load in loads.items()}
 
 
 def peer_lines(known: Fold, flight: M100) -> dict[str, Lines]:

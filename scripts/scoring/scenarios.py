@@ -12,12 +12,11 @@ from functools import cache
 
 from scoring.live_flight import Extra, Flown, flown_live, heartbeat, parameter
 from scoring.other_pack import CUTOFF_V, FULL_AH, LIHV, Pack, flown, rested
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.records import Sample
 
-PERIOD_S = 5.0  # between forecasts; in flight it is 1 s, which would take four times as long here
-STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=CUTOFF_V, forecast_period_s=PERIOD_S)
-UNSTATED = PackOptions(forecast_period_s=PERIOD_S)
+STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=CUTOFF_V)
+UNSTATED = PackOptions()
 ARDUPILOT = {"BATT_CAPACITY": 5000.0, "BATT_CRT_VOLT": CUTOFF_V, "BATT_LOW_VOLT": 14.0}
 GROUND_S, EARLY_S, MID_S, LATE_S = 15, 60.0, 200.0, 500.0
 IN_TIME_S, LAST_S, TOO_LONG_S = 45.0, 120.0, 25.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,11 @@ from scoring.m100 import RATED_AH
 from scoring.table import Table, figure, with_error
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay import Outcome, Step, outcome, steps
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.telemetry import read_log
 
 EMPTIED = "quad_3s_2650_emptied.BIN"
@@ -60,8 +61,7 @@ def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
 
 
 def _options(path: Path) -> PackOptions:
-    stated = STATED.get(path.name) or STATED.get(path.name.split("_")[0]) or PackOptions()
-    return replace(stated, forecast_period_s=PERIOD_S)
+    return STATED.get(path.name) or STATED.get(path.name.split("_")[0]) or PackOptions()
 
 
 def _name(path: Path) -> str:
@@ -70,11 +70,11 @@ def _name(path: Path) -> str:
 
 
 def _run(path: Path, battery: BatteryFile) -> tuple[list[Step], Outcome]:
-    estimator = Estimator(battery, _options(path))
+    estimator = Estimator(battery, _options(path), Settings(forecast_period_s=PERIOD_S))
     run = list(steps(read_log(path), estimator))
-    if estimator.resolved is None:
+    if estimator.pack_size is None:
         raise ValueError(f"{path.name}: no voltage")
-    return run, outcome(run, estimator.resolved.cutoff_V)
+    return run, outcome(run, estimator.pack_size.cutoff_V)
 
 
 def _row(path: Path, battery: BatteryFile) -> tuple[tuple[str, ...], tuple[float, float]]:

@@ -14,9 +14,10 @@ from scoring.lines import logged, ours, replayed
 from scoring.table import DASH, Table, figure
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.log_replay import Step
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight
 from uavbatt.scoring.scores import end_of_flight
@@ -95,8 +96,9 @@ def _table(
         for number, (flight, answer) in enumerate(flights[name], 1):
             say(f"truth: {name} flight {number}, {battery.discrepancy.source}")
             for load, known in (("log", logged(flight)), ("recent", RecentMean())):
-                options = PackOptions(load=known, forecast_period_s=PERIOD_S)  # cells, capacity, cut-off: the vehicle's
-                judged = _judge(replayed(flight, battery, options), answer)
+                settings = Settings(known, forecast_period_s=PERIOD_S)
+                # cells, capacity, cut-off: the vehicle's
+                judged = _judge(replayed(flight, battery, PackOptions(), settings), answer)
                 means[load].append(judged)
                 together[load].append(judged)
                 label = f"{name} {number}, {answer.ambient_C:.0f} °C"

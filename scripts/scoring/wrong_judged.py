@@ -13,12 +13,14 @@ from peers.columns import FloatArray
 from scoring.lines import ours
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Flown, Make
 from scoring.wrong_cases import GENERIC, Case, fitted
-from uavbatt.asked import FALLS_FASTER
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay import Step, steps
+from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.last_wall import FALLS_FASTER
 
 PERIOD_S = 5.0
 BEFORE_END_S = (120.0, 60.0, 20.0, 5.0)
@@ -67,8 +69,8 @@ def battery(name: str, make: Make) -> BatteryFile:
 
 def estimator(case: Case) -> Estimator:
     """A fresh estimator that is told what is stated of the pack."""
-    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V, forecast_period_s=PERIOD_S)
-    return Estimator(battery(case.battery, case.make), options)
+    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
+    return Estimator(battery(case.battery, case.make), options, Settings(forecast_period_s=PERIOD_S))
 
 
 def replayed(case: Case) -> tuple[Flown, list[Step]]:

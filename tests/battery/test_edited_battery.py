@@ -77,7 +77,7 @@ def test_a_plan_says_it(tampered: Path) -> None:
 
 def test_a_fleet_says_it(tampered: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.fleet.fly import Job, fly
     from uavbatt.fleet.logs import find
 

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from uavbatt.battery import battery_file
 from uavbatt.battery import vehicle_file as vehicle
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
-from uavbatt.estimator import PackOptions
 from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate import Mission, fly, write

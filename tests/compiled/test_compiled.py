@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +14,22 @@ import pytest
 from factories import generic_pack
 
 import uavbatt
-from uavbatt import fast
+from uavbatt import compiled
 from uavbatt.battery import battery_file, model, openloop
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief
-from uavbatt.estimation import ahead
-from uavbatt.estimation.ahead import Row
-from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimation.recursion import Shown
-from uavbatt.estimator import Estimator, PackOptions
-from uavbatt.log_replay import steps
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.compiled import cache as compiled_cache
+from uavbatt.estimation.filter import Filtered, SocFilter
+from uavbatt.estimation.kalman import filterpy_condition
+from uavbatt.estimation.recursion import filter_window
+from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.log_replay import engine_for, steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
+from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
 from uavbatt.simulate import Mission, fly, with_effects
 
@@ -60,30 +61,31 @@ def holed(samples: tuple[Sample, ...]) -> list[Sample]:
 def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
     """Row for row: what filterpy's filter shows and believes, and what the twin does, in two goes."""
     sure = pack._replace(resistance_scale_sd=0.2)
-    for row, shown, belief in both(sure, known_capacity(sure), samples):
-        np.testing.assert_allclose(row.shown, shown, rtol=0.0, atol=CLOSE)
-        assert (row.moments is None) == (belief is None)
-        if belief is not None and row.moments is not None:
-            np.testing.assert_allclose(row.moments.x, belief.means, rtol=CLOSE, atol=CLOSE)
-            sd = np.sqrt(np.diagonal(belief.covariances, axis1=1, axis2=2))
+    for quick, plain in both(sure, known_capacity(sure), samples):
+        np.testing.assert_allclose(quick.innovation, plain.innovation, rtol=0.0, atol=CLOSE)
+        assert (quick.belief is None) == (plain.belief is None)
+        if quick.belief is not None and plain.belief is not None:
+            np.testing.assert_allclose(quick.belief.means, plain.belief.means, rtol=CLOSE, atol=CLOSE)
+            sd = np.sqrt(np.diagonal(plain.belief.covariances, axis1=1, axis2=2))
             scale = sd[:, :, None] * sd[:, None, :]
-            np.testing.assert_allclose(row.moments.P / scale, belief.covariances / scale, atol=CLOSE)
-            assert row.time_s == belief.time_s
+            np.testing.assert_allclose(quick.belief.covariances / scale, plain.belief.covariances / scale, atol=CLOSE)
+            assert quick.belief.time_s == plain.belief.time_s
     # Of a bank: members that the readings have left behind amplify the last digit, and weigh little.
-    for row, shown, belief in both(pack, capacities(pack), samples):
-        np.testing.assert_allclose(row.shown, shown, rtol=1e-5, atol=1e-5)
-        if belief is not None and row.moments is not None:
-            np.testing.assert_allclose(row.moments.weight, belief.weights, rtol=0.0, atol=1e-5)
-            np.testing.assert_allclose(row.moments.weight @ row.moments.x, belief.mean, rtol=1e-5, atol=1e-5)
+    for quick, plain in both(pack, capacities(pack), samples):
+        np.testing.assert_allclose(quick.innovation, plain.innovation, rtol=1e-5, atol=1e-5)
+        if quick.belief is not None and plain.belief is not None:
+            np.testing.assert_allclose(quick.belief.weights, plain.belief.weights, rtol=0.0, atol=1e-5)
+            np.testing.assert_allclose(quick.belief.mean, plain.belief.mean, rtol=1e-5, atol=1e-5)
 
 
-def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tuple[Row, Shown, Belief | None]]:
-    """Each row as the twin has it, and what filterpy's filter shows and believes after it."""
+def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tuple[Filtered, Filtered]]:
+    """The filter after each row as the twin has it, in two windows, and as filterpy has it."""
     plain, twin = SocFilter(pack, capacities=members), SocFilter(pack, capacities=members)
-    cut = len(samples) // 3
-    found = ahead.by_twin(twin, samples[:cut]) + ahead.by_twin(twin, samples[cut:])
-    for sample, row in zip(samples, found, strict=True):
-        yield row, plain.take(sample), plain.belief
+    cut, window = len(samples) // 3, compiled.engine().filter_window
+    found = twin.run(samples[:cut], window) + twin.run(samples[cut:], window)
+    by_filterpy = partial(filter_window, condition=filterpy_condition())
+    for sample, quick in zip(samples, found, strict=True):
+        yield quick, plain.run([sample], by_filterpy)[0]
 
 
 # --- the filter --------------------------------------------------------------------------------------------------
@@ -121,45 +123,45 @@ def affected(name: str) -> Pack:
 # --- the forecast ------------------------------------------------------------------------------------------------
 
 
-def asked(samples: tuple[Sample, ...], options: PackOptions) -> Iterator[Question]:
+def asked(samples: tuple[Sample, ...], reserve_soc: float = 0.0) -> Iterator[Question]:
     """The questions of a flight."""
-    estimator = Estimator(battery_file.read("lipo-generic"), options)
-    estimator.look_ahead(samples)
-    for sample in samples:
-        question = estimator.ask(sample).question
-        if question is not None:
-            yield question
+    found: list[Question] = []
+
+    def noted(questions_asked: Sequence[Question]) -> list[EndTimes]:
+        found.extend(questions_asked)
+        return questions.answers(questions_asked)
+
+    settings = Settings(reserve_soc=reserve_soc, forecast_period_s=40.0)
+    for _ in Estimator(battery_file.read("lipo-generic"), OPTIONS, settings, Engine(answers=noted)).run(samples):
+        yield from found
+        found.clear()
 
 
 def assert_same_ends(found: list[Question]) -> None:
-    from uavbatt.prediction import compiled
-
-    with fast.left_out():
-        together = questions.answers(found)
-    for question, beside in zip(found, together, strict=True):
-        alone, twin = questions.answer(question), compiled.answer(question)
+    for question, beside in zip(found, questions.answers(found), strict=True):
+        alone, (twin,) = questions.answer(question), compiled.engine().answers([question])
         for plain, side_by_side, quick in zip(alone, beside, twin, strict=True):
             np.testing.assert_array_equal(side_by_side, plain)
             np.testing.assert_allclose(quick, plain, rtol=CLOSE, atol=CLOSE)
 
 
-OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0, forecast_period_s=40.0)
+OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0)
 
 
 @pytest.mark.parametrize("reserve_soc", [0.0, 0.3])
 def test_the_forecasts_of_a_simulated_flight(reserve_soc: float) -> None:
-    assert_same_ends(list(asked(flown()[::5], replace(OPTIONS, reserve_soc=reserve_soc))))
+    assert_same_ends(list(asked(flown()[::5], reserve_soc)))
 
 
 def test_forecasts_by_slow_rows() -> None:
-    found = list(asked(flown()[::120], OPTIONS))
+    found = list(asked(flown()[::120]))
     assert any(question.by_rows for question in found)
     assert_same_ends(found)
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_a_forecast_under_every_effect(name: str) -> None:
-    question = next(asked(flown()[::10], OPTIONS))
+    question = next(asked(flown()[::10]))
     pack = affected(name)._replace(cutoff_V=question.pack.cutoff_V, low_V=question.pack.low_V)
     assert_same_ends([question._replace(pack=pack)])
 
@@ -168,21 +170,18 @@ def test_a_forecast_under_every_effect(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["quad_4s.tlog", "hexa_6s_cold.csv"])
-def test_a_replay_says_the_same_compiled(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_a_replay_says_the_same_compiled(name: str) -> None:
     whole = uavbatt.read_log(LOGS / name)
     flight = replace(whole, samples=whole.samples[: len(whole.samples) // 2])
 
-    def numbers() -> list[list[float]]:
-        estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(capacity_Ah=5.0, forecast_period_s=10.0))
+    def numbers(engine: Engine) -> list[list[float]]:
+        options, settings = PackOptions(capacity_Ah=5.0), Settings(forecast_period_s=10.0)
+        estimator = Estimator(battery_file.read("lipo-generic"), options, settings, engine)
         run = list(steps(flight, estimator))
         values = [(*astuple(step.estimate), *astuple(step.remaining)) for step in run]
         return [[value for value in row if isinstance(value, float)] for row in values]
 
-    with fast.left_out():
-        plain = numbers()
-    monkeypatch.setattr(fast, "pays", lambda spared_s, work: True)
-    monkeypatch.setattr(fast, "is_used", lambda work: True)
-    for row, quick in zip(plain, numbers(), strict=True):
+    for row, quick in zip(numbers(PLAIN), numbers(compiled.engine()), strict=True):
         np.testing.assert_allclose(quick, row, rtol=CLOSE, atol=CLOSE)
 
 
@@ -190,8 +189,6 @@ def test_a_replay_says_the_same_compiled(monkeypatch: pytest.MonkeyPatch, name: 
 
 
 def test_the_open_loop_of_many_columns() -> None:
-    from uavbatt.battery import compiled_openloop
-
     random = np.random.default_rng(3)
     batch, rows = 6, 300
     rate, dt_s = random.uniform(-1.0, 6.0, (rows, batch)), random.uniform(0.1, 5.0, (rows, batch))
@@ -204,62 +201,61 @@ def test_the_open_loop_of_many_columns() -> None:
         rate_gain_h=0.01,
     )
     start = model.rested(np.full(batch, 0.97), 20.0)
-    with fast.left_out():
-        plain = openloop.states(cell, start, rate, dt_s, ambient_C)
-    for quick, column in zip(compiled_openloop.states(cell, start, rate, dt_s, ambient_C), plain, strict=True):
+    plain = openloop.states(cell, start, rate, dt_s, ambient_C)
+    for quick, column in zip(compiled.engine().states(cell, start, rate, dt_s, ambient_C), plain, strict=True):
         np.testing.assert_allclose(quick, column, rtol=CLOSE, atol=CLOSE)
 
 
 # --- when it is used ---------------------------------------------------------------------------------------------
 
 
-def test_work_pays_when_as_much_was_asked_as_it_costs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(fast, "folder", lambda: tmp_path)
-    monkeypatch.setattr(fast, "_used", set())
-    monkeypatch.setattr(fast, "_spared_s", {})
-    tenth_s = 0.1 * (fast.START_S["forecast"] + fast.COMPILE_S["forecast"])
-    assert [fast.pays(tenth_s, "forecast") for _ in range(11)] == [False] * 10 + [True]
-    with fast.left_out():
-        assert not fast.pays(math.inf, "forecast")
-        assert not fast.is_used("forecast")
-    fast.is_made("filter")
-    assert fast.pays(fast.START_S["filter"] + 0.01, "filter")
+@pytest.fixture
+def unknown_machine() -> Iterator[None]:
+    """Nothing is known of the machine yet, before and after."""
+    for known in (compiled_cache.cache_dir, compiled_cache.is_available):
+        known.cache_clear()
+    yield
+    for known in (compiled_cache.cache_dir, compiled_cache.is_available):
+        known.cache_clear()
 
 
+def test_only_long_work_is_compiled() -> None:
+    assert engine_for(is_long=False) is PLAIN
+    assert engine_for(is_long=True) == compiled.engine() != PLAIN
+
+
+@pytest.mark.usefixtures("unknown_machine")
 def test_without_a_folder_to_write_to_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "taken"))
-    fast.folder.cache_clear()
-    try:
-        assert fast.folder() is None
-        assert not fast.pays(math.inf, "forecast")
-    finally:
-        monkeypatch.undo()
-        fast.folder.cache_clear()
+    assert compiled_cache.cache_dir() is None
+    assert engine_for(is_long=True) is PLAIN
 
 
-def test_a_numba_that_cannot_be_imported_is_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(fast, "folder", lambda: tmp_path)
-    monkeypatch.setattr(fast, "_used", set())
+@pytest.mark.usefixtures("unknown_machine")
+def test_a_numba_that_cannot_be_imported_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)  # makes its import fail
-    fast.is_usable.cache_clear()
-    try:
-        assert fast.is_installed()
-        assert not fast.pays(math.inf, "forecast")
-    finally:
-        fast.is_usable.cache_clear()
+    assert engine_for(is_long=True) is PLAIN
+
+
+def test_an_installation_without_the_package_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(uavbatt, "compiled")
+    monkeypatch.setitem(sys.modules, "uavbatt.compiled", None)
+    assert engine_for(is_long=True) is PLAIN
 
 
 def test_in_flight_numba_is_never_imported() -> None:
     code = (
         "import sys, uavbatt.live.daemon, uavbatt.cli.live_process, uavbatt.live.tracked_battery\n"
         "from uavbatt.battery import battery_file\n"
-        "from uavbatt.estimator import Estimator, PackOptions\n"
+        "from uavbatt.battery.sizing import PackOptions\n"
+        "from uavbatt.estimator import Estimator\n"
+        "from uavbatt.prediction.forecaster import Settings\n"
         "from uavbatt.records import Sample\n"
-        "options = PackOptions(cells=4, capacity_Ah=5.0, forecast_period_s=0.0)\n"
-        "e = Estimator(battery_file.read('lipo-generic'), options)\n"
+        "options, settings = PackOptions(cells=4, capacity_Ah=5.0), Settings(forecast_period_s=0.0)\n"
+        "e = Estimator(battery_file.read('lipo-generic'), options, settings)\n"
         "out = [e.step(Sample(float(k), 15.6 - 0.002 * k, 20.0, 25.0))[1] for k in range(60)]\n"
         "assert out[-1].remaining_s > 0.0\n"
-        "assert not {'numba', 'llvmlite', 'uavbatt.battery.compiled'} & set(sys.modules)\n"
+        "assert not {'numba', 'llvmlite', 'uavbatt.compiled'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -12,8 +12,9 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import cell_parameters
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import close
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
 
@@ -26,7 +27,7 @@ FILE = msgspec.structs.replace(
         GENERIC.parameters, resistance_scale_sd=0.06, capacity_scale_sd=0.02, standard_error={}
     ),
 )
-PACK = pack_for(FILE, CELLS, CAPACITY_AH)._replace(cutoff_V=CUTOFF_V)
+PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 MISSIONS = ((25.0, 150.0, 1), (8.0, 170.0, 2), (35.0, 185.0, 3), (17.0, 140.0, 4))
 SOC = np.linspace(-0.05, 1.05, 221)
 

@@ -14,8 +14,9 @@ from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile, EffectEntry
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import close, gate
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight
 from uavbatt.records import Flight
 from uavbatt.simulate import Mission, fly, with_effects, write
@@ -43,7 +44,7 @@ def found(file: BatteryFile, tmp_path_factory: pytest.TempPathFactory) -> Diagno
         write(path, fly(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
         flights.append(read_log(path))
     records = [from_flight(f, CELLS, CAPACITY_AH) for f in flights]
-    return diagnose(records, file, pack_for(file, CELLS, CAPACITY_AH)._replace(cutoff_V=CUTOFF_V))
+    return diagnose(records, file, pack_from(file, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)))
 
 
 def test_a_sensor_effect_leaves_the_bench_tests_as_they_are_so_that_the_file_is_certified(

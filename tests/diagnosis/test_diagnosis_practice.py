@@ -10,7 +10,8 @@ import pytest
 
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, pack_for
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import from_flight
 from uavbatt.telemetry import read_log
@@ -34,7 +35,7 @@ def battery(shared_data: Path) -> BatteryFile:
 
 def diagnosed(battery: BatteryFile, folder: Path, *without: str) -> Diagnosis:
     records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in sorted(folder.glob("*.tlog"))]
-    return diagnose(records, battery, pack_for(battery, CELLS, CAPACITY_AH), without)
+    return diagnose(records, battery, pack_from(battery, PackOptions(CELLS, CAPACITY_AH)), without)
 
 
 @pytest.mark.parametrize("case", ["p1", "p2", "p3", "p4", "p5", "p6"])

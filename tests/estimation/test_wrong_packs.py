@@ -21,7 +21,6 @@ from scoring.other_pack import CUTOFF_V, FULL_AH, Flown
 from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
-from uavbatt import fast
 from uavbatt.log_replay import Step, steps
 from uavbatt.records import Flight
 
@@ -40,8 +39,7 @@ def case(battery: str, ah: float) -> Case:
 @cache
 def run(battery: str, ah: float) -> tuple[Flown, list[Step]]:
     """A flight, and what is said of it."""
-    with fast.left_out():
-        return wrong_judged.replayed(case(battery, ah))
+    return wrong_judged.replayed(case(battery, ah))
 
 
 @cache
@@ -149,8 +147,7 @@ def test_what_is_said_depends_on_nothing_later(cut_before_s: float) -> None:
     """A flight of a worn pack that is cut before its end says the same until then, warnings and all."""
     flown, whole = run(GENERIC, 3.5)
     rows = tuple(row for row in flown.rows if row.time_s < flown.end_s - cut_before_s)
-    with fast.left_out():
-        cut = list(steps(Flight("cut", "csv", rows), wrong_judged.estimator(case(GENERIC, 3.5))))
+    cut = list(steps(Flight("cut", "csv", rows), wrong_judged.estimator(case(GENERIC, 3.5))))
     assert [repr(step) for step in cut] == [repr(step) for step in whole[: len(cut)]]
 
 

@@ -20,8 +20,8 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import BadInput, MissingExtra, UsageError
-from uavbatt.estimator import PackOptions
 from uavbatt.fleet import journal, run, tables
 from uavbatt.fleet.fly import Job, fly
 from uavbatt.fleet.logs import JOURNAL, LogFile, find

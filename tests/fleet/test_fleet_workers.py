@@ -19,7 +19,7 @@ from live_rig import until
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import JOURNAL, LogFile, find
 from uavbatt.fleet.processes import TRIES, Processes

@@ -13,11 +13,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt import output
 from uavbatt.battery import battery_file
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.web import content, metrics
 from uavbatt.log_replay import steps
 from uavbatt.mavlink import framing
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -68,8 +70,8 @@ def test_only_three_messages_travel_towards_the_autopilot() -> None:
 
 
 def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
-    options = PackOptions(forecast_period_s=1.0)
-    bench = Bench(record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), options=options)
+    settings = Settings(forecast_period_s=1.0)
+    bench = Bench(PackOptions(), record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), settings=settings)
     bench.send(heartbeat(False))
     bench.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0))
     bench.fly(30.0, volts=16.2)
@@ -78,7 +80,7 @@ def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
     bench.daemon.close()
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.battery0.jsonl")
     assert forecast_period_s(log) == 1.0
-    estimator = Estimator(battery_file.read("lipo-generic"), options)
+    estimator = Estimator(battery_file.read("lipo-generic"), settings=settings)
     replayed = [output.line(s.estimate, s.remaining) for s in steps(read_log(log), estimator)]
     assert [json.loads(text) for text in lines.read_text().splitlines()] == replayed
     assert len(replayed) == 300

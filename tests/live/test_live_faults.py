@@ -20,7 +20,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt import output
 from uavbatt.battery import battery_file, model
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
@@ -30,7 +31,7 @@ from uavbatt.simulate import Mission, fly
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
-OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2, forecast_period_s=5.0)
+OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
 GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three minutes
 
 

@@ -151,8 +151,11 @@ def console(port: int, folder: Path, steps: list[tuple[str, str]]) -> str:
     script = Path(GCS_PYTHON).with_name("mavproxy.py")
     modules = "--default-modules=link,param,wp,cmdlong,arm,mode,battery,misc"
     command = [GCS_PYTHON, str(script), f"--master=udpin:127.0.0.1:{port}", "--mav20", "--no-state", modules]
-    said, process = [], subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder
+    said, process = (
+        [],
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder
+        ),
     )
     assert process.stdin is not None and process.stdout is not None
     listener = threading.Thread(target=lambda: said.extend(iter(process.stdout.readline, "")), daemon=True)  # type: ignore[union-attr]

@@ -10,7 +10,7 @@ import pytest
 from daemon_bench import Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection, RecordSection
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
@@ -36,7 +36,7 @@ def flying(**sections: Any) -> Bench:
 
 def resolved(bench: Bench) -> Any:
     bench.fly(1.0, used=0.1)
-    return bench.daemon.batteries.tracked[0].estimator.resolved
+    return bench.daemon.batteries.tracked[0].estimator.pack_size
 
 
 @pytest.mark.parametrize(

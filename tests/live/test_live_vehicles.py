@@ -17,13 +17,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import GROUND_ROWS, flight, true_soc
 
 from uavbatt.battery import battery_file
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import proxy
 from uavbatt.live.config import Config, LinkSection, RecordSection, StateSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.web import content
 from uavbatt.mavlink.links import open_link
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -112,7 +113,7 @@ def test_a_silent_vehicle_gives_way_to_one_that_speaks(tmp_path: Path) -> None:
     bench.station.sent.clear()
     fly(bench, 19.0, system=42, volts=15.9, sender="other")
     (report,) = bench.daemon.board.reports
-    resolved = bench.daemon.batteries.tracked[0].estimator.resolved
+    resolved = bench.daemon.batteries.tracked[0].estimator.pack_size
     assert report.system == 42 and resolved is not None and resolved.capacity_Ah == 9.0
     assert "heard systems 1, 42; following 42" in bench.daemon.board.notes
     assert {m.get_srcSystem() for m in bench.to_gcs()} == {42}
@@ -182,7 +183,9 @@ def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLin
     port, station, now_s = free_port(), FakeLink(), [1000.0]
     settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
     link = open_link(f"udpin:127.0.0.1:{port}")
-    daemon = Daemon(settings, battery_file.read("lipo-generic"), OPTIONS, link, [station], clock_s=lambda: now_s[0])
+    daemon = Daemon(
+        settings, battery_file.read("lipo-generic"), OPTIONS, Settings(), link, [station], clock_s=lambda: now_s[0]
+    )
     yield daemon, now_s, Source(port), Source(port), station
     daemon.close()
 

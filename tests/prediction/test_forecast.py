@@ -19,8 +19,9 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, C
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import time_to_end
@@ -191,8 +192,9 @@ def flown(seed: int, ambient_C: float = 20.0) -> tuple[Sample, ...]:
 
 
 def run(samples: tuple[Sample, ...], period_s: float = 20.0) -> list[tuple[Estimate, Remaining]]:
-    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0, forecast_period_s=period_s)
-    estimator = Estimator(battery_file.read("lipo-generic"), options)
+    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0)
+    settings = Settings(forecast_period_s=period_s)
+    estimator = Estimator(battery_file.read("lipo-generic"), options, settings)
     return [estimator.step(s) for s in samples]
 
 
@@ -260,8 +262,9 @@ def test_refused_on_the_ground() -> None:
 
 
 def test_a_stated_load_is_forecast_on_the_ground() -> None:
-    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, load=ConstantLoad(300.0, 0.04))
-    estimator = Estimator(battery_file.read("lipo-generic"), options)
+    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    settings = Settings(ConstantLoad(300.0, 0.04))
+    estimator = Estimator(battery_file.read("lipo-generic"), options, settings)
     said = [estimator.step(s)[1] for s in flown(1)[:15]][-1]
     assert said.remaining_lo_s < end_of(flown(1)) - 20.0 < said.remaining_hi_s
 
@@ -286,10 +289,10 @@ ARDUPILOT = (
 )
 
 
-def judge(path: Path, battery: BatteryFile, options: PackOptions) -> tuple[int, int]:
+def judge(path: Path, battery: BatteryFile, options: PackOptions, period_s: float) -> tuple[int, int]:
     """(rows after 60 s in the air that have voltage and current, refused ones among them); each line is sound."""
     flight = read_log(path)
-    estimator = Estimator(battery, options)
+    estimator = Estimator(battery, options, Settings(forecast_period_s=period_s))
     since_s, rows, refused = math.inf, 0, 0
     for sample in flight:
         estimator.update_facts(flight.facts_at(sample.time_s))
@@ -302,8 +305,8 @@ def judge(path: Path, battery: BatteryFile, options: PackOptions) -> tuple[int, 
             assert remaining.reason and math.isnan(remaining.remaining_s), path.name
         else:
             assert 0.0 <= remaining.remaining_lo_s <= remaining.remaining_s <= remaining.remaining_hi_s < math.inf
-        assert estimator.resolved is not None
-        flying = sample.current_A > estimator.resolved.capacity_Ah
+        assert estimator.pack_size is not None
+        flying = sample.current_A > estimator.pack_size.capacity_Ah
         since_s = min(since_s, sample.time_s) if flying else since_s
         if flying and sample.time_s > since_s + 60.0 and math.isfinite(sample.voltage_V):
             rows += 1
@@ -314,21 +317,21 @@ def judge(path: Path, battery: BatteryFile, options: PackOptions) -> tuple[int, 
 @pytest.mark.parametrize("name", ARDUPILOT)
 def test_ardupilot_logs(shared_data: Path, name: str) -> None:
     rows, refused = judge(
-        shared_data / "flights/ardupilot" / name, battery_file.read("lipo-generic"), PackOptions(forecast_period_s=30.0)
+        shared_data / "flights/ardupilot" / name, battery_file.read("lipo-generic"), PackOptions(), 30.0
     )
     assert refused <= 0.05 * rows
 
 
 def test_m100_flights(shared_data: Path) -> None:
-    options = PackOptions(cells=6, capacity_Ah=5.7, cutoff_V=21.6, forecast_period_s=60.0)
+    options = PackOptions(cells=6, capacity_Ah=5.7, cutoff_V=21.6)
     logs = sorted((shared_data / "flights/m100").glob("m100_*.csv"))
     assert len(logs) == 40
     for path in logs:
-        rows, refused = judge(path, battery_file.read("lipo-generic"), options)
+        rows, refused = judge(path, battery_file.read("lipo-generic"), options, 60.0)
         assert rows > 20 and refused <= 0.05 * rows, path.name
 
 
 def test_reference_flights(shared_data: Path) -> None:
     for path in sorted((shared_data / "truth/reference/r0").glob("*.tlog")):
-        rows, refused = judge(path, battery_file.read("lipo-generic"), PackOptions(forecast_period_s=60.0))
+        rows, refused = judge(path, battery_file.read("lipo-generic"), PackOptions(), 60.0)
         assert rows > 200 and refused <= 0.05 * rows, path.name

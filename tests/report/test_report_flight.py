@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from uavbatt.battery import battery_file
-from uavbatt.estimator import Resolved
+from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay import Checkpoint, Outcome, Step
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
 from uavbatt.report.flight import flight_report
 from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
 
-RESOLVED = Resolved("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
+RESOLVED = PackSize("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
 NO_OUTCOME = Outcome(0, NAN, NAN, NAN, NAN, NAN, NAN, NAN, ())
 HOSTILE = "<script>alert(1)</script>\"'&\x00\u202e\ud800.BIN"
 REFUSAL = "on the ground or no load"

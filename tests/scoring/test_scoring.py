@@ -18,10 +18,12 @@ from uavbatt import simulate
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.log_replay import Step, steps
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
@@ -121,7 +123,7 @@ def test_truth_is_judged_against_the_answer() -> None:
 
 # --- what must hold of forecasts (issue C) -----------------------------------------------------------------------
 
-OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, forecast_period_s=20.0)
+OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 
 
 @cache
@@ -156,7 +158,7 @@ def logged(flight: Flight) -> LoggedLoad:
 
 
 def replayed(flight: Flight, battery: BatteryFile, load: Load) -> list[Step]:
-    return list(steps(flight, Estimator(battery, replace(OPTIONS, load=load))))
+    return list(steps(flight, Estimator(battery, OPTIONS, Settings(load, forecast_period_s=20.0))))
 
 
 def at(run: list[Step], flight: Flight, share: float) -> Step:

@@ -11,8 +11,9 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.log_replay import steps
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.simulate import Mission, fly

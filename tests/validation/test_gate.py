@@ -68,9 +68,7 @@ def test_a_straight_line_fails(study: DataSet, held: HeldOut) -> None:
     assert "fail" in verdicts[1:]
 
 
-def test_a_model_that_is_late_by_20_s_fails_in_time_but_one_late_by_3_s_does_not(
-    study: DataSet, held: HeldOut
-) -> None:
+def test_a_model_that_is_late_by_20_s_fails_in_time_but_one_late_by_3_s_does_not(study: DataSet, held: HeldOut) -> None:
     def late(by_s: float) -> HeldOut:
         model = np.array([np.interp(held.time_s - by_s, held.time_s, c) for c in held.model_V.reshape(-1, 9)])
         return replace(held, model_V=model.reshape(held.model_V.shape))

@@ -7,15 +7,15 @@ Jacobian costs little more than one simulation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt import fast
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, Parameters, State, cell_voltage, step
 
-PLAIN_ROW_S, PLAIN_STEP_S = 40e-6, 60e-9  # measured: a row, and each of its columns
+States = Callable[[Parameters, State, Array, Array, Number], State]
 
 
 class Trajectory(NamedTuple):
@@ -38,11 +38,7 @@ def simulate(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C:
 
 
 def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Number) -> State:
-    """The state at every row, [rows, batch] each; compiled where that pays."""
-    if fast.pays(PLAIN_ROW_S * c_rate.shape[0] + PLAIN_STEP_S * c_rate.size, "openloop"):
-        from uavbatt.battery import compiled_openloop
-
-        return compiled_openloop.states(p, start, c_rate, dt_s, ambient_C)
+    """Step the model along all rows; returns the state at every row, [rows, batch] each (arguments: `simulate`)."""
     out = State(*np.empty((len(State._fields), *c_rate.shape)))
     state = start
     for k in range(c_rate.shape[0]):

@@ -29,11 +29,13 @@ from uavbatt.records import Flight, PackFacts
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.dataset import DataSet
     from uavbatt.diagnosis.close import Closed
     from uavbatt.diagnosis.diagnosis import Diagnosis
-    from uavbatt.estimator import PackOptions
     from uavbatt.fitting.observed import Observed
+
+Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
 
 
 def diagnose(
@@ -99,12 +101,12 @@ def _run(
     gate: Path | None,
 ) -> tuple[Diagnosis, Closed, BatteryFile]:
     from uavbatt import dataset as data
+    from uavbatt.battery.sizing import PackOptions, pack_from
     from uavbatt.diagnosis import close
     from uavbatt.diagnosis.diagnosis import diagnose as find
-    from uavbatt.diagnosis.diagnosis import pack_for
     from uavbatt.diagnosis.gate import verdicts
-    from uavbatt.estimator import PackOptions
     from uavbatt.fitting import observed
+    from uavbatt.log_replay import engine_for
 
     tests = data.load(gate) if gate is not None else None
     sizes = {_flown_size(f, content, stated) for f in flights} | {_tested_size(d, content, stated) for d in datasets}
@@ -114,11 +116,12 @@ def _run(
     series, capacity_Ah, cutoff_V = next(iter(sizes))
     records: list[Observed] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
     records += [_observed(f, series, capacity_Ah) for f in flights]
-    pack = pack_for(content, series, capacity_Ah)._replace(cutoff_V=cutoff_V)
+    options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
+    pack = pack_from(content, options)
     with _Progress() as tell:
-        found = find(records, content, pack, without, tell)
-        options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
-        closed = close.judge(found, content, flights, options, tell)
+        engine = engine_for(is_long=True)
+        found = find(records, content, pack, without, tell, engine)
+        closed = close.judge(found, content, flights, options, tell, engine)
     new = close.extended(content, found)
     if tests is not None:
         remark(f"gating with {gate} ...")
@@ -145,38 +148,31 @@ def _distinct(flights: list[Flight]) -> list[Flight]:
     return flights
 
 
-def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
-    """As `_size`; where nobody tells the cells, the fullest voltage at the start does."""
-    from uavbatt.resolved import resolve, resting
-    from uavbatt.statements import check_whole, first_seen
+def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
+    """The size of a flight's pack, whose rows must not deny it. Raises UsageError in words."""
+    from uavbatt.battery.sizing import resting
+    from uavbatt.battery.statements import check_whole, size_from_rows
 
-    typed = content.battery
-    volts = [s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)][:5]
-    guess = typed.cells_series if typed.cells_series > 1 or not volts else max(1, round(max(volts) / 4.1))
-    seen = first_seen(flight.samples)
-    said = flight.facts_at(math.inf)
-    size = _size(flight.source, said, guess, content, stated, seen)
-    check_whole(flight, resolve(content, stated, said, guess, seen=seen), resting(content))
-    return size
+    size = size_from_rows(content, stated, flight, flight.facts_at(math.inf))
+    check_whole(flight, size, resting(content))
+    return _rounded(size)
 
 
-def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> tuple[int, float, float]:
-    """As `_size`: a data set tells of its pack what a vehicle tells of its."""
+def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> Size:
+    """The size of a tested pack: a data set tells of its pack what a vehicle tells of its."""
+    from uavbatt.battery.sizing import checked, size_of_pack
+
     said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
-    return _size(dataset.path, said, dataset.cells_series, content, stated, Seen(dataset.first_V))
-
-
-def _size(
-    name: str, said: PackFacts, guess: int, content: BatteryFile, stated: PackOptions, seen: Seen
-) -> tuple[int, float, float]:
-    """Cells, capacity [Ah], cut-off [V], rounded so that records of one pack agree."""
-    from uavbatt.resolved import checked, resolve
-
+    seen = Seen(dataset.first_V)
     try:
-        found = checked(content, resolve(content, stated, said, guess, seen=seen), seen)
+        return _rounded(checked(content, size_of_pack(content, stated, said, dataset.cells_series, seen=seen), seen))
     except UsageError as error:
-        raise UsageError(f"{name}: {error}") from None
-    return found.cells, round(found.capacity_Ah, 4), round(found.cutoff_V, 3)
+        raise UsageError(f"{dataset.path}: {error}") from None
+
+
+def _rounded(size: PackSize) -> Size:
+    """Rounded so that records of one pack agree."""
+    return size.cells, round(size.capacity_Ah, 4), round(size.cutoff_V, 3)
 
 
 class _Progress:

@@ -25,7 +25,7 @@ from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.records import Flight
 
 
@@ -44,9 +44,9 @@ def fit(
     """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
     from uavbatt import dataset
     from uavbatt.battery import battery_file
+    from uavbatt.battery.statements import check, check_whole
     from uavbatt.fitting.battery import fit_battery, size_of
     from uavbatt.limits import Resting
-    from uavbatt.statements import check, check_whole
 
     if output is None and vehicle is None:
         raise UsageError("nothing to write: expected -o NAME.battery.toml, --vehicle NAME.vehicle.toml, or both")
@@ -65,7 +65,7 @@ def fit(
         name = (output or vehicle or Path("fitted")).name.split(".")[0]
         size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
         for flight in flights:
-            check_whole(flight, size.resolved, Resting())
+            check_whole(flight, size.pack_size, Resting())
         for notice in size.notices:
             remark(f"warning: {notice}")
         remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")

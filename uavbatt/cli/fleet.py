@@ -65,11 +65,13 @@ def fleet(
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find
+    from uavbatt.prediction.forecaster import Settings
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    job = Job(read_battery(battery, allow_uncertified), options, _pattern(aircraft))
+    settings = Settings(reserve_soc=reserve_soc)
+    job = Job(read_battery(battery, allow_uncertified), options, settings, _pattern(aircraft))
     found = find(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import Resolved
+from uavbatt.battery.sizing import PackSize
 from uavbatt.files import atomic_write
 from uavbatt.log_replay import Outcome, Step
 from uavbatt.records import Flight
@@ -16,7 +16,7 @@ def write(
     path: str | Path,
     flight: Flight,
     run: Sequence[Step],
-    resolved: Resolved,
+    resolved: PackSize,
     outcome: Outcome,
     battery: BatteryFile,
 ) -> None:

@@ -17,9 +17,10 @@ from uavbatt.errors import UavbattError, UsageError, terminal_line
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.live.config import Config, PackSection
     from uavbatt.mavlink.endpoint import Link
+    from uavbatt.prediction.forecaster import Settings
 
 CONFIG_VARIABLE = "UAVBATT_LIVE"
 
@@ -34,12 +35,12 @@ def run(config: Config) -> None:
     content = battery_file.read(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
     if content.status == "edited":
         print(terminal_line(f"uavbatt: {config.pack.battery}: {content.caveat}"), file=sys.stderr, flush=True)
-    options = pack_options(config.pack)
+    options, settings = stated(config.pack)
     link, stations = _links(config)
     stopped: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: stopped.append(signum))
-    daemon = Daemon(config, content, options, link, stations)
+    daemon = Daemon(config, content, options, settings, link, stations)
     if config.http.listen:
         from uavbatt.live.web import serve
 
@@ -73,10 +74,11 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
     return ProxyClient(Settings(link.endpoint, link.gcs, control, link.request, feed.proxy_soc)), ()
 
 
-def pack_options(pack: PackSection) -> PackOptions:
-    """What the configuration states of the pack, for the estimator."""
+def stated(pack: PackSection) -> tuple[PackOptions, Settings]:
+    """What the configuration states of the pack, and of forecasts, for the estimator."""
     from uavbatt.battery import vehicle_file
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.prediction.forecaster import Settings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.records import NAN, Flight
 
@@ -84,15 +86,13 @@ def pack_options(pack: PackSection) -> PackOptions:
         raise UsageError("--load log: expected learned, recent or watts; in flight no log knows what is to come")
     flown = vehicle_file.read(Path(pack.vehicle)) if pack.vehicle else None
     chosen = stated_load(pack.load, Flight("live", "live", ()), flown)
-    return PackOptions(
+    options = PackOptions(
         cells=pack.cells,
         capacity_Ah=pack.capacity_Ah or NAN,
         cutoff_V=pack.cutoff_voltage_V or NAN,
-        reserve_soc=pack.reserve_soc,
         ambient_C=NAN if pack.ambient_C is None else pack.ambient_C,
-        load=chosen,
-        forecast_period_s=pack.forecast_period_s,
     )
+    return options, Settings(chosen, pack.reserve_soc, pack.forecast_period_s)
 
 
 def main() -> int:

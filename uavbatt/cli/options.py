@@ -16,7 +16,7 @@ from uavbatt.records import NAN
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
 
 BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
 RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
@@ -44,13 +44,13 @@ def known(value: float | None, option: str) -> float:
 def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
-    """What the options state of the pack, for the estimator; UsageError when it cannot be."""
-    from uavbatt.estimator import PackOptions
+    """The pack as the options state it. Raises UsageError when it, or the reserve, cannot be."""
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
 
     capacity_Ah, cutoff_V = known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage")
     check_stated(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc, names=OPTIONS)
-    return PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, reserve_soc=reserve_soc)
+    return PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
 
 
 def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), makes: Path | None = None) -> None:

@@ -29,7 +29,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.estimator import PackOptions
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.plan import Plan
     from uavbatt.prediction.load import Load
     from uavbatt.records import Flight

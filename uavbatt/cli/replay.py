@@ -31,8 +31,8 @@ from uavbatt.errors import UsageError, terminal_line
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.sizing import PackOptions, PackSize
     from uavbatt.battery.vehicle_file import VehicleFile
-    from uavbatt.estimator import PackOptions, Resolved
     from uavbatt.log_replay import Outcome, Step
     from uavbatt.records import Flight
 
@@ -75,7 +75,7 @@ def replay(
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results = []
     for log, of_one in zip(logs, targets, strict=True):
-        results.append(_one(log, content, options, (load, flown), (instance, join), (*of_one, summary)))
+        results.append(_one(log, content, (options, reserve_soc), (load, flown), (instance, join), (*of_one, summary)))
     if summary is not None:
         from uavbatt.files import write_json
 
@@ -85,28 +85,27 @@ def replay(
 def _one(
     log: Path,
     content: BatteryFile,
-    options: PackOptions,
+    stated: tuple[PackOptions, float],
     load: tuple[str, VehicleFile | None],
     chosen: tuple[int | None, str],
     outputs: Sequence[Path | None],
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
-    from dataclasses import replace as changed
-
     from uavbatt import output
+    from uavbatt.battery.statements import check
     from uavbatt.estimator import Estimator
-    from uavbatt.log_replay import outcome, steps
+    from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps
+    from uavbatt.prediction.forecaster import Settings
     from uavbatt.prediction.load_options import stated_load
-    from uavbatt.statements import check
     from uavbatt.telemetry.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
-    flight = asked_flight(log, *chosen)
+    flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
     check(content, options, flight)
     period_s = forecast_period_s(log)
-    if math.isfinite(period_s):
-        options = changed(options, forecast_period_s=period_s)
-    estimator = Estimator(content, changed(options, load=stated_load(load[0], flight, load[1], content)))
+    to_come = stated_load(load[0], flight, load[1], content)
+    settings = Settings(to_come, reserve_soc, period_s) if math.isfinite(period_s) else Settings(to_come, reserve_soc)
+    estimator = Estimator(content, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -115,7 +114,7 @@ def _one(
             run.append(step)
             for sink in out:
                 sink.write(output.line(step.estimate, step.remaining))
-        resolved = estimator.resolved
+        resolved = estimator.pack_size
         if resolved is None:
             raise UsageError(f"{log}: expected at least one row with a voltage")
         found = outcome(run, resolved.cutoff_V)
@@ -138,7 +137,7 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
-def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) -> list[str]:
+def _lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) -> list[str]:
     """The summary for a person."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
@@ -171,7 +170,7 @@ def _lines(flight: Flight, resolved: Resolved, found: Outcome, run: list[Step]) 
 
 
 def _summary(
-    flight: Flight, resolved: Resolved, found: Outcome, run: list[Step], content: BatteryFile
+    flight: Flight, resolved: PackSize, found: Outcome, run: list[Step], content: BatteryFile
 ) -> dict[str, Any]:
     """The summary for a program (DESIGN §5)."""
     from dataclasses import asdict

@@ -19,14 +19,16 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_current
 from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.candidates import QUANTITIES
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.heldout import left_out, open_loop
 from uavbatt.diagnosis.problem import Refit
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.fitting.assemble import rounded
 from uavbatt.log_replay import steps
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.scores import end_of_flight
@@ -134,7 +136,9 @@ def _known(value: float) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-def remaining(flight: Flight, file: BatteryFile, options: PackOptions) -> tuple[list[float], list[bool]]:
+def remaining(
+    flight: Flight, file: BatteryFile, options: PackOptions, engine: Engine = PLAIN
+) -> tuple[list[float], list[bool]]:
     """Absolute errors [s] and hits of the interval of one flight's forecasts; empty when the log has no end."""
     thin, last = [], -math.inf
     for s in flight.samples:
@@ -151,7 +155,7 @@ def remaining(flight: Flight, file: BatteryFile, options: PackOptions) -> tuple[
     pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
     true_V = (volts - pack.offset_V) / pack.gain_V
     load = LoggedLoad(time_s, np.maximum(true_V * true_current(pack, amps, volts), 0.0))
-    estimator = Estimator(file, replace(options, load=load, forecast_period_s=FORECAST_S))
+    estimator = Estimator(file, options, Settings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
     for step in steps(replace(flight, samples=tuple(thin)), estimator):
@@ -172,8 +176,9 @@ def judge(
     flights: list[Flight],
     options: PackOptions,
     progress: Callable[[str], None] | None = None,
+    engine: Engine = PLAIN,
 ) -> Closed:
-    """Error before and after on every record, each left out in turn."""
+    """Judge the error before and after on every record, each left out in turn; `engine` replays the flights."""
     problem, fit = found.problem, found.after
     values = left_out(problem, fit)
     by_name = dict(zip(problem.evidence.names, values, strict=True))
@@ -187,7 +192,7 @@ def judge(
         for key, used in (("before", file), ("after", new)):
             if key == "after" and new is file:
                 continue
-            errors, hits = remaining(flight, used, options)
+            errors, hits = remaining(flight, used, options, engine)
             pairs[key][0].extend(errors)
             pairs[key][1].extend(hits)
     plain = open_loop(problem, found.before, [np.zeros(0)] * len(values))

@@ -14,9 +14,10 @@ from typing import Literal
 
 import numpy as np
 
+from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import attribute, residual
 from uavbatt.diagnosis.attribute import Finding
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
@@ -26,6 +27,7 @@ from uavbatt.diagnosis.heldout import helps
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
+from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
@@ -54,19 +56,14 @@ class Diagnosis:
     findings: tuple[Finding, ...] = field(default=())
 
 
-def problem_of(records: list[Observed], file: BatteryFile, pack: Pack) -> Problem:
-    """Records and battery file, ready for refits. Raises NotEnoughData with the reason."""
+def problem_of(
+    records: list[Observed], file: BatteryFile, pack: Pack, states: openloop.States = openloop.states
+) -> Problem:
+    """Make records and battery file ready for refits; `states` simulates. Raises NotEnoughData with the reason."""
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
-    return Problem(pack, evidence, base, nuisances(file), table_errors(file))
-
-
-def pack_for(file: BatteryFile, cells: int, capacity_Ah: float) -> Pack:
-    """The file scaled to the records' pack; its cut-off scales with the cells."""
-    share = cells / file.battery.cells_series
-    cutoff_V = file.battery.cutoff_V * share
-    return pack_of(file, cells, capacity_Ah, cutoff_V, (file.battery.low_V or file.battery.cutoff_V) * share)
+    return Problem(pack, evidence, base, nuisances(file), table_errors(file), states)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -83,11 +80,16 @@ def diagnose(
     pack: Pack,
     without: tuple[str, ...] = (),
     progress: Callable[[str], None] | None = None,
+    engine: Engine = PLAIN,
 ) -> Diagnosis:
-    """Diagnose records of one pack. Raises NotEnoughData."""
+    """Diagnose records of one pack.
+
+    without : effects that are no candidates; progress : told each step; engine : simulates many columns
+    (`compiled.engine()` is some three times faster). Raises NotEnoughData with the reason.
+    """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
-    problem = problem_of(records, file, pack)
+    problem = problem_of(records, file, pack, engine.states)
     options = candidates(
         file,
         problem.base,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.battery import openloop
 from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, resistance
 from uavbatt.battery.scaling import Pack
@@ -57,6 +58,7 @@ class Problem:
     base: Array
     nuisances: tuple[Freed, ...] = ()
     tables: TableErrors | None = None
+    states: openloop.States = openloop.states  # simulates them; compiled, where the command hands that in
 
 
 @dataclass(frozen=True, slots=True)

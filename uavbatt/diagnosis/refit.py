@@ -99,7 +99,8 @@ class _Batch:
         x, own = self.settings(u, v)
         flat = (-1, self.records)
         owns = Own(*(o.reshape(flat) for o in own))
-        return simulate(self.problem.pack, self.problem.evidence, x.reshape(*flat, x.shape[-1]), owns)
+        made = x.reshape(*flat, x.shape[-1])
+        return simulate(self.problem.pack, self.problem.evidence, made, owns, self.problem.states)
 
     def residuals(self, us: Array, vs: Array) -> tuple[Array, Array]:
         """Whitened [variants, C, records, numbers], and the slopes of the first variant on the knots [C, .., knots]."""

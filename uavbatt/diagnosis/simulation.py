@@ -13,6 +13,7 @@ import numpy as np
 from uavbatt.battery import model, openloop, pack
 from uavbatt.battery.initial_state import underway
 from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.openloop import States
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import INDEX, QUANTITIES
@@ -64,8 +65,11 @@ def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
     return current
 
 
-def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
-    """Run quantities x [variants, records, quantities] with the records' own values."""
+def simulate(base: Pack, evidence: Evidence, x: Array, own: Own, walk: States = openloop.states) -> Shown:
+    """Run quantities x [variants, records, quantities] with the records' own values.
+
+    walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin).
+    """
     stack = evidence.stack
     variants, records = own.soc.shape
     flat = x.reshape(variants * records, -1)
@@ -79,7 +83,7 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
     ambient_C = np.where(np.tile(evidence.known_ambient, variants), np.tile(stack.ambient_C, variants), start_C)
     ambient_C = ambient_C + own.ambient_K.ravel()
     start = underway(cell, own.soc.ravel(), start_C, rate[0])
-    states = _states(cell, start, rate, np.tile(stack.dt_s, (1, variants)), ambient_C)
+    states = walk(cell, start, _between(rate), np.tile(stack.dt_s, (1, variants)), ambient_C)
     true_V = _voltages(cell, installation, states, rate, current_A)
     shape = (*stack.time_s.shape[:1], variants, records)
     return Shown(
@@ -89,14 +93,11 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own) -> Shown:
     )
 
 
-def _states(cell: Parameters, start: State, rate: Array, dt_s: Array, ambient_C: Array) -> State:
-    """States at every row, [rows, columns] each.
-
-    A row is the mean around its time, so that between two rows flows the mean of both.
-    """
+def _between(rate: Array) -> Array:
+    """Rates [rows, columns] that flow before each row: a row is the mean around its time, between two flows theirs."""
     between = rate.copy()
     between[1:] = 0.5 * (rate[1:] + rate[:-1])
-    return openloop.states(cell, start, between, dt_s, ambient_C)
+    return between
 
 
 def _voltages(cell: Parameters, installation: Installation, states: State, rate: Array, current_A: Array) -> Array:

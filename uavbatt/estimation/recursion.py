@@ -1,113 +1,217 @@
-"""Values that the filter, its look-ahead and its compiled twin share, beside the model and the noise."""
+"""The filter's recursion over a window of rows: pure functions from one state of the filter to the next.
+
+    between blocks   soc falls by the charge drawn
+    block closed     predict over the block's mean current, condition on its mean voltage (and temperature if there is
+                     one): ν = z - h(x⁻), S = H P⁻ Hᵀ + R, NIS = νᵀ S⁻¹ ν; then weigh the members by their ν
+
+A reading that is far off (NIS above GATE) is not thrown away but believed less. `compiled.filter` is the same recursion
+compiled; a test holds the two equal to 1e-9.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery import state_space as b
+from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.model import Array
-from uavbatt.battery.state_space import SIZE, C, mixed_covariance
+from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import SIZE, C
+from uavbatt.estimation import kalman, noise
+from uavbatt.estimation.block import BLOCK_S, Block, is_complete
+from uavbatt.estimation.kalman import Condition, Moments, jacobian
 from uavbatt.records import Sample
 
-# Steps of the difference quotients: far above rounding, far below any curvature of the model.
-NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
 GATE = 16.0
-BLOCK_S = 2.0
 FULL_SOC_SD = 0.01
 EVIDENCE_SHARE, LEAST_WEIGHT = 0.1, 1e-5
+ROOM_TEMP_C = 22.0
 
 
-class Block(NamedTuple):
-    """Rows that are taken in together: fast telemetry is averaged to BLOCK_S before the filter sees it.
+class FilterState(NamedTuple):
+    """Where the filter stands between two rows."""
 
-    The row-to-row noise of a current sensor, multiplied by the resistance, would look like a voltage that does not
-    answer the current: a resistance too small. Means over two seconds leave little of it, and cost less.
-    """
-
-    rows: int = 0
-    duration_s: float = 0.0
-    charge_As: float = 0.0
-    sum_V: float = 0.0
-    sum_A: float = 0.0
-    sum_C: float = 0.0
-    temps: int = 0
-
-    def after(self, sample: Sample, current_A: float, dt_s: float, previous_A: float) -> Block:
-        """The block with one more row, `dt_s` after a row of `previous_A` (trapezium rule)."""
-        has_temp = math.isfinite(sample.temp_C)
-        return Block(
-            self.rows + 1,
-            self.duration_s + dt_s,
-            self.charge_As + 0.5 * (previous_A + current_A) * dt_s,
-            self.sum_V + sample.voltage_V,
-            self.sum_A + current_A,
-            self.sum_C + (sample.temp_C if has_temp else 0.0),
-            self.temps + has_temp,
-        )
-
-    @property
-    def voltage_V(self) -> float:
-        """Mean voltage [V]."""
-        return self.sum_V / self.rows
-
-    @property
-    def current_A(self) -> float:
-        """Mean of the rows' currents [A]."""
-        return self.sum_A / self.rows
-
-    @property
-    def temp_C(self) -> float:
-        """Mean temperature [°C], NaN when no row had one."""
-        return self.sum_C / self.temps if self.temps else math.nan
+    moments: Moments  # after the last block
+    time_s: float  # of the last row
+    current_A: float  # of the last row
+    block_A: float  # mean of the last block
+    block: Block  # the open one
+    ambient_C: float
 
 
-class Begun(NamedTuple):
-    """Where the filter stands between two rows: time and current of the last, mean current of the last block."""
+class Innovation(NamedTuple):
+    """One row against the model: innovation [V], its NIS (NaN within a block), expected voltage [V], charge."""
 
+    innovation_V: float
+    nis: float
+    expected_V: float
+    soc: float
+
+
+class Row(NamedTuple):
+    """The filter after one row of a window; no moments before its first complete row."""
+
+    moments: Moments | None
     time_s: float
-    current_A: float
-    block_A: float
-    is_first: bool  # the belief comes from the row that follows
-    block: Array  # the open `Block`
+    innovation: Innovation
 
 
-class Moments(NamedTuple):
-    """A sum of Gaussians, where filterpy's filters are not needed: means, covariances, ln of the weights."""
+class Between(NamedTuple):
+    """A row within a block: what its expected voltage needs, worked out for all such rows of a window at once."""
 
     x: Array  # [members, 8]
-    P: Array  # [members, 8, 8]
-    log_weight: Array  # [members]
-
-    @property
-    def weight(self) -> Array:
-        """Weights [members]; their sum is 1."""
-        return np.asarray(np.exp(self.log_weight))
+    weight: Array
+    current_A: float
+    voltage_V: float
 
 
-def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-    """(∂f/∂x [members, n, 8], f(x) [members, n]) by central differences, all columns in one call of `function`."""
-    nudges = np.diag(NUDGE)
-    points = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
-    members, count, _ = points.shape
-    values = function(points.reshape(members * count, SIZE).T).T.reshape(members, count, -1)
-    plus, minus = values[:, 1 : SIZE + 1], values[:, SIZE + 1 :]
-    return np.swapaxes((plus - minus) / (2.0 * NUDGE)[:, None], 1, 2), values[:, 0].copy()
+Window = Callable[[Pack, FilterState, Sequence[Sample]], tuple[list[Row], FilterState]]
+NOTHING = Innovation(math.nan, math.nan, math.nan, math.nan)
 
 
-def conditioned(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
-    """Means and covariances after a measurement, with Joseph's form: `ExtendedKalmanFilter.update` of filterpy.
+def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> tuple[FilterState, Row]:
+    """Start the filter at a row with voltage and current: from the rested voltage, or wide from one under load.
 
-    Said once more here because importing filterpy takes longer than all the updates of a replay. innovation
-    [members, n], observation [members, n, 8], noise_R [members, n, n].
+    ambient_C : given ambient temperature [°C], NaN where nobody gave one; members : the capacities to weigh.
     """
-    PHt = P @ np.swapaxes(observation, 1, 2)
-    gain = PHt @ np.linalg.inv(observation @ PHt + noise_R)
-    keep = np.eye(SIZE) - gain @ observation
-    spread = keep @ P @ np.swapaxes(keep, 1, 2) + gain @ noise_R @ np.swapaxes(gain, 1, 2)
-    return x + (gain @ innovation[:, :, None])[:, :, 0], spread
+    current_A = float(true_current(pack.installation, sample.current_A, sample.voltage_V))
+    temp_C, temp_sd_K = sample.temp_C - pack.installation.offset_K, pack.temperature_sd_K
+    if not math.isfinite(temp_C):
+        temp_C, temp_sd_K = ambient_C, 3.0
+    if not math.isfinite(temp_C):
+        temp_C, temp_sd_K = ROOM_TEMP_C, noise.UNKNOWN_TEMP_SD_K
+    rate = float(c_rate(pack.installation, current_A))
+    cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
+    first = noise.first_state(pack, cell_V, temp_C, rate)
+    x = np.zeros((members.log_scale.size, SIZE))
+    x[:, : C.SENSOR + 1] = first.state
+    x[:, C.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
+    x[:, C.BIAS], x[:, C.LOG_CAPACITY] = first.mean[1], members.log_scale
+    P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members.sd)
+    moments = Moments(x, P, np.log(members.weight))
+    ambient_C = ambient_C if math.isfinite(ambient_C) else temp_C
+    state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C)
+    expected_V = float(moments.weight @ b.voltage(pack, x.T, current_A))
+    shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, C.SOC]))
+    return state, Row(moments, sample.time_s, shown)
+
+
+def filter_window(
+    pack: Pack, state: FilterState, samples: Sequence[Sample], condition: Condition = kalman.condition
+) -> tuple[list[Row], FilterState]:
+    """Take a window of rows in, one after the other.
+
+    condition : how a measurement is taken in; filterpy's in flight (`kalman.filterpy_condition`).
+    Returns the filter after each row, and the state after the last.
+    """
+    rows: list[Row] = []
+    between: list[tuple[int, Between]] = []
+    for sample in samples:
+        state, shown = _take(pack, state, sample, condition)
+        if isinstance(shown, Between):
+            between.append((len(rows), shown))
+            shown = NOTHING
+        rows.append(Row(state.moments, state.time_s, shown))
+    for (k, _), innovation in zip(between, _innovations(pack, [row for _, row in between]), strict=True):
+        rows[k] = rows[k]._replace(innovation=innovation)
+    return rows, state
+
+
+def _take(
+    pack: Pack, state: FilterState, sample: Sample, condition: Condition
+) -> tuple[FilterState, Innovation | Between]:
+    """The state after one row, and what the row shows; a row without voltage or current, or back in time, nothing."""
+    dt_s = sample.time_s - state.time_s
+    if not is_complete(sample) or dt_s < 0.0:
+        return state, NOTHING
+    current_A = float(true_current(pack.installation, sample.current_A, sample.voltage_V))
+    if dt_s > BLOCK_S and state.block.duration_s > 0.0:
+        state, _ = _close(pack, state, condition)  # rows before a gap belong to the time before it
+    block = state.block.after(sample, current_A, dt_s, state.current_A)
+    state = FilterState(state.moments, sample.time_s, current_A, state.block_A, block, state.ambient_C)
+    if block.duration_s < BLOCK_S:
+        return state, _between(pack, state, sample)
+    return _close(pack, state, condition)
+
+
+def _between(pack: Pack, state: FilterState, sample: Sample) -> Between:
+    """Within a block: the moments after the last one, less the charge drawn since."""
+    x = state.moments.x.copy()
+    capacity_As = 3600.0 * pack.installation.present_capacity_Ah * np.exp(x[:, C.LOG_CAPACITY])
+    x[:, C.SOC] -= state.block.charge_As / capacity_As
+    return Between(x, state.moments.weight, state.current_A, sample.voltage_V)
+
+
+def _innovations(pack: Pack, rows: list[Between]) -> list[Innovation]:
+    """What rows within blocks show, by the members' weights."""
+    if not rows:
+        return []
+    x, weight = np.array([row.x for row in rows]), np.array([row.weight for row in rows])
+    count, members, _ = x.shape
+    current_A = np.repeat([row.current_A for row in rows], members)
+    volts = b.voltage(pack, x.reshape(count * members, -1).T, current_A).reshape(count, members)
+    expected_V = np.sum(volts * weight, axis=1).tolist()
+    return [
+        Innovation(row.voltage_V - volts_V, math.nan, volts_V, float(row.weight @ row.x[:, C.SOC]))
+        for row, volts_V in zip(rows, expected_V, strict=True)
+    ]
+
+
+def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
+    """Take the rows of the open block in."""
+    block, at = state.block, state.moments
+    mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
+    rate, before = (float(c_rate(pack.installation, amps)) for amps in (mean_A, state.block_A))
+    process_Q = noise.process_variances(pack, at.x.T, rate, dt_s, before).T
+    x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.ambient_C, dt_s), at.x, at.P, process_Q)
+    step_A = block.current_A - state.block_A
+    moments, shown = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition)
+    return state._replace(moments=moments, block_A=block.current_A, block=Block()), shown
+
+
+def _update(pack: Pack, at: Moments, block: Block, step_A: float, condition: Condition) -> tuple[Moments, Innovation]:
+    """Condition the moments on the means of a block, whose current is `step_A` [A] more than the last one's."""
+    current_A, temp_C = block.current_A, block.temp_C
+    has_temp = math.isfinite(temp_C)
+
+    def reading(x: Array) -> Array:
+        volts = b.voltage(pack, x, current_A)
+        warmth = x[C.SENSOR] + pack.installation.offset_K
+        return np.stack([volts, warmth]) if has_temp else np.stack([volts])
+
+    observation, expected = jacobian(reading, at.x)
+    measured = np.array([block.voltage_V, temp_C] if has_temp else [block.voltage_V])
+    innovation = measured - expected
+    noise_R = np.zeros((len(at.x), measured.size, measured.size))
+    noise_R[:, 0, 0] = noise.reading_variance(pack, at.x.T, current_A, step_A)
+    if has_temp:
+        noise_R[:, 1, 1] = pack.temperature_sd_K**2
+    spread = observation @ at.P @ np.swapaxes(observation, 1, 2) + noise_R
+    nis = np.sum(innovation * np.linalg.solve(spread, innovation[:, :, None])[:, :, 0], axis=1)
+    # Far off (NIS above GATE): believe it less, so that its normalised innovation is GATE.
+    doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
+    x, P = _at_most_full(*condition(at.x, at.P, innovation, observation, doubted), condition)
+    after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0]))
+    weight, soc = at.weight, float(after.weight @ x[:, C.SOC])
+    return after, Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
+
+
+def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Array]:
+    """Constrain the charge of every member to 1 by a pseudo-measurement with sd FULL_SOC_SD: correlations follow."""
+    over = x[:, C.SOC] > 1.0
+    if not over.any():
+        return x, P
+    row = np.zeros((int(over.sum()), 1, SIZE))
+    row[:, 0, C.SOC] = 1.0
+    noise_R = np.full((len(row), 1, 1), FULL_SOC_SD**2)
+    x, P = x.copy(), P.copy()
+    x[over], P[over] = condition(x[over], P[over], 1.0 - x[over][:, [C.SOC]], row, noise_R)
+    return x, P
 
 
 def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array) -> Array:
@@ -127,84 +231,3 @@ def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array) -> Array
     weight = weight / np.sum(weight)
     found: Array = np.log(LEAST_WEIGHT + (1.0 - LEAST_WEIGHT * weight.size) * weight)
     return found
-
-
-class Standing(NamedTuple):
-    """All that a filter carries from row to row."""
-
-    moments: Moments | None
-    time_s: float
-    current_A: float
-    block_A: float
-    block: Block
-    ambient_C: float
-
-
-class Shown(NamedTuple):
-    """What a row shows: innovation [V], its NIS (NaN within a block), expected voltage [V], soc."""
-
-    innovation_V: float
-    nis: float
-    expected_V: float
-    soc: float
-
-
-NOTHING = Shown(math.nan, math.nan, math.nan, math.nan)
-
-
-class Postponed(NamedTuple):
-    """A row whose expected voltage is worked out later, with those of other rows; x [members, 8]."""
-
-    x: Array
-    weight: Array
-    current_A: float
-    voltage_V: float
-
-
-def is_complete(sample: Sample) -> bool:
-    """Whether the row can move the belief."""
-    return math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)
-
-
-class Summary(NamedTuple):
-    """What estimates say of a belief: the same for all rows between two updates."""
-
-    x: Array
-    soc: float
-    soc_sd: float
-    core_temp_C: float
-    resistance_scale: float
-    resistance_scale_sd: float
-    capacity_scale: float
-    capacity_scale_sd: float
-    wear: float
-    wear_sd: float
-
-
-NO_SUMMARY = Summary(np.full(SIZE, math.nan), *(math.nan,) * 9)
-
-
-def no_warnings(sample: Sample, known: Summary) -> tuple[str, ...]:
-    """For those who do not ask."""
-    return ()
-
-
-def summary(at: Moments) -> Summary:
-    """Mean and spread of what is told of a belief."""
-    weight = at.weight
-    x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
-    sd = np.sqrt(np.diag(covariance))
-    resistance, capacity = float(x[C.LOG_RESISTANCE]), float(x[C.LOG_CAPACITY])
-    shared = covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY]
-    return Summary(
-        x=at.x,
-        soc=float(x[C.SOC]),
-        soc_sd=float(sd[C.SOC]),
-        core_temp_C=float(x[C.CORE]),
-        resistance_scale=math.exp(resistance),
-        resistance_scale_sd=math.exp(resistance) * float(sd[C.LOG_RESISTANCE]),
-        capacity_scale=math.exp(capacity),
-        capacity_scale_sd=math.exp(capacity) * float(sd[C.LOG_CAPACITY]),
-        wear=math.expm1(resistance - capacity),
-        wear_sd=math.sqrt(max(sd[C.LOG_RESISTANCE] ** 2 + sd[C.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
-    )

@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
+from uavbatt.battery.sizing import PackOptions, PackSize, believed, size_of_pack
+from uavbatt.battery.statements import first_seen
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, solve
+from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import Fit
 from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
-from uavbatt.records import Flight
-from uavbatt.resolved import Resolved, believed
-from uavbatt.statements import first_seen
+from uavbatt.records import Flight, PackFacts
 
 # Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
@@ -35,11 +36,11 @@ class Size:
     notices: tuple[str, ...] = ()  # what the vehicles say and was not believed, or is odd
 
     @property
-    def resolved(self) -> Resolved:
+    def pack_size(self) -> PackSize:
         """The same as any estimate is made for."""
         by = "fit"
         sized = (self.cells, by, self.capacity_Ah, by, self.cutoff_V, by)
-        return Resolved(self.name, "fitted", *sized, float("nan"), by)
+        return PackSize(self.name, "fitted", *sized, float("nan"), by)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +106,10 @@ def size_of(
     capacity = _first([capacity_Ah, *stated])
     if not np.isfinite(capacity):
         raise UsageError("capacity: neither a data set nor a vehicle states it: give --capacity-ah")
-    cutoff = _first([cutoff_V, *[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets], 3.3 * series])
-    return Size(name, int(series), float(capacity), float(cutoff), tuple(notices))
+    critical_V = _first([*[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets]])
+    said = PackFacts(capacity_Ah=float(capacity), critical_voltage_V=float(critical_V))
+    size = size_of_pack(generic_lipo(), PackOptions(int(series), cutoff_V=cutoff_V), said, int(series))
+    return Size(name, size.cells, size.capacity_Ah, size.cutoff_V, tuple(notices))
 
 
 def _flown_cells(flight: Flight) -> int | None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Flight
 
 GRID_S = 10.0
@@ -40,7 +41,7 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
 
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
     """One flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
-    estimator = Estimator(battery, replace(options, forecast_period_s=math.inf))
+    estimator = Estimator(battery, options, Settings(forecast_period_s=math.inf))
     rows = []
     for sample in flight.samples:
         estimator.update_facts(flight.facts_at(sample.time_s))

@@ -7,18 +7,18 @@ import math
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import PurePath
 
 import numpy as np
 
-from uavbatt import fast
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
-from uavbatt.log_replay import Outcome, Step, outcome, steps
+from uavbatt.log_replay import Outcome, Step, engine_for, outcome, steps
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
@@ -27,7 +27,7 @@ MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
 EMPTY_SOC = 0.05
 OPTIMISTIC_S = 60.0
 RESISTANCE_GROWN = 1.4
-SPARED_S = 0.1  # by compiled filter or forecasts in a flight of 20 minutes
+MANY_FLIGHTS = 20  # of 20 minutes: compiled code spares 0.2 s in each, and takes 1 s to be loaded
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +36,13 @@ class Job:
 
     battery: BatteryFile
     options: PackOptions
+    settings: Settings = Settings()
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
 
 
 def fly(log: LogFile, job: Job) -> Row:
     """The row of one log; never raises for anything that a log can cause."""
-    _foresee(job.flights_each)
     try:
         return _flown(read_bytes(log.name, log.read()), log, job)
     except Unreadable as error:
@@ -54,13 +54,6 @@ def fly(log: LogFile, job: Job) -> Row:
     return bad(log, job, reason)
 
 
-@cache
-def _foresee(flights: int) -> None:
-    """Load compiled code before the first flight, where so many will repay it, and not when some of them have."""
-    for work in ("filter", "forecast"):
-        fast.pays(flights * SPARED_S, work)
-
-
 def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
     """The row of a log that could not be flown."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
@@ -68,9 +61,10 @@ def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
 
 
 def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
-    estimator = Estimator(job.battery, job.options)
+    engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
+    estimator = Estimator(job.battery, job.options, job.settings, engine)
     run = list(steps(flight, estimator))
-    pack = estimator.resolved
+    pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return bad(log, job, "expected at least one row with a voltage")
     found = outcome(run, pack.cutoff_V)

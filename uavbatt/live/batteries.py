@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import PackOptions
 from uavbatt.live import state
 from uavbatt.live.config import Config
 from uavbatt.live.listener import tell
@@ -23,6 +23,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, Row
 from uavbatt.telemetry.parameters import BATTERY_NAMES
@@ -38,11 +39,12 @@ class Batteries:
         config: Config,
         battery: BatteryFile,
         options: PackOptions,
+        settings: Settings,
         reader: LiveReader,
         clocks: Callable[[float], state.Clock],
         now_s: float,
     ) -> None:
-        self._config, self._battery, self._options = config, battery, options
+        self._config, self._battery, self._options, self._settings = config, battery, options, settings
         self._reader, self._clocks, self._start_s = reader, clocks, now_s
         self.reports: dict[int, Report] = {}
         self.tracked: dict[int, TrackedBattery] = {}
@@ -68,13 +70,13 @@ class Batteries:
             self._reader.resume(self._resumption.meet(self._vehicle))
         if instance not in self.tracked:
             saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
-            self.tracked[instance] = TrackedBattery(self._battery, self._options, saved, limit_s)
+            self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
             self._note_until_s = now_s + NOTE_S
         gap_s = now_s - self._start_s + self._resumption.age_s
         estimate, remaining = self.tracked[instance].step(row.sample, self._facts_of(instance), gap_s)
         if conflict := self._reader.conflict(instance):
             estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
-        before, resolved = self.reports.get(instance), self.tracked[instance].estimator.resolved
+        before, resolved = self.reports.get(instance), self.tracked[instance].estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
         report = Report(

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.estimator import PackOptions
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
@@ -29,6 +29,7 @@ from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.mavlink.pipe import wait
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Status
 from uavbatt.telemetry.live import Row
 from uavbatt.telemetry.recording import PERIOD_NAME
@@ -58,6 +59,7 @@ class Daemon:
         config: Config,
         battery: BatteryFile,
         options: PackOptions,
+        settings: Settings,
         link: Link,
         stations: Sequence[Link] = (),
         *,
@@ -66,7 +68,7 @@ class Daemon:
         is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:
         self.config, self.board = config, Board()
-        self._options, self._link, self._stations = options, link, stations
+        self._settings, self._link, self._stations = settings, link, stations
         self._clock_s = clock_s
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
@@ -79,7 +81,7 @@ class Daemon:
             unix_s = wall_s()
             return state.clock(now_s, unix_s, is_clock_set(unix_s))
 
-        self.batteries = Batteries(config, battery, options, self._reader, clocks, self._start_s)
+        self.batteries = Batteries(config, battery, options, settings, self._reader, clocks, self._start_s)
         self._counts = {"rows": 0, "refused": 0}
         self._changes = 0  # of the vehicle that is followed
         self._recorder = Recorder(config.record) if config.record.folder else None
@@ -150,7 +152,7 @@ class Daemon:
         assert self._recorder is not None
         if not self._recorder.remembers(PERIOD_NAME.encode()):
             own = Outgoing(frame.header.system, self.config.link.own_component)
-            period = own.parameter(PERIOD_NAME, self._options.forecast_period_s)
+            period = own.parameter(PERIOD_NAME, self._settings.forecast_period_s)
             self._recorder.remember(PERIOD_NAME.encode(), period)
         self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 

@@ -12,13 +12,14 @@ import math
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UavbattError
-from uavbatt.estimator import Estimator, PackOptions
+from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
 from uavbatt.live.saved import SavedBattery, implausible
+from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.resolved import resolve
 from uavbatt.telemetry.builder import MAX_CURRENT_A
 
 COUNTER_SLACK_AH = 0.02
@@ -31,11 +32,12 @@ class TrackedBattery:
         self,
         battery: BatteryFile,
         options: PackOptions,
+        settings: Settings,
         saved: SavedBattery | None = None,
         max_age_s: float = math.inf,
     ) -> None:
-        self._battery, self._options = battery, options
-        self.estimator = Estimator(battery, options)
+        self._battery, self._options, self._settings = battery, options, settings
+        self.estimator = Estimator(battery, options, settings)
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
@@ -51,7 +53,7 @@ class TrackedBattery:
             self.estimator.update_facts(facts)
             return self.estimator.step(sample)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
-            self.estimator = Estimator(self._battery, self._options)
+            self.estimator = Estimator(self._battery, self._options, self._settings)
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
@@ -59,7 +61,7 @@ class TrackedBattery:
 
     def saved(self, facts: PackFacts) -> SavedBattery | None:
         """Return the values worth saving; None before the first estimate."""
-        belief, resolved, last = self.estimator.belief, self.estimator.resolved, self._last
+        belief, resolved, last = self.estimator.belief, self.estimator.pack_size, self._last
         past = self.estimator.past
         if belief is None or resolved is None or last is None or past is None:
             return None
@@ -84,7 +86,7 @@ class TrackedBattery:
         try:
             if why_not := implausible(was):
                 return f"the saved state holds {why_not}"
-            pack = resolve(self._battery, self._options, was.facts, was.cells, seen=Seen(sample.voltage_V))
+            pack = size_of_pack(self._battery, self._options, was.facts, was.cells, seen=Seen(sample.voltage_V))
             if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
                 return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
             at_s = sample.time_s - gap_s - was.since_row_s
@@ -92,7 +94,7 @@ class TrackedBattery:
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
             self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s))
         except Exception as error:  # nothing that a file can hold may end the process
-            self.estimator = Estimator(self._battery, self._options)
+            self.estimator = Estimator(self._battery, self._options, self._settings)
             return f"the saved state is damaged: {type(error).__name__}"
         return ""
 

@@ -6,13 +6,12 @@ one on 128, so that a replay that asks ahead is several times faster, and gives 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt import fast
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
@@ -22,7 +21,7 @@ SIDE_BY_SIDE = 16  # more do not fit the cache
 
 
 class Question(NamedTuple):
-    """What one forecast simulates: draws of the belief under their powers; see `endurance.time_to_end`."""
+    """One forecast to simulate: samples of the belief under their powers; see `time_to_end.time_to_end`."""
 
     time_s: float
     horizon_s: float
@@ -35,17 +34,16 @@ class Question(NamedTuple):
     by_rows: bool
 
 
+Answers = Callable[[Sequence[Question]], list[EndTimes]]
+
+
 def answer(q: Question) -> EndTimes:
-    """When each draw ends."""
+    """Simulate one forecast; returns the end of each sample."""
     return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, sampling.wander(), q.by_rows)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
-    """The same for many questions about one pack; compiled where that was found to pay."""
-    if fast.is_used("forecast"):
-        from uavbatt.prediction import compiled
-
-        return [compiled.answer(question) for question in questions]
+    """Simulate many forecasts of one pack side by side; returns the end of each sample, as `answer` gives it."""
     found: list[EndTimes] = []
     for _, alike in groupby(questions, key=lambda q: (q.by_rows, q.reserve_soc)):
         queue = list(alike)

@@ -16,6 +16,9 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, C
+from uavbatt.errors import UsageError
+from uavbatt.limits import check_stated
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question, answer
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
@@ -42,11 +45,20 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the operator asks of a forecast."""
+    """The operator asks this of forecasts. Raises UsageError when a number cannot be.
+
+    load : how the load to come is known; reserve_soc : state of charge that ends the flight, 0..1;
+    forecast_period_s : seconds between two forecasts.
+    """
 
     load: Load = UnknownAircraft()
     reserve_soc: float = 0.0
-    period_s: float = 5.0
+    forecast_period_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        check_stated(reserve_soc=self.reserve_soc)
+        if not self.forecast_period_s >= 0.0:
+            raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
 
 
 class Forecast(NamedTuple):
@@ -122,23 +134,28 @@ class Forecaster:
         self._time_s, self._row_s, self._took_off_s = memory.time_s, memory.row_s, memory.took_off_s
         self._flown_s, self._flown_J = memory.flown_s, memory.flown_J
 
-    def step(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> Remaining:
+    def step(
+        self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
+    ) -> Remaining:
         """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
-        refusal, question = self.ask(sample, estimate, belief)
-        return self.say(sample, estimate, refusal, question and (question, answer(question)))
+        refusal, question = self.update(sample, estimate, belief, navigation)
+        return self.finish(sample, estimate, refusal, question and (question, answer(question)))
 
-    def ask(self, sample: Sample, estimate: Estimate, belief: Belief | None) -> tuple[str, Question | None]:
-        """What there is to work out after `sample`, taken into the memory: a refusal, a question, or neither.
+    def update(
+        self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
+    ) -> tuple[str, Question | None]:
+        """Take a sample into the memory; returns why there can be no forecast, the forecast to simulate, or neither.
 
-        Nothing of it depends on an answer, so that a replay may ask many times and answer all at once.
+        belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come.
+        Nothing of it depends on an answer, so that a replay may ask many questions and simulate them side by side.
         """
         self._remember(sample)
         refusal, question = self._refusal(sample, estimate), None
         if not refusal and belief is None:
             refusal = "no belief about the pack yet"
-        elif not refusal and not sample.time_s - self._asked_s < self.settings.period_s:
+        elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
             assert belief is not None
-            question = self.question(belief, sample.time_s)
+            question = self.question(belief, sample.time_s, navigation)
             refusal = "" if question else "the end lies beyond six hours: the load is not that of a flight"
         if refusal:
             self._asked_s = NAN
@@ -146,10 +163,13 @@ class Forecaster:
             self._asked_s = sample.time_s
         return refusal, question
 
-    def say(
+    def finish(
         self, sample: Sample, estimate: Estimate, refusal: str, answered: tuple[Question, EndTimes] | None
     ) -> Remaining:
-        """The remaining time after `sample` from what `ask` said and, where it had a question, its answer."""
+        """The remaining time after `sample` from what `update` returned and, where it had a question, its answer.
+
+        Samples must be finished in the order in which they were taken in.
+        """
         if answered is not None:
             self._last = self._forecast(*answered)
         if refusal or self._last is None:
@@ -157,9 +177,9 @@ class Forecaster:
             return _refused(sample.time_s, refusal)
         return _counted_down(self._last, sample.time_s, estimate)
 
-    def question(self, belief: Belief, time_s: float) -> Question | None:
-        """What a forecast from the belief and the load to come has to simulate; None when no end is in sight."""
-        load, now = self.settings.load, self._now(belief, time_s)
+    def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
+        """The forecast to simulate from the belief and the load to come; None when no end is in sight."""
+        load, now = self.settings.load, self._now(belief, time_s, navigation)
         typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
@@ -220,10 +240,10 @@ class Forecaster:
         raised_V = self.pack.installation.cells * self.cell_spread_V
         return self.pack._replace(cutoff_V=self.cutoff_V, low_V=self.pack.low_V + raised_V)
 
-    def _now(self, belief: Belief, time_s: float) -> Now:
+    def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
         since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0
         flight_W = self._flown_J / self._flown_s if self._flown_s > 0.0 else max(self._load.mean_W, 1.0)
-        return Now(time_s, since_s, float(belief.mean[C.SOC]), max(flight_W, 1.0), self._load)
+        return Now(time_s, since_s, float(belief.mean[C.SOC]), max(flight_W, 1.0), self._load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """A generous guess of what is left: charge above zero at 4 V a cell."""

@@ -12,12 +12,15 @@ it. Rows slower than every three seconds show no such fall.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.records import NAN, Remaining
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.state_space import Belief, C
+from uavbatt.records import NAN, Remaining, Sample, Status
 
 WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
 FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that they span
@@ -28,6 +31,13 @@ LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 6.0  # standard errors of the slope
 # The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
 SHARES = (0.5, 0.63, 1.25, 2.5)
+SURE_LOOKS = 5  # a second apart
+CONTRADICTED_S = 120.0
+FALLS_FASTER = (
+    "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low"
+)
+AT_CUTOFF = "the pack is at its cut-off"
+NO_END = "no end in sight: the charge believed and the load do not fit"
 
 
 class Row(NamedTuple):
@@ -136,3 +146,41 @@ def bounded(said: Remaining, left_s: float) -> Remaining:
     )
     low_s = min(said.remaining_to_low_s, median) if math.isfinite(said.remaining_to_low_s) else NAN
     return Remaining(said.time_s, median, lo, hi, low_s, said.status, said.reason, alarm)
+
+
+class LastWall(NamedTuple):
+    """The last wall as a value that goes from row to row: the fall of the voltage, and when its last looks saw the end.
+
+    Once is chance: the bound holds when SURE_LOOKS looks on end agree that there is one.
+    """
+
+    fall: Fall = Fall()
+    ends_s: tuple[float, ...] = (math.inf,) * SURE_LOOKS
+
+    def after(self, sample: Sample, belief: Belief | None, pack: Pack, cutoff_V: float) -> LastWall:
+        """The value after one more sample and the belief that it led to; cutoff_V [V] is where the flight ends."""
+        cells, lag_V, ends_s = float(pack.installation.cells), 0.0, self.ends_s
+        if belief is not None and self.fall.begins(sample.time_s):
+            lag_V = cells * float(belief.weights @ belief.means[:, [C.POLARISATION, C.DIFFUSION]].sum(axis=1))
+        fall = self.fall.after(sample.time_s, sample.voltage_V, sample.current_A, lag_V)
+        if fall.is_due:
+            ends_s = (*ends_s[1:], sample.time_s + fall.time_left_s(cells, cutoff_V))
+        return LastWall(fall, ends_s)
+
+    def left_s(self, time_s: float) -> float:
+        """Seconds until the measured voltage itself is at the cut-off; infinite where it does not fall."""
+        return max(max(self.ends_s) - time_s, 0.0)
+
+
+def walled(said: Remaining, wall_s: float) -> Remaining:
+    """`said` bounded by the last wall, `wall_s` from now [s]; a number of no width is never `ok`."""
+    if not math.isfinite(said.remaining_s):
+        return said
+    now = bounded(said, wall_s)
+    if wall_s < min(said.remaining_lo_s, CONTRADICTED_S) and now.status is not Status.REFUSED:
+        now = replace(now, status=Status.CONVERGING, reason=FALLS_FASTER)
+    if now.remaining_hi_s > now.remaining_lo_s:
+        return now
+    if now.remaining_hi_s <= 0.0:
+        return replace(now, status=Status.CONVERGING, reason=AT_CUTOFF)
+    return Remaining(now.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, NO_END)

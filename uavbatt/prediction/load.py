@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.sampling import LONGEST
 
 MEAN_TAU_S = 60.0
@@ -46,13 +47,14 @@ class Scenarios(NamedTuple):
 
 
 class Now(NamedTuple):
-    """Where the flight stands: log time, time since take-off [s], charge, mean power since take-off [W]."""
+    """Where the flight stands: log time, time since take-off [s], charge, mean power since take-off [W], and place."""
 
     time_s: float
     since_take_off_s: float
     soc: float
     flight_W: float
     recent: RecentLoad
+    navigation: Navigation = NOWHERE
 
 
 class Load(Protocol):

@@ -11,13 +11,14 @@ anywhere in what is left; the power before it is that of this flight so far, and
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.prediction.load import Now, Scenarios, equal_levels, swinging
+from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels, swinging
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -25,6 +26,7 @@ SHORTEST_REST_S = 60.0
 OWN_SCALING = 0.5
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
+STATED_OVER_S = 60.0
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
@@ -94,6 +96,21 @@ def _stitched(
         np.concatenate([watts, next_W[later]]),
         np.concatenate([charge, next_charge[later]]),
     )
+
+
+def stated_power(load: Load) -> tuple[float, float] | None:
+    """Lowest and highest power [W] over a minute that the caller states of the aircraft; None when he states none."""
+    if isinstance(load, ConstantLoad):
+        return load.power_W, load.power_W
+    if not isinstance(load, LearnedLoad):
+        return None
+    window = int(STATED_OVER_S / GRID_S)
+    lowest_W, highest_W = math.inf, 0.0
+    for watts, landed_s in zip(load.power_W, load.landed_s, strict=True):
+        flown = watts[: max(int(landed_s / GRID_S), window)]
+        means_W = np.convolve(flown, np.full(window, 1.0 / window), mode="valid")
+        lowest_W, highest_W = min(lowest_W, float(means_W.min())), max(highest_W, float(means_W.max()))
+    return lowest_W, highest_W
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,10 @@
 Constant power within a step, not constant current: a sinking voltage draws more current, which is what empties a
 pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
 
-The end is found as it will be judged (DESIGN, "end of flight"): by the 5 s mean, whose fall lags the voltage by
-half its window, or, where telemetry rows are slower than that, by the centred median of three rows with their noise.
+The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
+half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; where telemetry rows are slower than
+that, the steps are the rows, and the centred median of three of them, with their noise, judges. A charge below the
+reserve ends a flight as well. `compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import C, ocv_doubt, unpack
 
-MEAN_LAG_S = 2.5
+MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
 # Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
@@ -59,7 +61,7 @@ def time_to_end(
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
     the discrepancy decays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
-    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's sight.
+    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon.
     """
     cell, installation, state = unpack(pack, x)
     cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
@@ -68,8 +70,8 @@ def time_to_end(
     memory = np.exp(-dt_s / pack.bias_tau_s)
     kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
     lags = [model.Lags(*step) for step in zip(*model.lags(cell, dt_s), strict=True)]
-    sight = _Sight(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
-    way = _Way(*np.zeros((len(_Way._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
+    limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
+    recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
     ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
     bias_V, asked, before = x[C.BIAS], power_W[0] / size, None
     for k in range(steps):
@@ -81,13 +83,13 @@ def time_to_end(
             strong_V = cell_V - bias_V + rate * harness_ohmAh
             cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
         row = JUDGED_BEFORE + k % JUDGED_AT_ONCE
-        way.cell_V[row], way.soc[row] = cell_V, state.soc
+        recent.cell_V[row], recent.soc[row] = cell_V, state.soc
         if by_rows and wander is not None and before is not None:
             change_V = np.abs(rate - before) * series_ohmAh
-            way.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
+            recent.noise_V[row] = installation.cells * pack.row_share * change_V * wander.row[k]
         before = rate
-        if row == way.soc.shape[0] - 1 or k == steps - 1:
-            ends = _judged(sight, ends, way, k)
+        if row == recent.soc.shape[0] - 1 or k == steps - 1:
+            ends = _judged(limits, ends, recent, k)
             if np.isfinite(ends.end_s).all():
                 break
         now, asked = asked, power_W[min(k + 1, steps - 1)] / size
@@ -102,7 +104,7 @@ def time_to_end(
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
 
 
-class _Way(NamedTuple):
+class _Recent(NamedTuple):
     """What packs went through in the last steps, [steps, batch] each: mean voltage of a cell with its share of the
     harness and of the model's error, charge, what a row's voltage adds to it."""
 
@@ -111,8 +113,8 @@ class _Way(NamedTuple):
     noise_V: Array
 
 
-class _Sight(NamedTuple):
-    """By what the way is judged; `at_s` are the times of all steps."""
+class _Limits(NamedTuple):
+    """The limits by which steps are judged; `at_s` are the times of all steps."""
 
     pack: Pack
     reserve_soc: float
@@ -127,23 +129,23 @@ def _times(dt_s: Array, dimensions: int) -> Array:
     return at_s.reshape(at_s.shape + (1,) * (1 + dimensions - at_s.ndim))
 
 
-def _judged(sight: _Sight, ends: EndTimes, way: _Way, k: int) -> EndTimes:
-    """The ends that are known after step `k`; the last steps stay on the way for those that follow."""
-    pack, installation = sight.pack, sight.pack.installation
+def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTimes:
+    """The ends that are known after step `k`; the last steps are kept for those that follow."""
+    pack, installation = limits.pack, limits.pack.installation
     new = k % JUDGED_AT_ONCE + 1
     known = JUDGED_BEFORE if k >= JUDGED_AT_ONCE else 0
     part, steps = slice(JUDGED_BEFORE - known, JUDGED_BEFORE + new), slice(k + 1 - new - known, k + 1)
-    volts = metered_voltage(installation, installation.cells * way.cell_V[part])
-    if sight.by_rows:
-        volts += way.noise_V[part]
+    volts = metered_voltage(installation, installation.cells * recent.cell_V[part])
+    if limits.by_rows:
+        volts += recent.noise_V[part]
     margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
-    if sight.reserve_soc > 0.0:
-        margin_V = np.minimum(margin_V, (way.soc[part] - sight.reserve_soc) * SOC_IN_VOLTS)
-    if k >= np.min(sight.own_steps):
-        in_sight = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < sight.own_steps
-        margin_V, above_low_V = np.where(in_sight, margin_V, np.inf), np.where(in_sight, above_low_V, np.inf)
-    judge, at_s = _median_crossing if sight.by_rows else _mean_crossing, sight.at_s[steps]
-    for column in way:
+    if limits.reserve_soc > 0.0:
+        margin_V = np.minimum(margin_V, (recent.soc[part] - limits.reserve_soc) * SOC_IN_VOLTS)
+    if k >= np.min(limits.own_steps):
+        within = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < limits.own_steps
+        margin_V, above_low_V = np.where(within, margin_V, np.inf), np.where(within, above_low_V, np.inf)
+    judge, at_s = _median_crossing if limits.by_rows else _mean_crossing, limits.at_s[steps]
+    for column in recent:
         column[:JUDGED_BEFORE] = column[new : new + JUDGED_BEFORE]
     return EndTimes(
         np.where(np.isfinite(ends.end_s), ends.end_s, judge(margin_V, at_s)),

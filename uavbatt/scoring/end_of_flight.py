@@ -1,4 +1,11 @@
-"""End of a flight from its telemetry: the truth that forecasts are scored against."""
+"""The end of a flight, from its telemetry: the rule itself, and so the truth that forecasts are scored against.
+
+    the first row under load at which the trailing 5 s mean of the pack's voltage is below the cut-off
+    (rows slower than 5 s: the centred median of three rows)
+
+A forecast meets the same rule in steps of seconds, and without rows: its form there is `prediction.time_to_end`, whose
+twin is `compiled.forecast`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model inside compiled code: the very functions of `equations`, `model`, `pack` and `belief`, never a copy.
+"""numba compiles the very functions of `equations`, `model`, `pack` and `state_space`, never a copy of them.
 
 numba is told to compile each of them from its own source where compiled code calls it (`register_jitable`), for the
 numbers of one column instead of arrays of them. What numba does not know of named tuples (`_replace`, properties) is
@@ -17,9 +17,9 @@ import numpy as np
 from numba import types
 from numba.extending import overload, overload_attribute, overload_method, register_jitable
 
-from uavbatt import fast
 from uavbatt.battery import equations, model, pack, state_space
 from uavbatt.battery.pack import Installation
+from uavbatt.compiled.cache import cache_dir
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 REPLACED = ("resistance_gain", "capacity_Ah", "soc")  # the fields that the model replaces in its records
@@ -27,7 +27,7 @@ OWN_TWIN = (equations.acts,)
 
 
 def share(module: ModuleType) -> None:
-    """Let compiled code call the functions of a module."""
+    """Let compiled code call every function that a module defines."""
     for function in list(vars(module).values()):
         if isinstance(function, FunctionType) and function.__module__ == module.__name__ and function not in OWN_TWIN:
             register_jitable(function)
@@ -35,7 +35,7 @@ def share(module: ModuleType) -> None:
 
 def compiled(function: Function) -> Function:
     """`function` compiled at its first call and kept in the cache folder; divides by zero as numpy does."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(fast.folder() or "")
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_dir() or "")
     try:
         made: Function = numba.njit(cache=True, error_model="numpy")(function)
     finally:

@@ -1,11 +1,12 @@
-"""The filter's recursion over a whole record, compiled: the twin of `SocFilter`, equal to it to rounding.
+"""The filter's recursion over a window of rows, compiled: the twin of `estimation.recursion`, equal to it to rounding.
 
-Model and noise are the functions that `SocFilter` calls; only the recursion itself (predict, update, blocks of rows)
-stands here a second time, as loops over rows instead of calls of filterpy.
+Model and noise are the functions that the recursion calls; only the recursion itself (predict, update, blocks of rows)
+stands here a second time, as loops over rows and members instead of arrays of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,17 +14,44 @@ import numpy as np
 from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery import state_space as b
-from uavbatt.battery.compiled import compiled, share
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, C
+from uavbatt.compiled.jit import as_numbers, compiled, share
 from uavbatt.estimation import noise, recursion
-from uavbatt.estimation.recursion import BLOCK_S, FULL_SOC_SD, GATE, NUDGE, Begun, weighed
+from uavbatt.estimation.block import BLOCK_S, Block
+from uavbatt.estimation.kalman import NUDGE, Moments
+from uavbatt.estimation.recursion import FULL_SOC_SD, GATE, FilterState, Innovation, Row, weighed
+from uavbatt.records import Sample
 
 share(noise)
 share(recursion)
 PER_NUDGES = 0.5 / NUDGE
+
+
+def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[Row], FilterState]:
+    """Take a window of rows in, as `recursion.filter_window` does; returns the filter after each and the last state."""
+    if not samples:
+        return [], state
+    table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
+    beliefs, in_force, times_s, shown, (current_A, block_A, block) = run(
+        as_numbers(pack),
+        state.ambient_C,
+        table,
+        state.time_s,
+        state.current_A,
+        state.block_A,
+        np.array(state.block, dtype=float),
+        *state.moments,
+    )
+    moments = [state.moments, *(Moments(*one) for one in list(zip(*beliefs, strict=True))[1:])]
+    rows = [
+        Row(moments[k], time_s, Innovation(*row))
+        for k, time_s, row in zip(in_force.tolist(), times_s.tolist(), shown.tolist(), strict=True)
+    ]
+    end = FilterState(moments[-1], rows[-1].time_s, current_A, block_A, Block(*block.tolist()), state.ambient_C)
+    return rows, end
 
 
 @compiled
@@ -79,7 +107,7 @@ def nudge(at: Array, x: Array, k: int) -> None:
 def predict(
     pack: Pack, x: Array, P: Array, mean_A: float, block_A: float, ambient_C: float, dt_s: float
 ) -> tuple[Array, Array]:
-    """Mean and covariance `dt_s` later, as `SocFilter._predict` by `belief.transition`."""
+    """Mean and covariance `dt_s` later, as `kalman.predict` by `state_space.transition`."""
     columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
     stride, bias_kept = model.stride(pack.cell, dt_s), eq.kept(dt_s, pack.bias_tau_s)
     for k in range(2 * SIZE + 1):
@@ -139,7 +167,7 @@ def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Arra
 def update(
     pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float
 ) -> tuple[Array, Array, float, float, float, float]:
-    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, as `SocFilter._update`."""
+    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, as `recursion._update`."""
     size = 2 if np.isfinite(temp_C) else 1
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
     volts, at = np.empty(2 * SIZE + 1), x.copy()
@@ -185,7 +213,7 @@ def update(
 def close(
     pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, ambient_C: float
 ) -> tuple[Array, float, float, float, float]:
-    """Take a block in, as `SocFilter._close`: changes every member in place.
+    """Take a block in, as `recursion._close`: changes every member in place.
 
     Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, and the block's
     mean current.
@@ -215,7 +243,7 @@ def close(
 def look(
     pack: Pack, x: Array, log_weight: Array, drawn_As: float, current_A: float, voltage_V: float, shown: Array
 ) -> None:
-    """Write down what a row within a block shows, as `SocFilter._between`."""
+    """Write down what a row within a block shows, as `recursion._between`."""
     expected_V, soc = 0.0, 0.0
     for k in range(log_weight.size):
         weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])
@@ -228,35 +256,37 @@ def look(
 
 @compiled
 def run(
-    pack: Pack, ambient_C: float, rows: Array, begun: Begun, x: Array, P: Array, log_weight: Array
+    pack: Pack,
+    ambient_C: float,
+    rows: Array,
+    at_s: float,
+    before_A: float,
+    block_A: float,
+    block: Array,
+    x: Array,
+    P: Array,
+    log_weight: Array,
 ) -> tuple[Any, ...]:
-    """All rows [time, voltage, current, temperature; n] from a belief at the time and in the block of `begun`.
+    """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
 
-    Returns the beliefs (means [m, members, 8], covariances and ln of the weights, the given one first), which of them
-    is in force after each row, what each row shows [n, 4] as `Shown` has it, and where that ends, as `Begun` has it.
+    Returns the moments (means [m, members, 8], covariances and ln of the weights, the given one first), which of them
+    is in force after each row, time of the last row taken in at each row, what each row shows [n, 4] as `Innovation`
+    has it, and where that ends: currents of the last row and block [A], the open block.
     """
     n, last = rows.shape[1], 0
-    at_s, before_A, block_A, is_first = begun.time_s, begun.current_A, begun.block_A, begun.is_first
     most = min(n, int((np.nanmax(rows[0]) - min(at_s, np.nanmin(rows[0]))) / BLOCK_S)) + 4
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
     log_weights = np.empty((most, log_weight.size))
-    in_force, shown = np.zeros(n, np.int64), np.full((n, 4), np.nan)
-    x, P, block = x.copy(), P.copy(), begun.block.copy()
+    in_force, times_s, shown = np.zeros(n, np.int64), np.empty(n), np.full((n, 4), np.nan)
+    x, P, block = x.copy(), P.copy(), block.copy()
     means[0], covariances[0], log_weights[0] = x, P, log_weight
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
-        in_force[k] = last
-        dt_s = 0.0 if is_first else time_s - at_s
+        in_force[k], times_s[k] = last, at_s
+        dt_s = time_s - at_s
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
         current_A = true_current(pack.installation, metered_A, voltage_V)
-        if is_first:
-            is_first, at_s, before_A, block_A = False, time_s, current_A, current_A
-            last += 1
-            means[last], covariances[last], log_weights[last] = x, P, log_weight
-            in_force[k] = last
-            look(pack, x, log_weight, 0.0, current_A, voltage_V, shown[k])
-            continue
         if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
             log_weight, _, _, _, block_A = close(pack, x, P, log_weight, block, block_A, ambient_C)
         block[0] += 1.0
@@ -267,7 +297,7 @@ def run(
         if np.isfinite(temp_C):
             block[5] += temp_C
             block[6] += 1.0
-        at_s, before_A = time_s, current_A
+        at_s, before_A, times_s[k] = time_s, current_A, time_s
         if block[1] < BLOCK_S:
             look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
             continue
@@ -278,5 +308,5 @@ def run(
         last += 1
         means[last], covariances[last], log_weights[last] = x, P, log_weight
         in_force[k] = last
-    end = (at_s, before_A, block_A, is_first, block)
-    return means[: last + 1], covariances[: last + 1], log_weights[: last + 1], in_force, shown, end
+    moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
+    return moments, in_force, times_s, shown, (before_A, block_A, block)

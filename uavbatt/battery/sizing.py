@@ -1,4 +1,5 @@
-"""The pack that is estimated, as told by the caller, the vehicle, the voltage and the battery file, in this order.
+"""The size of a pack (cells, capacity, cut-off, warning): the caller, the vehicle, the voltage and the battery file
+state it, in this order. Every command and the live process go by this one rule.
 
 Who tells nonsense (`limits`) is not believed: a vehicle's number is left out with a notice and the next in the order is
 asked; the caller means what he says, so that there is no number for him but the reason.
@@ -7,17 +8,20 @@ asked; the caller means what he says, so that there is no number for him but the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
     LOWEST_CELL_V,
+    OPTIONS,
     RESTING_SLACK_V,
     Doubt,
+    Names,
     Resting,
     Seen,
     capacity_doubt,
@@ -26,37 +30,35 @@ from uavbatt.limits import (
     ending_doubt,
 )
 from uavbatt.limits import cells_from_voltage as cells_from_voltage
-from uavbatt.prediction.load import Load
-from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
+CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
 
 
 @dataclass(frozen=True, slots=True)
 class PackOptions:
-    """What the caller states of the pack; None or NaN = not stated. UsageError when a number cannot be."""
+    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number cannot be.
+
+    spelt : the caller knows these numbers by such names; what is said of them later uses the names.
+    """
 
     cells: int | None = None
     capacity_Ah: float = NAN
     cutoff_V: float = NAN
     low_V: float = NAN
-    reserve_soc: float = 0.0
     ambient_C: float = NAN
-    load: Load = UnknownAircraft()
-    forecast_period_s: float = 5.0
+    spelt: Names = field(default=OPTIONS, repr=False)
 
     def __post_init__(self) -> None:
-        check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C, self.reserve_soc)
-        if not self.forecast_period_s >= 0.0:
-            raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
+        check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C)
 
 
 @dataclass(frozen=True, slots=True)
-class Resolved:
-    """The pack as it is estimated, and where each number came from."""
+class PackSize:
+    """The size of a pack, and where each number came from."""
 
     battery: str
     status: str
@@ -80,17 +82,18 @@ class Resolved:
         )
 
 
-def resolve(
+def size_of_pack(
     battery: BatteryFile,
     given: PackOptions,
     said: PackFacts,
     guessed_cells: int,
     guessed_from: str = "first voltage",
     seen: Seen = Seen(),
-) -> Resolved:
-    """Stated by the caller, else by the vehicle, else guessed (cells) or by the battery file.
+) -> PackSize:
+    """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
-    seen: the voltages that the statements are held against. Raises UsageError when nobody states the capacity.
+    guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; seen : the voltages [V]
+    that the statements are held against. Raises UsageError when nobody states the capacity.
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
@@ -99,21 +102,22 @@ def resolve(
         said = replace(said, critical_voltage_V=NAN)
     said, notices = believed(said, cells, seen)
     capacity_Ah, capacity_from = _first(
-        (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
+        (given.capacity_Ah, _by(given.spelt.capacity)),
+        (said.capacity_Ah, "vehicle"),
+        (typed.capacity_Ah, "battery file"),
     )
     if not math.isfinite(capacity_Ah):
         why = "".join(f"{notice}; " for notice in notices if notice.startswith(CAPACITY))
-        raise UsageError(
-            f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah"
-        )
+        by = _by(given.spelt.capacity)
+        raise UsageError(f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give {by}")
     share = cells / typed.cells_series
     cutoff_V, cutoff_from = _first(
-        (given.cutoff_V, "--cutoff-voltage"),
+        (given.cutoff_V, _by(given.spelt.cutoff)),
         (said.critical_voltage_V, "vehicle"),
         (typed.cutoff_V * share, "battery file"),
     )
     low_V, low_from = _first(
-        (given.low_V, "--low-voltage"),
+        (given.low_V, _by(given.spelt.low)),
         (said.low_voltage_V, "vehicle"),
         (None if typed.low_V is None else typed.low_V * share, "battery file"),
         (NAN, "nobody"),
@@ -122,7 +126,7 @@ def resolve(
         ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
         ending_doubt("low-voltage warning at ", given.low_V, cells),
     ]
-    return Resolved(
+    return PackSize(
         battery=typed.name,
         status=battery.status,
         cells=cells,
@@ -138,13 +142,19 @@ def resolve(
     )
 
 
-def checked(battery: BatteryFile, pack: Resolved, seen: Seen) -> Resolved:
-    """The pack, if what the caller states of it fits the voltages that were seen; UsageError in words if not."""
+def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:
+    """The battery file scaled to a pack whose cells and capacity the caller states."""
+    size = size_of_pack(battery, given, PackFacts(), battery.battery.cells_series, "battery file")
+    return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
+
+
+def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
+    """Return `pack` if what the caller states of it fits the voltages that were seen; raises UsageError if not."""
     if pack.refusal:
         raise UsageError(pack.refusal)
-    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from == "--cells" else None
+    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
     if doubt is not None and doubt.is_certain:
-        raise UsageError(f"--cells: {doubt.words}")
+        raise UsageError(f"{pack.cells_from}: {doubt.words}")
     return pack
 
 
@@ -182,16 +192,23 @@ def _cells(
 ) -> tuple[int, str, tuple[str, ...]]:
     """The count of cells, where it came from, and the vehicle's own if it was not believed."""
     if given.cells is not None:
+        by = _by(given.spelt.cells)
         if said.cells_series in (None, given.cells):
-            return int(given.cells), "--cells", ()
-        notice = f"--cells {given.cells}: the vehicle states {said.cells_series}, whose critical voltage is not used"
-        return int(given.cells), "--cells", (notice,)
+            return int(given.cells), by, ()
+        stated = f"{given.spelt.cells}{given.cells}"
+        notice = f"{stated}: the vehicle states {said.cells_series}, whose critical voltage is not used"
+        return int(given.cells), by, (notice,)
     if said.cells_series is None:
         return int(guess[0]), guess[1], ()
     doubt = cells_doubt(said.cells_series, seen, cell)
     if doubt is None or not doubt.is_certain:
         return said.cells_series, "vehicle", ()
     return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used, nor its critical voltage",)
+
+
+def _by(name: str) -> str:
+    """Return the name alone of an option (`--cells `) or an argument (`cells=`)."""
+    return name.rstrip(" =")
 
 
 def _oddities(doubts: list[Doubt | None]) -> tuple[str, ...]:
@@ -210,7 +227,7 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
     return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
 
 
-def certificate_remark(battery: BatteryFile, pack: Resolved) -> str:
+def certificate_remark(battery: BatteryFile, pack: PackSize) -> str:
     """What the certificate does not cover of this pack; empty when it covers it."""
     typed = battery.battery
     if battery.caveat:

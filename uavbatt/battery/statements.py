@@ -12,16 +12,12 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import numpy as np
-
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.initial_state import IDLE_C_RATE
+from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, checked, size_of_pack
 from uavbatt.errors import UsageError
 from uavbatt.limits import C_RATE, KELVIN, LONGEST_ROW_S, POWER_FACTOR, USUAL_C_RATE, Doubt, Resting, Seen, cells_doubt
-from uavbatt.prediction.load import ConstantLoad, Load
-from uavbatt.prediction.load_library import GRID_S, LearnedLoad
-from uavbatt.records import NAN, Flight, Sample
-from uavbatt.resolved import PackOptions, Resolved, cells_from_voltage, checked, resolve
+from uavbatt.records import NAN, Flight, PackFacts, Sample
 
 MINUTE_S = 60.0
 SEVERAL_ROWS = 3
@@ -88,7 +84,7 @@ class Current(NamedTuple):
         """True from the first row under load on."""
         return self.load is not NO_LOAD
 
-    def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: Resolved) -> Current:
+    def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
         """The value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
         gap_s, rate, has_flown = time_s - self.time_s, current_A / pack.capacity_Ah, self.has_flown
         step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
@@ -122,7 +118,7 @@ class Statements(NamedTuple):
     kelvin_rows: int = 0  # in turn
     current: Current = Current()
 
-    def after(self, raw: Sample, sample: Sample, pack: Resolved) -> Statements:
+    def after(self, raw: Sample, sample: Sample, pack: PackSize) -> Statements:
         """The next state after a row, `raw` as it came and `sample` as the filter has it, of a pack of this size."""
         kelvin_rows = self._kelvin_rows(raw.temp_C)
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
@@ -134,7 +130,7 @@ class Statements(NamedTuple):
         current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
         return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
 
-    def doubts(self, pack: Resolved, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
+    def doubts(self, pack: PackSize, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
         """The doubts about the statements, the certain first; power_W: lowest and highest stated of this aircraft.
 
         The words name no number that changes from row to row: each is said once.
@@ -225,21 +221,6 @@ class Statements(NamedTuple):
         return Doubt("the temperature reads as if it were in kelvin: not used", False)
 
 
-def stated_power(load: Load) -> PowerRange | None:
-    """Lowest and highest power [W] over a minute that the caller states of the aircraft; None when he states none."""
-    if isinstance(load, ConstantLoad):
-        return load.power_W, load.power_W
-    if not isinstance(load, LearnedLoad):
-        return None
-    window = int(MINUTE_S / GRID_S)
-    lowest_W, highest_W = math.inf, 0.0
-    for watts, landed_s in zip(load.power_W, load.landed_s, strict=True):
-        flown = watts[: max(int(landed_s / GRID_S), window)]
-        means_W = np.convolve(flown, np.full(window, 1.0 / window), mode="valid")
-        lowest_W, highest_W = min(lowest_W, float(means_W.min())), max(highest_W, float(means_W.max()))
-    return lowest_W, highest_W
-
-
 def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
     """The voltages before the load of a record, or of its first minutes; without a capacity none counts as rested."""
     found, start_s = Statements(), NAN
@@ -254,21 +235,30 @@ def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
     return found.seen
 
 
-def check(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
-    """UsageError when what the caller states of the pack cannot be, by the first rows of the flight."""
-    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
-    if first is None:
-        return
-    facts = flight.facts_at(first.time_s + FIRST_ROWS_S)
-    guess = cells_from_voltage(first.voltage_V, battery.battery.cells_series)
+def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, said: PackFacts) -> PackSize:
+    """Size the pack of a flight by its first rows and by what the vehicle says (`said`).
+
+    Raises UsageError when there is no voltage, or when what the caller states cannot be by the first rows.
+    """
+    first_V = next((s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)), NAN)
+    if math.isnan(first_V):
+        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+    guess = cells_from_voltage(first_V, battery.battery.cells_series)
     try:
-        seen = first_seen(flight.samples, resolve(battery, options, facts, guess).capacity_Ah)
-        checked(battery, resolve(battery, options, facts, guess, seen=seen), seen)
+        seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
+        return checked(battery, size_of_pack(battery, options, said, guess, seen=seen), seen)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None
 
 
-def check_whole(flight: Flight, pack: Resolved, resting: Resting) -> None:
+def check(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
+    """Raise UsageError when what the caller states of the pack cannot be, by the first rows of the flight."""
+    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
+    if first is not None:
+        size_from_rows(battery, options, flight, flight.facts_at(first.time_s + FIRST_ROWS_S))
+
+
+def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
     """UsageError when any row of the flight contradicts for certain what is believed of its pack."""
     found = Statements()
     for sample in flight.samples:

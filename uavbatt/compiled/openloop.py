@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 from numba.extending import overload
 
-from uavbatt import fast
 from uavbatt.battery import model
-from uavbatt.battery.compiled import compiled
 from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.compiled.jit import compiled
 
 TABLES = ("ocv_V", "r0_ohmAh")
 
 
 def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Any) -> State:
-    """The state at every row, [rows, batch] each."""
+    """Simulate columns as `battery.openloop.states` does; returns the state at every row, [rows, batch] each."""
     rows, batch = c_rate.shape
 
     def each(value: Any) -> Array:
@@ -32,7 +31,6 @@ def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: A
         np.array(steps_s.T, order="C"),
         each(ambient_C),
     )
-    fast.is_made("openloop")
     return State(*(np.ascontiguousarray(values.T) for values in found))
 
 

@@ -1,29 +1,35 @@
-"""When each draw of a forecast ends, compiled: the twin of `endurance.time_to_end`, equal to it to rounding.
+"""The end of each sample of a forecast, compiled: the twin of `prediction.time_to_end`, equal to it to rounding.
 
-The model's functions are those of `battery`; the walk along the steps stands here a second time, draw by draw, so
+The model's functions are those of `battery`; the walk along the steps stands here a second time, sample by sample, so
 that each stops at its own end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from uavbatt import fast
 from uavbatt.battery import model
 from uavbatt.battery import state_space as b
-from uavbatt.battery.compiled import as_numbers, compiled
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import C
+from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
 
 
+def answers(questions: Sequence[Question]) -> list[EndTimes]:
+    """Simulate the forecasts of a window, as `prediction.batch.answers` does; returns the end of each sample."""
+    return [answer(question) for question in questions]
+
+
 def answer(q: Question) -> EndTimes:
-    """When each draw ends."""
+    """Simulate one forecast; returns the end of each sample."""
     steps, drawn = q.dt_s.size, sampling.wander()
     ends = time_to_end(
         as_numbers(q.pack),
@@ -36,7 +42,6 @@ def answer(q: Question) -> EndTimes:
         drawn.row[:steps],
         q.by_rows,
     )
-    fast.is_made("forecast")
     return EndTimes(*ends)
 
 
@@ -77,7 +82,7 @@ def one(
     row: Array,
     by_rows: bool,
 ) -> tuple[float, float]:
-    """One column of it."""
+    """End of flight and of the low-voltage warning [s] of one column."""
     cell, installation, state = b.unpack(pack, x)
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
     size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
@@ -127,5 +132,5 @@ def one(
 
 @compiled
 def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
-    """As `endurance._mean_crossing`: when the fall from `above` to `under` passed zero, and the lag of the mean."""
+    """As `time_to_end._mean_crossing`: when the fall from `above` to `under` passed zero, and the lag of the mean."""
     return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0

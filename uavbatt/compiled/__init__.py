@@ -1,0 +1,26 @@
+"""The engine compiled: the same recursions as in numpy, by numba (the extra `fast`), over arrays of rows.
+
+    estimator = Estimator(battery, engine=compiled.engine())
+
+The commands whose work is long hand it in (`replay.engine_for`); the live process never does. Nothing else imports this
+package, so that it may be deleted. Loading compiled code takes about a second, making it once some fifteen.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from uavbatt.compiled.cache import is_available
+
+if TYPE_CHECKING:
+    from uavbatt.estimator import Engine
+
+__all__ = ["engine", "is_available"]
+
+
+def engine() -> Engine:
+    """The engine whose works are compiled. Raises ImportError where numba is not installed."""
+    from uavbatt.compiled import filter, forecast, openloop
+    from uavbatt.estimator import Engine
+
+    return Engine(filter.filter_window, forecast.answers, openloop.states)

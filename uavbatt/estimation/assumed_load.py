@@ -1,0 +1,34 @@
+"""A pack without a current sensor: the load that is assumed for it, and how much that is doubted.
+
+Hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated power is right to a fifth.
+Around its mean the load wanders by a fifth for a minute at a time: as independent errors of readings two seconds apart
+that is five times as much.
+"""
+
+from __future__ import annotations
+
+import math
+
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackSize
+
+ASSUMED_C_RATE, ASSUMED_CELL_V, ASSUMED_SD, STATED_SD = 2.5, 3.8, (0.5, 1.2), (0.2, 0.4)
+
+
+def assumed_power_W(size: PackSize) -> float:
+    """Power [W] of a middling multirotor on a pack of this size."""
+    return ASSUMED_C_RATE * size.capacity_Ah * size.cells * ASSUMED_CELL_V
+
+
+def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:
+    """The pack with the doubt of a current that nobody measured; `is_stated`: the caller states the power.
+
+    A current that is k times the assumed one is a capacity and an ohmic drop k times less: the filter doubts the
+    capacity scale, which scales both, and the voltage's fall tells k as the flight goes on.
+    """
+    level_sd, about_it_sd = STATED_SD if is_stated else ASSUMED_SD
+    return pack._replace(
+        resistance_scale_sd=math.hypot(pack.resistance_scale_sd, level_sd),
+        capacity_scale_sd=level_sd,
+        guess_sd=about_it_sd,
+    )

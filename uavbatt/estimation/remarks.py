@@ -1,0 +1,39 @@
+"""Remarks that a reader of the estimate must know beside it: what the battery file does not cover, what is worn."""
+
+from __future__ import annotations
+
+import math
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackSize, certificate_remark
+from uavbatt.estimation.filter import Summary
+from uavbatt.records import Sample
+
+NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
+BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer than the air that it was tested in
+
+
+def remarks(
+    battery: BatteryFile, size: PackSize, sample: Sample, known: Summary, pack: Pack, *, is_metered: bool
+) -> tuple[str, ...]:
+    """The remarks about a sample and what is known after it; without a meter nothing tells wear."""
+    remark = certificate_remark(battery, size)
+    found = [remark] if remark else []
+    validated, core_C = battery.certificate.validated_ambient_C, known.core_temp_C
+    if validated and math.isfinite(core_C):
+        low_C, high_C = min(validated) - BELOW_VALIDATED_K, max(validated) + ABOVE_VALIDATED_K
+        if not low_C <= core_C <= high_C:
+            found.append(f"pack at {core_C:.0f} °C is outside the validated range")
+    if not math.isfinite(sample.temp_C):
+        found.append("no usable pack temperature")
+    if pack.sag_compensated:
+        found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
+    if is_metered and battery.is_measured and is_worn(known, pack):
+        found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
+    return tuple(found)
+
+
+def is_worn(known: Summary, pack: Pack) -> bool:
+    """True if the pack surely has more resistance than the packs of its type are spread by."""
+    return known.wear > max(NOTICED_WEAR, pack.resistance_scale_sd) and known.wear > WEAR_IS_SURE * known.wear_sd

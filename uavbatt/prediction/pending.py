@@ -1,0 +1,52 @@
+"""Rows whose forecasts are still to be simulated: some are taken in, simulated side by side, and finished in turn.
+
+Taking a row in depends on no forecast, so that nothing is lost by waiting; in flight each row is finished at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from uavbatt.prediction.batch import Answers, Question
+from uavbatt.prediction.forecaster import Forecaster
+from uavbatt.prediction.last_wall import FALLS_FASTER, walled
+from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
+
+ALARM_S = 120.0
+
+
+class Pending(NamedTuple):
+    """One row taken in: its estimate, and what is still to be worked out for its remaining time."""
+
+    sample: Sample
+    estimate: Estimate
+    forecaster: Forecaster | None
+    refusal: str
+    question: Question | None = None
+    wall_s: float = math.inf  # seconds until the measured voltage itself is at the cut-off
+
+
+def finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
+    """The estimate and the remaining time of each row, in order; `answers` simulates their forecasts at once."""
+    ends = iter(answers([row.question for row in waiting if row.question is not None]))
+    for row in waiting:
+        yield _finish(row, next(ends) if row.question is not None else None)
+
+
+def _finish(row: Pending, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
+    """What is known after a row; `ends` answers its question, if it had one."""
+    sample, found = row.sample, row.estimate
+    if row.forecaster is None:
+        return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, row.refusal)
+    answered = (row.question, ends) if row.question is not None and ends is not None else None
+    remaining = walled(row.forecaster.finish(sample, found, row.refusal, answered), row.wall_s)
+    if remaining.reason == FALLS_FASTER:
+        found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
+    if remaining.remaining_alarm_s <= ALARM_S:
+        alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
+        found = replace(found, warnings=(*found.warnings, alarm))
+    return found, remaining
