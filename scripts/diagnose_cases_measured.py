@@ -28,8 +28,9 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.telemetry import read_log
-from uavbatt.validation import temperatures
-from uavbatt.validation.gate import Limits
+from uavbatt.validation.gating import temperatures
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.judging.readings import read_once
 
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -97,7 +98,7 @@ def words(found: Diagnosis) -> str:
 
 def study() -> None:
     """The study's tables over temperature: isothermal, then self-heating and a steeper cold resistance."""
-    loop = temperatures.close_loop(dataset.load(STUDY), Limits())
+    loop = temperatures.close_loop(read_once(dataset.load(STUDY)), Limits())
     if loop is None:
         return
     print("\n| study: step | tests | RMSE before → after, left out [mV] | p | holds |\n|---|---|---|---|---|")

@@ -28,6 +28,7 @@ class Judged:
     folder: Path
     stdout: str
     found: Validation
+    shares: tuple[float, ...]  # of the work, as `validate` told them
 
 
 def run(*call: str | Path, folder: Path, timeout_s: float = 120.0) -> Done:

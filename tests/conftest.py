@@ -84,8 +84,13 @@ def judged_study(tmp_path_factory: pytest.TempPathFactory) -> Judged:
     """One run of the command on the study with every output, half a minute long, for every file that asks about it."""
     from uavbatt.validation import validate as stage
 
-    judge, found, folder = stage.validate, [], tmp_path_factory.mktemp("judged")
-    with patch.object(stage, "validate", side_effect=lambda *a: found.append(judge(*a)) or found[-1]):
+    judge, found, shares, folder = stage.validate, [], [], tmp_path_factory.mktemp("judged")
+
+    def judged(tests: Any, limits: Any, progress: Any) -> Any:
+        found.append(judge(tests, limits, shares.append))
+        return found[-1]
+
+    with patch.object(stage, "validate", side_effect=judged):
         done = called("validate", "--ship", "ship", "--report", "ship/r.html", "--json", "r.json", folder=folder)
     assert done.returncode == 0, done.stderr
-    return Judged(folder, done.stdout, found[0])
+    return Judged(folder, done.stdout, found[0], tuple(shares))

@@ -108,7 +108,7 @@ def test_outside_the_validated_range_is_said() -> None:
     assert "outside the validated range" in planned(ambient_C=-20.0, battery=battery).remark
     assert "outside the validated range" in planned(ambient_C=50.0, battery=battery).remark
     assert planned(ambient_C=25.0, battery=battery).remark == ""
-    assert planned(ambient_C=25.0).remark == "validated at no temperature"
+    assert planned(ambient_C=25.0).remark == "not tested at any temperature"
     warned = made(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), 20.0).warnings
     assert warned == ("the certificate is for a 3S pack; this one is scaled from it",)
 
@@ -148,7 +148,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert [row["ambient_C"] for row in told["table"]] == list(TABLE_C)
     text = page.read_text()
     ElementTree.fromstring(text.replace("<!DOCTYPE html>", ""))
-    assert "validated at no temperature" in text and "<svg" in text and "250 W" in text
+    assert "not tested at any temperature" in text and "<svg" in text and "250 W" in text
 
 
 @pytest.mark.parametrize(

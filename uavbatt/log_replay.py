@@ -25,7 +25,8 @@ from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
-from uavbatt.telemetry import read_log, recording
+from uavbatt.telemetry import read_log
+from uavbatt.telemetry.formats import recording
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -161,7 +161,7 @@ def range_remark(battery: BatteryFile, ambient_C: float) -> str:
     """Whether the certificate reaches this temperature [°C], give or take VALID_WITHIN_K; empty when it does."""
     validated = battery.certificate.validated_ambient_C
     if not validated:
-        return "validated at no temperature"
+        return "not tested at any temperature"
     low, high = min(validated), max(validated)
     if low - VALID_WITHIN_K <= ambient_C <= high + VALID_WITHIN_K:
         return ""

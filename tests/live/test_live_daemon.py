@@ -22,8 +22,8 @@ from uavbatt.mavlink import framing
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.formats.recording import forecast_period_s
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
-from uavbatt.telemetry.recording import forecast_period_s
 
 
 def test_a_flight_reaches_every_feed() -> None:

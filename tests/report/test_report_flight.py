@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -49,7 +49,7 @@ def test_an_ordinary_flight_shows_the_answer_the_figures_and_the_sources() -> No
     points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0), Checkpoint("120 s before", 120.0, NAN, NAN, NAN))
     outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.25, 0.9, points)
     html = render([step(float(t), warnings=("mind the cold",)) for t in range(600)], outcome, notes=("a note",))
-    assert "held 0.10 ± 0.04 of its charge" in html
+    assert "10 % of the charge was left at the end of the log (6 to 14 %" in html
     assert "ended by its battery 9 min 10 s after" in html
     assert "50 s too long, truth inside" in html
     assert "the forecast was refused" in html
@@ -164,25 +164,15 @@ def test_the_expected_innovation_comes_back_from_the_nis() -> None:
     nis = (innovation / sd) ** 2
     alone = innovation_sd(innovation, nis, np.full(3, np.nan))
     assert alone == pytest.approx(sd)
-    with_temp = innovation_sd(innovation, nis + 0.5, np.full(3, 25.0))
-    assert (with_temp <= sd.max()).all()
 
 
-@dataclass(frozen=True)
-class Bare:
-    """The least that the page needs of an outcome: any object of that shape will do."""
-
-    rows: int = 1
-    duration_s: float = NAN
-    end_voltage_V: float = NAN
-    end_soc: float = NAN
-    end_soc_sd: float = NAN
-    end_of_flight_s: float = NAN
-    refused_in_air: float = NAN
-    mean_nis: float = NAN
-    checkpoints: tuple[Checkpoint, ...] = ()
-
-
-def test_the_page_needs_shapes_not_the_replay_itself() -> None:
-    battery = battery_file.read("lipo-generic")
-    assert "<svg" in flight_report(Flight("a", "csv", ()), [step(0.0), step(1.0)], RESOLVED, Bare(), battery)
+def test_beside_a_temperature_the_expected_innovation_is_the_greatest_lower_bound_nearby() -> None:
+    """NIS then holds the temperature's part too, so that |innovation|/sqrt(NIS) is below the SD of the voltage."""
+    innovation, sd = np.full(60, 0.02), np.r_[np.full(30, 0.02), np.full(30, 0.04)]
+    nis_V, nis_temp = (innovation / sd) ** 2, np.tile([0.0, 1.5, 3.0], 20)
+    found = innovation_sd(innovation, nis_V + nis_temp, np.full(60, 25.0), reach=5)
+    assert found[:20] == pytest.approx(0.02)  # met by a row with no surprise in the temperature, raised elsewhere
+    assert found[-20:] == pytest.approx(0.04)
+    assert (found <= 0.04 + 1e-12).all()
+    unknown = innovation_sd(np.where(np.arange(60) % 2, np.nan, innovation), nis_V, np.full(60, 25.0))
+    assert np.isnan(unknown[1::2]).all() and np.isfinite(unknown[::2]).all()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from uavbatt import dataset
-from uavbatt.validation import bands, corridor, series
-from uavbatt.validation.crossing import crossing_time, downward_crossings
+from uavbatt.validation.judging import bands, corridor, series
+from uavbatt.validation.judging.crossing import crossing_time, downward_crossings
+from uavbatt.validation.judging.readings import read_once
 
 
 @pytest.fixture(scope="module")
@@ -16,8 +17,13 @@ def study():
 
 
 @pytest.fixture(scope="module")
-def band(study):
-    return corridor.corridor(study, 25)
+def readings(study):
+    return read_once(study)
+
+
+@pytest.fixture(scope="module")
+def band(readings):
+    return corridor.corridor(readings, 25)
 
 
 def run_at(study, ambient_C):
@@ -62,8 +68,8 @@ def test_simultaneous_band_has_its_coverage():
     assert inside / 12_000 == pytest.approx(0.95, abs=0.02)
 
 
-def test_the_seed_makes_the_band_repeatable(study, band):
-    again = corridor.corridor(study, 25)
+def test_the_seed_makes_the_band_repeatable(readings, band):
+    again = corridor.corridor(readings, 25)
     assert np.array_equal(again.simultaneous, band.simultaneous)
 
 
@@ -74,11 +80,11 @@ def test_one_time_curve_at_25_is_outside_at_five_minutes(study, band):
     assert list(np.flatnonzero(wide)) == [6, 7, 8]
 
 
-def test_crossing_times_of_the_study(study):
-    found = corridor.time_corridor(study, 25, np.array([10.0, 9.5]))
+def test_crossing_times_of_the_study(readings):
+    found = corridor.time_corridor(readings, 25, np.array([10.0, 9.5]))
     assert found.mean / 60 == pytest.approx([6.15, 6.82], abs=0.005)
     assert pytest.approx([0.12, 0.03], abs=0.005) == found.S / 60
-    own = corridor.time_corridor(study, 25)
+    own = corridor.time_corridor(readings, 25)
     assert own.quantity == "crossing_s" and np.all(np.diff(own.mean) < 0)
 
 
@@ -102,23 +108,23 @@ def test_a_cold_pack_crosses_twice(study):
     assert math.isnan(crossing_time(run.time_s, run.voltage_V, 5.0))
 
 
-def test_series_break_where_the_study_broke(study):
-    assert [(b.low_C, b.high_C) for b in series.breaks(study)] == [(4, 5), (35, 40)]
-    assert [b.jump_s > 0 for b in series.breaks(study)] == [False, True]
+def test_series_break_where_the_study_broke(readings):
+    assert [(b.low_C, b.high_C) for b in readings.broken] == [(4, 5), (35, 40)]
+    assert [b.jump_s > 0 for b in readings.broken] == [False, True]
 
 
-def test_quasi_replicates_stop_at_the_break_and_name_what_is_left_out(study):
-    cold, hot = series.quasi_replicates(study)
+def test_quasi_replicates_stop_at_the_break_and_name_what_is_left_out(readings):
+    cold, hot = readings.near_repeats
     assert list(cold.ambients_C) == list(range(-5, 5))
     assert list(hot.ambients_C) == list(range(45, 51))
     assert [round(1e3 * s) for s in cold.sd] == [7, 46, 23, 30, 28, 37, 46, 16, 22]
     assert cold.left_out == ("Table 1, -1 °C, 1 min",)
-    whole = series.quasi_replicates(study, with_flagged=True)[0]
+    whole = series.quasi_replicates(readings.series, readings.broken)[0]
     assert round(1e3 * whole.sd[1]) == 93
 
 
-def test_a_corridor_is_refused_where_nothing_was_repeated(study):
-    found = corridor.corridors(study)
+def test_a_corridor_is_refused_where_nothing_was_repeated(readings):
+    found = corridor.corridors(readings)
     known = {t for t, c in found.items() if c.status == "ok"}
     assert known == {25.0, *range(-5, 5), *range(45, 51)}
     assert found[10.0].status == "not enough data" and np.isnan(found[10.0].C).all()
@@ -126,11 +132,11 @@ def test_a_corridor_is_refused_where_nothing_was_repeated(study):
     assert found[0.0].basis == "quasi-replicates"
 
 
-def test_surface_temperature_has_a_corridor_of_one_sample(study):
-    found = corridor.corridor(study, 25, "surface_C")
+def test_surface_temperature_has_a_corridor_of_one_sample(readings):
+    found = corridor.corridor(readings, 25, "surface_C")
     assert (found.occasions, found.samples) == (10, 1)
     assert found.C[2] == pytest.approx(1.583, abs=5e-4)
-    assert corridor.corridor(study, 10, "surface_C") is None
+    assert corridor.corridor(readings, 10, "surface_C") is None
 
 
 def levels_of(values):

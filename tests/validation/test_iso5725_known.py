@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from uavbatt.validation import iso5725
-from uavbatt.validation.intermediate import nested
+from uavbatt.validation.iso5725.intermediate import nested
 
 # fmt: off
 COAL = {

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from uavbatt.errors import NotEnoughData, UavbattError
-from uavbatt.validation import bands, drift, independence, intermediate, intervals, iso5725, outliers, trueness
+from uavbatt.validation import iso5725
+from uavbatt.validation.iso5725 import intermediate, intervals, outliers, trueness
+from uavbatt.validation.judging import bands, drift, independence
 
 CELLS = [[1.0, 1.2, 0.9], [1.1, 1.3, 1.0], [0.8, 1.1, 1.0], [1.2, 1.0, 1.1]]
 

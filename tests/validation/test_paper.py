@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from uavbatt import dataset
-from uavbatt.validation import drift, intermediate, outliers, paper, trueness
-from uavbatt.validation import paper_equations as eq
+from uavbatt.validation.iso5725 import intermediate, outliers, trueness
+from uavbatt.validation.judging import drift
+from uavbatt.validation.study import paper
+from uavbatt.validation.study import paper_equations as eq
 
 COLUMN_0_MIN = np.array([12.52, 12.48, 12.49, 12.52, 12.48, 12.49, 12.51, 12.49, 12.49, 12.50])  # Table 4
 

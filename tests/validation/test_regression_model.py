@@ -9,10 +9,11 @@ import pytest
 
 from uavbatt import dataset
 from uavbatt.dataset import DataSet, Run
-from uavbatt.validation import gate, regression
-from uavbatt.validation.crossing import crossing_time
-from uavbatt.validation.gate import Limits
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation.gating import gate, regression
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.judging.readings import read_once
 
 MINUTES = 60.0 * np.arange(10)
 TRUE = np.array([10.9, 0.15, -0.05, 0.2, np.log(60.0), 0.5, 0.0, np.log(380.0), 0.12, -0.02, 6.0, np.log(0.05), 9.35,
@@ -26,7 +27,7 @@ def study() -> DataSet:
 
 @pytest.fixture(scope="module")
 def held(study: DataSet) -> HeldOut:
-    return regression.held_out(study)
+    return regression.held_out(read_once(study))
 
 
 def planted(sd_V: float, seed: int = 1) -> list[Run]:
@@ -89,8 +90,18 @@ def test_it_is_gated_on_occasions_it_has_not_seen(study: DataSet, held: HeldOut)
 
 
 def test_the_knee_time_of_the_study_is_met_within_the_limit(study: DataSet, held: HeldOut) -> None:
-    claim = gate.crossing_claim(held, Limits(), study.uncertainty)
-    assert abs(claim.bias[0]) < 5.0
+    limits = Limits()
+    claim = gate.crossing_claim(held, limits, study.uncertainty)
+    assert abs(claim.bias[0]) < limits.time_s
+    assert claim.verdict != "fail"
+
+
+def test_a_regression_that_is_late_by_twice_the_limit_fails_in_time(study: DataSet, held: HeldOut) -> None:
+    limits = Limits()
+    late = np.apply_along_axis(lambda v: np.interp(held.time_s - 2 * limits.time_s, held.time_s, v), 2, held.model_V)
+    claim = gate.crossing_claim(replace(held, model_V=late), limits, study.uncertainty)
+    assert claim.verdict == "fail"
+    assert claim.bias[0] > limits.time_s
 
 
 def test_changing_an_occasion_does_not_change_its_own_prediction(study: DataSet, held: HeldOut) -> None:
@@ -98,7 +109,7 @@ def test_changing_an_occasion_does_not_change_its_own_prediction(study: DataSet,
         replace(r, voltage_V=r.voltage_V - 0.3) if r.run == 4 and r.sample != "T1" and r.ambient_C == 25.0 else r
         for r in study.runs
     )
-    again = regression.held_out(replace(study, runs=spoilt))
+    again = regression.held_out(read_once(replace(study, runs=spoilt)))
     assert again.model_V[3] == pytest.approx(held.model_V[3], abs=1e-9)
     assert np.abs(again.model_V[0] - held.model_V[0]).max() > 0.005
 
@@ -106,7 +117,7 @@ def test_changing_an_occasion_does_not_change_its_own_prediction(study: DataSet,
 def test_one_time_runs_are_predicted_by_fits_without_them(study: DataSet, held: HeldOut) -> None:
     assert sorted(s.ambient_C for s in held.singles) == [t for t in study.ambients_C if t != 25.0]
     spoilt = tuple(replace(r, voltage_V=r.voltage_V - 0.01) if r.ambient_C == 10.0 else r for r in study.runs)
-    again = regression.held_out(replace(study, runs=spoilt))
+    again = regression.held_out(read_once(replace(study, runs=spoilt)))
     a, b = (next(s.model_V for s in h.singles if s.ambient_C == 10.0) for h in (held, again))
     assert b == pytest.approx(a, abs=1e-9)
     others = [np.abs(x.model_V - y.model_V).max() for x, y in zip(held.singles, again.singles, strict=True)]

@@ -11,10 +11,12 @@ from command import Judged
 
 from uavbatt import dataset
 from uavbatt.fitting import prior
-from uavbatt.validation import as_json, cold_model, temperatures
-from uavbatt.validation.cold_model import OneTimeTests, Variant
-from uavbatt.validation.gate import Limits
-from uavbatt.validation.temperatures import Gain, Outcome, TemperatureLoop
+from uavbatt.validation import as_json
+from uavbatt.validation.gating import cold_model, temperatures
+from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
+from uavbatt.validation.gating.gate import Limits
+from uavbatt.validation.gating.temperatures import Gain, Outcome, TemperatureLoop
+from uavbatt.validation.judging.readings import read_once
 
 ISOTHERMAL = Variant("isothermal", False, False, False)
 HEATED = Variant("self-heating", True, False, False)
@@ -133,4 +135,4 @@ def test_every_question_has_its_sentence_and_the_whole_goes_into_json(loop: Temp
 
 
 def test_a_metered_set_has_no_such_loop(shared_data: Path) -> None:
-    assert temperatures.close_loop(dataset.load(shared_data / "truth" / "lab"), Limits()) is None
+    assert temperatures.close_loop(read_once(dataset.load(shared_data / "truth" / "lab")), Limits()) is None

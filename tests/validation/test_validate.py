@@ -15,8 +15,10 @@ from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import as_json, gate, paper, precision_claims
-from uavbatt.validation.gate import Claim, Limits
+from uavbatt.validation import as_json
+from uavbatt.validation.gating import gate, precision_claims
+from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.study import paper
 from uavbatt.validation.validate import Validation, validate
 
 
@@ -49,6 +51,11 @@ def test_the_study_s_model_passes_at_25_degrees_and_ships(study: Validation) -> 
     assert study.verdict == "pass"
     assert study.battery is not None
     assert study.battery.certificate.validated_ambient_C == [25.0]
+
+
+def test_the_progress_adds_up_to_the_whole_work(judged_study: Judged) -> None:
+    assert sum(judged_study.shares) == pytest.approx(1.0)
+    assert len(judged_study.shares) > 20 and max(judged_study.shares) < 0.15
 
 
 def test_the_study_says_nothing_of_other_packs(study: Validation) -> None:

@@ -83,10 +83,10 @@ def diagnose(
     if json_file is not None:
         write_json(json_file, _as_json(found, closed, content.status, path))
     if report is not None:
-        from uavbatt.diagnosis.page import inputs
-        from uavbatt.report import diagnosis as page
+        from uavbatt.report.diagnosis import diagnosis_report
+        from uavbatt.report.page import write_page
 
-        page.write(report, inputs(found, closed, content, new))
+        write_page(report, diagnosis_report(found, closed, content, new))
         say(f"report: {report}", json_file, report)
     if path is not None:
         say(f"{path}: {new.certificate.status}", json_file, report)

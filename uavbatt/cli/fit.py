@@ -74,7 +74,7 @@ def fit(
         for line in found.known:
             say(f"  {line}")
         for line in found.unknown:
-            say(f"not told: {line}")
+            say(f"not determined: {line}")
     if output is not None:
         say(f"{battery_file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None:

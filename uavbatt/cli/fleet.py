@@ -87,16 +87,15 @@ def fleet(
 
 def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) -> None:
     """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
-    from uavbatt.files import atomic_write
     from uavbatt.fleet.tables import CSV, PARQUET
     from uavbatt.report.fleet import counted, fleet_report
     from uavbatt.report.fleet_groups import gathered
+    from uavbatt.report.page import write_page
 
     overview = gathered(rows)
     battery = f"{job.battery.battery.name} ({job.battery.status})"
     remarks = (("logs", f"{logs}, of which {flown} were flown in this run and the others before"),)
-    with atomic_write(folder / PAGE) as file:
-        file.write(fleet_report(overview, battery, remarks))
+    write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
     for reason, count in sorted(overview.failures.items(), key=lambda one: -one[1])[:MOST_REASONS]:

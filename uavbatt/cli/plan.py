@@ -71,7 +71,10 @@ def plan(
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:
-        _write_report(report, found)
+        from uavbatt.report.page import write_page
+        from uavbatt.report.plan import plan_report
+
+        write_page(report, plan_report(found))
     if summary is not None:
         _write_summary(summary, found, content.certificate.content_sha256)
 
@@ -125,15 +128,6 @@ def _clock(seconds: float) -> str:
         return "unknown"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"
-
-
-def _write_report(path: Path, plan: Plan) -> None:
-    from uavbatt.files import atomic_write
-    from uavbatt.report.plan import plan_report
-
-    html = plan_report(plan)
-    with atomic_write(path, "w") as stream:
-        stream.write(html)
 
 
 def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:

@@ -97,7 +97,7 @@ def _one(
     from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps
     from uavbatt.prediction.forecaster import Settings
     from uavbatt.prediction.load_options import stated_load
-    from uavbatt.telemetry.recording import forecast_period_s
+    from uavbatt.telemetry.formats.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
     flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
@@ -119,9 +119,10 @@ def _one(
             raise UsageError(f"{log}: expected at least one row with a voltage")
         found = outcome(run, resolved.cutoff_V)
         if report is not None:
-            from uavbatt.cli import flight_page
+            from uavbatt.report.flight import flight_report
+            from uavbatt.report.page import write_page
 
-            flight_page.write(report, flight, run, resolved, found, content)
+            write_page(report, flight_report(flight, run, resolved, found, content))
     for line in _lines(flight, resolved, found, run):
         say(line, *outputs)
     return _summary(flight, resolved, found, run, content)
@@ -144,8 +145,7 @@ def _lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) 
         f"{flight.source}: {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
         f"  battery    {resolved.battery} ({status}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, state of charge {_number(found.end_soc, '.3f')} "
-        f"± {_number(found.end_soc_sd, '.3f')}; refused in the air {_number(found.refused_in_air, '.1%')}, "
-        f"mean NIS {_number(found.mean_nis, '.2f')}",
+        f"± {_number(found.end_soc_sd, '.3f')}; {_given(found.refused_in_air)}",
     ]
     warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
     lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
@@ -164,9 +164,28 @@ def _lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) 
                 lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
     else:
         last = run[-1].remaining
-        said = f"{last.remaining_s:.0f} s left at the last row" if math.isfinite(last.remaining_s) else last.reason
-        lines.append(f"  the log does not reach the end of flight; {said}")
+        between = f"{_clock(last.remaining_lo_s)} to {_clock(last.remaining_hi_s)}"
+        left = f"{_clock(last.remaining_s)} min left at the last row ({between})"
+        said = left if math.isfinite(last.remaining_s) else f"no forecast at the last row: {last.reason}"
+        lines.append(f"  the flight ended before its battery did; {said}")
     return lines
+
+
+def _given(refused_in_air: float) -> str:
+    """Say how often a forecast was given while the aircraft flew."""
+    if not math.isfinite(refused_in_air):
+        return "not seen in the air for more than a minute"
+    if refused_in_air == 0.0:
+        return "a forecast at all times in the air"
+    return f"no forecast at {refused_in_air:.1%} of the rows in the air"
+
+
+def _clock(seconds: float) -> str:
+    """Minutes and seconds, `16:22`."""
+    if not math.isfinite(seconds):
+        return "unknown"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
 
 
 def _summary(

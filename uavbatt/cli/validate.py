@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from uavbatt.cli.options import check_writable, remark, say
+from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.dataset import DataSet
-    from uavbatt.validation.paper import PaperReplay
+    from uavbatt.validation.study.paper import PaperReplay
     from uavbatt.validation.validate import Validation
 
 
 class Method(StrEnum):
-    """How to judge."""
+    """The method of judging."""
 
     ISO = "iso"
     PAPER = "paper"
@@ -50,11 +51,12 @@ def validate(
         return
     from uavbatt.files import write_json
     from uavbatt.validation.as_json import to_builtins
-    from uavbatt.validation.gate import Limits
+    from uavbatt.validation.gating.gate import Limits
     from uavbatt.validation.validate import validate as judge
 
     remark(f"fitting {tests.name}, one occasion left out at a time ...")
-    result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s))
+    with progress_bar(tests.name) as progress:
+        result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s), progress)
     printed = _printed(tests)
     for line in _lines(result):
         say(line, report, json_file)
@@ -63,9 +65,10 @@ def validate(
     if json_file is not None:
         write_json(json_file, to_builtins(result, printed), indent=1)
     if report is not None:
-        from uavbatt.validation import page
+        from uavbatt.report.page import write_page
+        from uavbatt.report.validation import validation_report
 
-        page.write(report, result, printed)
+        write_page(report, validation_report(result, printed))
         say(f"report: {report}", report, json_file)
     if ship is not None and result.battery is not None:
         from uavbatt.battery import battery_file
@@ -79,6 +82,8 @@ def validate(
 
 def _lines(result: Validation) -> list[str]:
     """The verdict first, then what it rests on, then what the tests say about themselves."""
+    from uavbatt.report.validation_tables import plain_reason
+
     tests = result.dataset
     lines = [
         f"{tests.name}: {result.verdict.upper()} at {result.ambient_C:g} °C "
@@ -88,9 +93,9 @@ def _lines(result: Validation) -> list[str]:
     ]
     gating = [c for c in result.claims if c.gates]
     others = [c for c in result.claims if not c.gates]
-    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {c.reason}" for c in gating]
+    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}" for c in gating]
     lines += ["claims that inform and do not gate"]
-    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {c.reason}" for c in others[:12]]
+    lines += [f"  {c.verdict:>15}  {c.claim} at {c.ambient_C:g} °C: {plain_reason(c)}" for c in others[:12]]
     if len(others) > 12:
         lines.append(f"  {'':>15}  ... and {len(others) - 12} more in the report")
     lines += ["", "findings about the tests"]
@@ -110,7 +115,7 @@ def _lines(result: Validation) -> list[str]:
 def _printed(tests: DataSet) -> PaperReplay | None:
     """The study's own method, where it can be applied to these tests."""
     from uavbatt.errors import UavbattError
-    from uavbatt.validation import paper
+    from uavbatt.validation.study import paper
 
     try:
         return paper.replay(tests)
@@ -120,7 +125,7 @@ def _printed(tests: DataSet) -> PaperReplay | None:
 
 def _paper(tests: DataSet, json_file: Path | None) -> None:
     from uavbatt.files import write_json
-    from uavbatt.validation import paper
+    from uavbatt.validation.study import paper
 
     replayed = paper.replay(tests)
     for line in _paper_lines(tests.name, replayed):

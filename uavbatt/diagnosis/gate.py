@@ -18,7 +18,7 @@ from uavbatt.battery.openloop import simulate
 from uavbatt.battery.scaling import cell_parameters
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import observed
-from uavbatt.validation.heldout import HeldOut, is_metered
+from uavbatt.validation.gating.heldout import HeldOut, is_metered
 from uavbatt.validation.validate import model_claims, validate
 
 AGEING = frozenset({"capacity_fade", "resistance_growth", "weak_cell"})
@@ -35,7 +35,11 @@ def verdicts(tests: DataSet, file: BatteryFile) -> list[Verdict]:
         if not is_metered(tests):
             return [_missing(ambient_C, "the tests have no measured current to try other cells than theirs on")]
         moved = _moved(result.held, *_difference(tests, ambient_C, shipped, file))
-        again = {c.claim: c for c in model_claims(tests, moved, result.corridors[ambient_C], result.limits) if c.gates}
+        again = {
+            c.claim: c
+            for c in model_claims(result.readings, moved, result.corridors[ambient_C], result.limits)
+            if c.gates
+        }
         claims = [again.get(c.claim, c) for c in claims]
     return [Verdict(claim=c.claim, verdict=c.verdict, ambient_C=c.ambient_C, reason=c.reason) for c in claims]
 

@@ -155,7 +155,7 @@ def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
     ]
     lines = []
     if told_nothing:
-        lines.append(f"the data say little about {', '.join(told_nothing)}: the LiPo prior stands")
+        lines.append(f"your data say little about {', '.join(told_nothing)} (typical LiPo values used)")
     temps = stack.temp_C[stack.compare]
     temps = temps[np.isfinite(temps)]
     if temps.size == 0:

@@ -11,8 +11,7 @@ by this loop alone, and only it writes the heartbeat: a process that hangs falls
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
@@ -22,7 +21,7 @@ from uavbatt.live.config import Config, signing_key
 from uavbatt.live.listener import Frame, Listener
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
-from uavbatt.live.report import STALE_AFTER_S, Report, Trend
+from uavbatt.live.report import STALE_AFTER_S, Board
 from uavbatt.live.sender import Sender, in_order
 from uavbatt.live.systemd import notify
 from uavbatt.mavlink import fields
@@ -31,24 +30,13 @@ from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.mavlink.pipe import wait
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Status
+from uavbatt.telemetry.formats.recording import PERIOD_NAME
 from uavbatt.telemetry.live import Row
-from uavbatt.telemetry.recording import PERIOD_NAME
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
 STATUS_PERIOD_S = 5.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
-
-
-@dataclass(slots=True)
-class Board:
-    """The board that other threads may read: replaced whole, never changed in place."""
-
-    reports: tuple[Report, ...] = ()
-    notes: tuple[str, ...] = ()
-    counts: Mapping[str, int] = field(default_factory=dict)
-    trend: Trend = field(default_factory=Trend)
-    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)
 
 
 class Daemon:

@@ -7,8 +7,8 @@ a known time is counted down by the age of the row that it was made for.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from uavbatt.output import Line, line, rounded
 from uavbatt.records import NAN, Estimate, Remaining, Status
@@ -129,3 +129,14 @@ class Trend:
             ]
             for instance, points in list(self._points.items())
         }
+
+
+@dataclass(slots=True)
+class Board:
+    """The board that other threads may read: replaced whole, never changed in place."""
+
+    reports: tuple[Report, ...] = ()
+    notes: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+    trend: Trend = field(default_factory=Trend)
+    said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)

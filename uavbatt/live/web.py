@@ -15,14 +15,14 @@ import math
 import socket
 import sys
 import threading
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from uavbatt import __version__
 from uavbatt.errors import MissingExtra, UsageError
 from uavbatt.live.config import HttpSection, address
-from uavbatt.live.report import STALE_AFTER_S, Report, Trend
+from uavbatt.live.report import STALE_AFTER_S, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
@@ -30,35 +30,11 @@ SAID_S = 120.0  # what was said aloud stands on the page as long
 PAGE = Path(__file__).with_name("page.html")
 
 
-class BoardLike(Protocol):
-    """What the loop publishes."""
-
-    @property
-    def reports(self) -> Sequence[Report]:
-        """Batteries, the one that speaks for the vehicle first."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """Notes for the operator."""
-
-    @property
-    def said(self) -> Sequence[tuple[float, str]]:
-        """Announcements as (monotonic time [s], text), oldest first."""
-
-    @property
-    def counts(self) -> Any:
-        """Counters since the start."""
-
-    @property
-    def trend(self) -> Trend:
-        """The last ten minutes."""
-
-
-ReadBoard = Callable[[], BoardLike]
+ReadBoard = Callable[[], Board]
 Clock = Callable[[], float]
 
 
-def content(board: BoardLike, now_s: float) -> dict[str, Any]:
+def content(board: Board, now_s: float) -> dict[str, Any]:
     """Return the content of /now.json and of every event."""
     batteries = [report.as_line(now_s) for report in board.reports]
     first = batteries[0] if batteries else None
@@ -73,7 +49,7 @@ def content(board: BoardLike, now_s: float) -> dict[str, Any]:
     }
 
 
-def metrics(board: BoardLike, now_s: float) -> bytes:
+def metrics(board: Board, now_s: float) -> bytes:
     """The state in Prometheus' text format; what is unknown is NaN."""
     from prometheus_client import CollectorRegistry, Gauge, generate_latest
     from prometheus_client.core import CounterMetricFamily
@@ -111,7 +87,7 @@ def metrics(board: BoardLike, now_s: float) -> bytes:
     return bytes(generate_latest(registry))
 
 
-def filled(page: str, board: BoardLike, now_s: float) -> str:
+def filled(page: str, board: Board, now_s: float) -> str:
     """The page with what is known now in it, so that it shows something before the first event."""
     first = json.dumps({"now": content(board, now_s), "trend": board.trend.lines(now_s)}, allow_nan=False)
     return page.replace('id="first">null<', 'id="first">' + first.replace("<", "\\u003c") + "<", 1)

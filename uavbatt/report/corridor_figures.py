@@ -11,7 +11,9 @@ import numpy as np
 from uavbatt.dataset import Run
 from uavbatt.report import plot
 from uavbatt.report.page import Html, celsius, figure, paragraph
-from uavbatt.report.validation_inputs import Array, CorridorLike, ValidationPage
+from uavbatt.report.validation_page import Array, ValidationPage
+from uavbatt.validation.judging.corridor import Corridor, time_corridor
+from uavbatt.validation.judging.crossing import crossing_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,15 +27,15 @@ DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departur
 
 
 def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], list[Run]]:
-    """(runs of samples tested repeatedly, one-time runs) at the page's ambient temperature, raw or as judged."""
-    runs = (page.tests if as_read else page.dataset).at(page.ambient_C)
+    """Return (runs of samples tested repeatedly, one-time runs) at the gated temperature, raw or as judged."""
+    runs = (page.found.readings.tests if as_read else page.found.dataset).at(page.found.ambient_C)
     counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
     return [r for r in runs if counts[r.sample] > 1], [r for r in runs if counts[r.sample] == 1]
 
 
 def _study(page: ValidationPage, number: int) -> str:
     """The figure of the study that a drawing redoes, when it is the study's own data."""
-    return f" (the study's Figure {number})" if page.agreements else ""
+    return f" (the study's Figure {number})" if page.is_study else ""
 
 
 def _values(run: Run, quantity: str) -> Array:
@@ -64,16 +66,16 @@ def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
 
 
 def family(page: ValidationPage) -> Html:
-    """Figure 1: the discharge curves of every repeated run."""
+    """Draw Figure 1: the discharge curves of every repeated run."""
     many, single = repeated(page)
-    alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {celsius(page.ambient_C)}."
+    alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {celsius(page.found.ambient_C)}."
 
     def draw(axes: Axes) -> None:
         _run_curves(axes, page, "voltage_V")
 
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS["voltage_V"]),
-        f"Discharge curves at {celsius(page.ambient_C)}{_study(page, 1)}",
+        f"Discharge curves at {celsius(page.found.ambient_C)}{_study(page, 1)}",
         "Every test as it was read, straight lines between the readings.",
     )
 
@@ -82,7 +84,7 @@ def _shade(axes: Axes, at: Array, low: Array, high: Array) -> None:
     axes.fill_between(at, low, high, color=plot.SKY, alpha=0.45, linewidth=0, label="mean ± C")
 
 
-def _edges(axes: Axes, at: Array, mean: Array, corridor: CorridorLike, scale: float = 1.0) -> None:
+def _edges(axes: Axes, at: Array, mean: Array, corridor: Corridor, scale: float = 1.0) -> None:
     """The tolerance and the simultaneous band by their outlines."""
     bands = (
         ("95/95 tolerance", corridor.tolerance, (0, (1, 1.2))),
@@ -95,8 +97,8 @@ def _edges(axes: Axes, at: Array, mean: Array, corridor: CorridorLike, scale: fl
                 axes.plot(at, mean + sign * scale * half, color=plot.FAINT, linewidth=1.1, linestyle=style, label=label)
 
 
-def corridor(page: ValidationPage, found: CorridorLike, model: Array | None, study: int) -> Html:
-    """Figures 4 and 5: mean, corridor, runs and model, in the unit of the readings."""
+def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: int) -> Html:
+    """Draw Figures 4 and 5: mean, corridor, runs and model, in the unit of the readings."""
     minutes = found.at / 60.0
 
     def draw(axes: Axes) -> None:
@@ -112,13 +114,13 @@ def corridor(page: ValidationPage, found: CorridorLike, model: Array | None, stu
     alt = f"Mean {name} with its corridor, every run and the model's prediction of runs it was not fitted to."
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS[found.quantity]),
-        f"Corridor of the {name} at {celsius(page.ambient_C)}{_study(page, study)}",
+        f"Corridor of the {name} at {celsius(page.found.ambient_C)}{_study(page, study)}",
         "The corridor is thin beside the fall of the curve: the next drawing shows the departures alone.",
     )
 
 
-def departures(page: ValidationPage, found: CorridorLike, model: Array | None) -> Html:
-    """Corridor, wider bands, runs and model as departures from the mean of the tests."""
+def departures(page: ValidationPage, found: Corridor, model: Array | None) -> Html:
+    """Draw corridor, wider bands, runs and model as departures from the mean of the tests."""
     minutes, scale = found.at / 60.0, 1000.0 if found.quantity == "voltage_V" else 1.0
 
     def draw(axes: Axes) -> None:
@@ -140,11 +142,11 @@ def departures(page: ValidationPage, found: CorridorLike, model: Array | None) -
     alt = "Departures of runs and model from the mean of the tests, with three bands."
     said = "Blue: the repeated tests." + (held if math.isfinite(found.covers_all) else "") + cut
     drawn = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[found.quantity], legend_columns=3)
-    return figure(drawn, f"{NAME[found.quantity]}: departures from the mean at {celsius(page.ambient_C)}", said)
+    return figure(drawn, f"{NAME[found.quantity]}: departures from the mean at {celsius(page.found.ambient_C)}", said)
 
 
 def _departure(
-    axes: Axes, run: Run, found: CorridorLike, scale: float, style: tuple[str, str], name: str, weight: float
+    axes: Axes, run: Run, found: Corridor, scale: float, style: tuple[str, str], name: str, weight: float
 ) -> None:
     y = _values(run, found.quantity)
     known = ~np.isnan(y)
@@ -155,7 +157,7 @@ def _departure(
     axes.plot(found.at[within] / 60.0, gap, style[1], color=style[0], linewidth=weight, label=name, alpha=0.8)
 
 
-def _frame(axes: Axes, found: CorridorLike, scale: float) -> None:
+def _frame(axes: Axes, found: Corridor, scale: float) -> None:
     """Symmetric limits that hold the widest band."""
     widest = [float(np.nanmax(b)) for b in (found.C, found.tolerance, found.simultaneous) if np.isfinite(b).any()]
     if widest and max(widest) > 0:
@@ -165,8 +167,8 @@ def _frame(axes: Axes, found: CorridorLike, scale: float) -> None:
 
 
 def in_time(page: ValidationPage) -> Html:
-    """The corridor of crossing times at fixed voltage: what a pilot has."""
-    found = page.time_corridor
+    """Draw the corridor of crossing times at fixed voltage: seconds are what a pilot has."""
+    found = time_corridor(page.found.readings, page.found.ambient_C)
     title = "When a voltage is reached: the corridor in time"
     if found is None or not np.isfinite(found.C).any():
         return figure(
@@ -193,20 +195,12 @@ def in_time(page: ValidationPage) -> Html:
 
 
 def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
-    """Time [s] of the first fall through each level, straight lines between readings; NaN where there is none."""
-    known = ~np.isnan(voltage_V)
-    t, v = time_s[known], voltage_V[known]
-    found = np.full(levels_V.size, math.nan)
-    for j, level in enumerate(levels_V):
-        falls = np.flatnonzero((v[:-1] >= level) & (v[1:] < level))
-        if falls.size:
-            i = falls[0]
-            found[j] = t[i] + (t[i + 1] - t[i]) * (v[i] - level) / (v[i] - v[i + 1])
-    return found
+    """Time [s] of the first fall through each level, NaN where there is none."""
+    return np.array([crossing_time(time_s, voltage_V, float(level)) for level in levels_V])
 
 
-def over_ambient(page: ValidationPage, corridors: Sequence[CorridorLike], quantity: str, study: int) -> Html:
-    """Figures 6 and 7: the mean curve at every ambient temperature."""
+def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: str, study: int) -> Html:
+    """Draw Figures 6 and 7: the mean curve at every ambient temperature."""
     name = "Voltage" if quantity == "voltage_V" else "Surface temperature"
     title = f"{name} over ambient temperature{_study(page, study)}"
     known = [c for c in corridors if np.isfinite(c.mean).any()]
@@ -242,9 +236,12 @@ def _spread(values: Sequence[float], count: int) -> list[float]:
 
 
 def crossings(page: ValidationPage) -> Html:
-    """Time to a fixed voltage over ambient temperature: where one-time series break."""
-    title = f"Time to {page.crossing_V:.4g} V over ambient temperature"
-    known = [c for c in page.crossings if math.isfinite(c[2])]
+    """Draw the time to a fixed voltage over ambient temperature, where one-time series break."""
+    level_V = page.found.limits.crossing_V
+    title = f"Time to {level_V:.4g} V over ambient temperature"
+    runs = page.found.dataset.runs
+    times = [(r.sample, r.ambient_C, crossing_time(r.time_s, r.voltage_V, level_V)) for r in runs]
+    known = [c for c in times if math.isfinite(c[2])]
     if len({c[1] for c in known}) < 2:
         return figure(paragraph("Tests at two ambient temperatures or more would be needed.", css="quiet"), title)
 
@@ -255,6 +252,6 @@ def crossings(page: ValidationPage) -> Html:
             axes.plot([c[1] for c in mine], [c[2] / 60.0 for c in mine], marker, color=colour, markersize=4,
                       markerfacecolor="none", label=f"sample {plot.literal(sample)}")  # fmt: skip
 
-    alt = f"Time until the pack first falls to {page.crossing_V:.4g} V against ambient temperature, one mark a test."
-    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {page.crossing_V:.4g} V (min)")
+    alt = f"Time until the pack first falls to {level_V:.4g} V against ambient temperature, one mark a test."
+    drawn = plot.panel(draw, alt, x="ambient temperature (°C)", y=f"first fall to {level_V:.4g} V (min)")
     return figure(drawn, title, f"One mark a test, {len(known)} tests. {JUMPS}")

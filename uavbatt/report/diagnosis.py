@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import difflib
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
 from uavbatt import __version__
-from uavbatt.files import atomic_write
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.effects import unit_words
+from uavbatt.diagnosis.classes import EffectClass
+from uavbatt.diagnosis.close import Closed
+from uavbatt.diagnosis.diagnosis import Diagnosis
+from uavbatt.diagnosis.residual import Residual
+from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
@@ -39,80 +48,54 @@ ANSWERS = {
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 
 
-@dataclass(frozen=True, slots=True)
-class Suspect:
-    """One class of effects that the records cannot tell apart."""
+def diagnosis_report(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile) -> str:
+    """Return the whole page as HTML.
 
-    members: tuple[tuple[str, str, str], ...]  # name, meaning, what to check
-    probability: float
-    values: tuple[tuple[str, str, float, float, float, str], ...]  # quantity in words, its name, value, lo, hi, unit
-
-
-@dataclass(frozen=True, slots=True)
-class Track:
-    """Residuals of one record, measured minus modelled: voltage [V] and temperature [K], before and after."""
-
-    name: str
-    time_s: Array
-    before_V: Array
-    after_V: Array
-    before_K: Array
-    after_K: Array
-
-
-@dataclass(frozen=True, slots=True)
-class DiagnosisPage:
-    """All that the page says."""
-
-    battery: str
-    verdict: str
-    suspects: tuple[Suspect, ...]
-    doubts: tuple[str, ...]
-    floor_V: float
-    errors: tuple[tuple[str, float, float, str, int], ...]  # what, before, after, unit, decimals
-    held_out: tuple[str, ...]
-    tracks: tuple[Track, ...]
-    changes: tuple[str, ...]  # lines of the battery file that differ, with + and -
-    notes: tuple[str, ...] = ()
-
-
-def write(path: Path, inputs: DiagnosisPage) -> None:
-    """Write the page, whole or not at all."""
-    with atomic_write(path, "w") as stream:
-        stream.write(diagnosis_report(inputs))
-
-
-def diagnosis_report(d: DiagnosisPage) -> str:
-    """The whole page as HTML."""
-    mood, answer = ANSWERS[d.verdict]
+    `found` is what the records say, `closed` the errors on held-out records before and after, `old` and `new` the
+    battery file before and after.
+    """
+    mood, answer = ANSWERS[found.verdict]
+    notes = _notes(found, old)
     return page(
-        f"{d.battery}: what the battery file lacks",
+        f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
-        element("div", paragraph(strong(answer)), *map(_suspect, d.suspects), css=f"answer {mood}"),
-        *([section("Doubts", bullets(d.doubts))] if d.doubts else []),
-        section("Error before and after", _errors(d)),
-        section("Residuals, measured minus modelled", *_residuals(d)),
-        section("Change of the battery file", *_changes(d)),
-        *([section("Notes", bullets(d.notes))] if d.notes else []),
+        element("div", paragraph(strong(answer)), *map(_suspect, found.classes), css=f"answer {mood}"),
+        *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
+        section("Error before and after", _errors(closed, found.floor_V)),
+        section("Residuals, measured minus modelled", *_residuals(found)),
+        section("Change of the battery file", *_changes(found, difference(old, new))),
+        *([section("Notes", bullets(notes))] if notes else []),
         footer=f"uavbatt {__version__}. A small residual after the fix proves little: do the check first.",
     )
 
 
-def _suspect(s: Suspect) -> Html:
-    (name, meaning, _), others = s.members[0], s.members[1:]
-    rows = [
-        (words, q, number(v, _decimals(v)), f"{number(lo, _decimals(v))} to {number(hi, _decimals(v))}", unit)
-        for words, q, v, lo, hi, unit in s.values
-    ]
-    sure = f"The cause is {'among these' if others else 'this'} with a probability of {s.probability:.0%}."
-    rivals = [paragraph("These records cannot tell it from:"), bullets(f"{m} ({n})" for n, m, _ in others)]
+def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
+    notes = []
+    if not found.problem.evidence.has_temperature:
+        notes.append("No temperature was measured: effects that show in it only are not among the candidates.")
+    if old.status == "edited":
+        notes.append(f"The {old.caveat}.")
+    return notes
+
+
+def _suspect(one: EffectClass) -> Html:
+    """One class of effects that the records cannot tell apart."""
+    name, *others = one.members
+    meaning = MEANING[name]
+    rows = []
+    for quantity, i in one.parameters.items():
+        interval = f"{number(i.lo, _decimals(i.lo))} to {number(i.hi, _decimals(i.hi))}"
+        words = QUANTITY.get(quantity, quantity)
+        rows.append((words, quantity, number(i.value, _decimals(i.value)), interval, unit_words(i.unit)))
+    sure = f"The cause is {'among these' if others else 'this'} with a probability of {one.probability:.0%}."
+    rivals = [paragraph("These records cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
     return element(
         "div",
         paragraph(strong(f"{meaning[0].upper()}{meaning[1:]}"), f" ({name})."),
         *(rivals if others else []),
         paragraph(sure),
         paragraph(strong("What to check")),
-        bullets(f"{c[0].upper()}{c[1:]} ({n})." for n, _, c in s.members),
+        bullets(f"{CHECK[m][0].upper()}{CHECK[m][1:]} ({m})." for m in one.members),
         table(("if it is so", "quantity", "value", "95 % interval", "unit"), rows, text_columns=(0, 1, 4)),
     )
 
@@ -123,51 +106,102 @@ def _decimals(value: float) -> int:
     return 3 if size == 0.0 else int(np.clip(2 - np.floor(np.log10(size)), 0, 5))
 
 
-def _errors(d: DiagnosisPage) -> Html:
-    rows = [(what, number(b, n), number(a, n), unit) for what, b, a, unit, n in d.errors]
+def _errors(closed: Closed, floor_V: float) -> Html:
+    b, a = closed.before, closed.after
+    errors = (
+        ("voltage RMSE", 1000.0 * b.voltage_rmse_V, 1000.0 * a.voltage_rmse_V, "mV", 0),
+        ("temperature RMSE", b.temp_rmse_K, a.temp_rmse_K, "K", 2),
+        ("remaining time, mean error", b.remaining_mae_s, a.remaining_mae_s, "s", 0),
+        ("truth inside the 90 % interval", 100.0 * b.coverage, 100.0 * a.coverage, "%", 0),
+    )
+    rows = [(what, number(before, n), number(after, n), unit) for what, before, after, unit, n in errors]
     caption = (
-        f"Each of {len(d.held_out)} records predicted with the values that the others give; the battery's own model "
-        f"leaves about {number(1000.0 * d.floor_V, 0, 'mV')}."
+        f"Each of {len(closed.held_out)} records predicted with the values that the others give; the battery's own "
+        f"model leaves about {number(1000.0 * floor_V, 0, 'mV')}."
     )
     return table(("", "before", "after", "unit"), rows, caption, text_columns=(0, 3))
 
 
-def _residuals(d: DiagnosisPage) -> list[Html]:
+def _residuals(found: Diagnosis) -> list[Html]:
+    before, after = found.residual_before, found.residual_after
+
+    def volts(one: Residual) -> Array:
+        return one.voltage_V
+
+    def warmth(one: Residual) -> Array:
+        return one.temp_K
+
+    # The same scale before and after.
+    limits_mV = max(_reach(before, volts, 1000.0), 2.5 * 1000.0 * found.floor_V)
     out = [
-        _panel(d, "Voltage before", "before_V", 1000.0, "mV"),
-        _panel(d, "Voltage after", "after_V", 1000.0, "mV"),
+        _panel("Voltage before", before, volts, (1000.0, "mV"), limits_mV, 1000.0 * found.floor_V),
+        _panel("Voltage after", after, volts, (1000.0, "mV"), limits_mV, 1000.0 * found.floor_V),
     ]
-    if any(np.isfinite(t.before_K).any() for t in d.tracks):
+    if any(np.isfinite(r.temp_K).any() for r in before):
+        limits_K = max(_reach(before, warmth, 1.0), 1.0)
         out += [
-            _panel(d, "Temperature before", "before_K", 1.0, "K"),
-            _panel(d, "Temperature after", "after_K", 1.0, "K"),
+            _panel("Temperature before", before, warmth, (1.0, "K"), limits_K),
+            _panel("Temperature after", after, warmth, (1.0, "K"), limits_K),
         ]
     return [grid(*out)]
 
 
-def _panel(d: DiagnosisPage, title: str, field: str, scale: float, unit: str) -> Html:
-    both = [getattr(t, "before_" + field.split("_")[1]) for t in d.tracks]  # the same scale before and after
-    reach = scale * max(float(np.nanpercentile(np.abs(b), 97)) if np.isfinite(b).any() else 0.0 for b in both) * 1.2
-    limit = max(reach, 2.5 * scale * d.floor_V if unit == "mV" else 1.0)
+def _reach(records: Sequence[Residual], column: Callable[[Residual], Array], scale: float) -> float:
+    """Half the height of a panel that holds nearly all residuals, in the panel's unit."""
+    known = [column(r) for r in records]
+    largest = [float(np.nanpercentile(np.abs(y), 97)) if np.isfinite(y).any() else 0.0 for y in known]
+    return scale * max(largest) * 1.2
+
+
+def _panel(
+    title: str,
+    records: Sequence[Residual],
+    column: Callable[[Residual], Array],
+    shown: tuple[float, str],
+    limit: float,
+    floor: float | None = None,
+) -> Html:
+    """Residuals of the first six records over time; `limit` and `floor` in the unit of `shown` (factor, unit)."""
+    scale, unit = shown
 
     def draw(axes: Axes) -> None:
-        if unit == "mV":
-            axes.axhspan(-scale * d.floor_V, scale * d.floor_V, facecolor=plot.SHADE, linewidth=0, label="floor")
+        if floor is not None:
+            axes.axhspan(-floor, floor, facecolor=plot.SHADE, linewidth=0, label="floor")
         axes.axhline(0.0, color=plot.INK, linewidth=0.7)
-        for i, t in enumerate(d.tracks[:6]):
-            colour = COLOURS[i % len(COLOURS)]
-            axes.plot(t.time_s / 60.0, scale * getattr(t, field), color=colour, linewidth=1.0, label=t.name)
+        for i, r in enumerate(records[: len(COLOURS)]):
+            minutes = (r.time_s - r.time_s[0]) / 60.0
+            axes.plot(minutes, scale * column(r), color=COLOURS[i], linewidth=1.0, label=Path(r.name).stem)
         axes.set_ylim(-limit, limit)
 
-    alt = f"{title}: measured minus modelled against time, {len(d.tracks)} records"
+    alt = f"{title}: measured minus modelled against time, {len(records)} records"
     return figure(plot.panel(draw, alt, x="minutes", y=unit), title)
 
 
-def _changes(d: DiagnosisPage) -> list[Html]:
-    if not d.changes:
+def _changes(found: Diagnosis, lines: Sequence[str]) -> list[Html]:
+    if not lines:
         return [paragraph("None.")]
-    text = element("pre", "\n".join(d.changes))
-    lines = [details(f"{len(d.changes)} lines", text) if len(d.changes) > 40 else text]
-    if any(len(s.members) > 1 for s in d.suspects):
-        lines.insert(0, paragraph("Where several causes are possible, the file takes the one that is named first."))
-    return lines
+    text = element("pre", "\n".join(lines))
+    shown = [details(f"{len(lines)} lines", text) if len(lines) > 40 else text]
+    if any(len(c.members) > 1 for c in found.classes):
+        shown.insert(0, paragraph("Where several causes are possible, the file takes the one that is named first."))
+    return shown
+
+
+def difference(old: BatteryFile, new: BatteryFile) -> tuple[str, ...]:
+    """Return the lines of the battery file that change, marked + and -, without hash and date."""
+    before, after = _text(old).splitlines(), _text(new).splitlines()
+    changes = difflib.unified_diff(before, after, "before", "after", lineterm="", n=1)
+    return tuple(changes)
+
+
+def _text(file: BatteryFile) -> str:
+    content: dict[str, Any] = msgspec.to_builtins(file)
+    for key in ("content_sha256", "date", "tool_version"):
+        content["certificate"].pop(key, None)
+    return tomli_w.dumps(_without_none(content))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list) else value

@@ -34,7 +34,10 @@ MOST_REASONS = 10
 
 
 def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str]] = ()) -> str:
-    """The whole page as HTML. `battery`: the file that all were flown with; `remarks`: names and values of the run."""
+    """Return the whole page as HTML.
+
+    `battery` names the file that all were flown with; `remarks` are names and values of the run.
+    """
     ranked = _ranked(found.groups.values())
     return page(
         f"Fleet: {counted(found.flights, 'flight')} of {_whose(list(found.groups))}",
@@ -77,7 +80,7 @@ def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
     lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""
     first = f"{counted(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
     grown = [g.name for g, resistance, _ in ranked if _is_grown(resistance)]
-    health = "No pack or aircraft with flights enough shows a resistance that has certainly grown."
+    health = "No ageing found: no pack with enough flights shows a resistance that has certainly grown."
     if grown:
         health = f"Resistance has grown in: {', '.join(grown[:5])}" + (", …" if len(grown) > 5 else ".")
     said = [paragraph(first), paragraph(health)]
@@ -218,5 +221,5 @@ def _whose(groups: Sequence[str]) -> str:
 
 
 def counted(n: int, what: str) -> str:
-    """A number of things, with its plural."""
+    """Name a number of things, with its plural."""
     return f"{n} {what}{'' if n == 1 else 's'}"

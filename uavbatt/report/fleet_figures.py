@@ -21,7 +21,7 @@ _SPREAD = 0.28  # of the dots of one checkpoint, sideways
 
 
 def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
-    """Resistance or capacity scale of one group, flight by flight, with two standard deviations."""
+    """Draw the resistance or capacity scale of one group, flight by flight, with two standard deviations."""
     place, pairs = group.in_time(group.resistance if what == "resistance" else group.capacity)
     chosen = _thinned(len(place))
     place, pairs = place[chosen], pairs[chosen]
@@ -51,7 +51,7 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
 
 
 def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
-    """Error of every forecast at each instant before the end: a dot a flight, the middle half and the median."""
+    """Draw the error of every forecast at each instant before the end: a dot a flight, middle half, median."""
     told = [(label, np.array(errors[key])) for key, label in CHECKPOINTS.items() if errors[key]]
 
     def draw(axes: Axes) -> None:

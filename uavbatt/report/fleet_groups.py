@@ -1,4 +1,4 @@
-"""What the fleet page says of each pack or aircraft, and of the forecasts, gathered in one pass over the flights.
+"""Flights of a fleet gathered in one pass: each pack or aircraft over its life, and the errors of the forecasts.
 
 A group is a battery with a serial number, else an aircraft. Only numbers are kept of a flight, so that a page about
 very many flights stays small in memory.
@@ -11,50 +11,16 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from uavbatt.fleet.row import Row
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
 MOST_LISTED = 100
 _FIGURE = re.compile(r"\d+(\.\d+)?")
-
-
-class FlightLike(Protocol):
-    """What the page needs of a row, see `uavbatt.fleet.row.Row`."""
-
-    @property
-    def file(self) -> str: ...
-    @property
-    def status(self) -> str: ...
-    @property
-    def reason(self) -> str: ...
-    @property
-    def look(self) -> str: ...
-    @property
-    def aircraft(self) -> str: ...
-    @property
-    def battery_serial(self) -> str: ...
-    @property
-    def certificate(self) -> str: ...
-    @property
-    def start_utc(self) -> str: ...
-    @property
-    def duration_s(self) -> float: ...
-    @property
-    def energy_Wh(self) -> float: ...
-    @property
-    def end_soc(self) -> float: ...
-    @property
-    def resistance_scale(self) -> float: ...
-    @property
-    def resistance_scale_sd(self) -> float: ...
-    @property
-    def capacity_scale(self) -> float: ...
-    @property
-    def capacity_scale_sd(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +34,7 @@ class Change:
 
     @property
     def is_certain(self) -> bool:
-        """More than twice its own standard deviation, and big enough to matter."""
+        """True for a change of more than twice its own standard deviation that is big enough to matter."""
         return abs(self.difference) > max(2.0 * self.difference_sd, 0.05)
 
 
@@ -83,8 +49,8 @@ class Group:
     flown_s: float = 0.0
     energy_Wh: float = 0.0
 
-    def add(self, row: FlightLike) -> None:
-        """One more flight."""
+    def add(self, row: Row) -> None:
+        """Add one more flight."""
         start = datetime.fromisoformat(row.start_utc).timestamp() if row.start_utc else math.nan
         self.start_s.append(start)
         self.resistance.append((row.resistance_scale, row.resistance_scale_sd))
@@ -94,17 +60,17 @@ class Group:
 
     @property
     def flights(self) -> int:
-        """How many were flown."""
+        """Number of flights."""
         return len(self.start_s)
 
     @property
     def is_dated(self) -> bool:
-        """Whether the flights can be put on a calendar: all dates known, and not all the same."""
+        """True when the flights can be put on a calendar: all dates known, and not all the same."""
         start_s = np.array(self.start_s)
         return bool(np.all(np.isfinite(start_s)) and np.ptp(start_s) > 3600.0)
 
     def in_time(self, values: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions and (scale, sd) by date, or by number where the dates are not known."""
+        """Return positions and (scale, sd) by date, or by number where the dates are not known."""
         pairs = np.array(values, np.float64).reshape(-1, 2)
         if not self.is_dated:
             return np.arange(1.0, len(pairs) + 1.0), pairs
@@ -113,7 +79,7 @@ class Group:
 
 
 def change(group: Group, values: Sequence[tuple[float, float]]) -> Change | None:
-    """First third of the flights against the last; None for too few flights."""
+    """Compare the first third of the flights with the last; None for too few flights."""
     _, pairs = group.in_time(values)
     if len(pairs) < ENOUGH_FLIGHTS:
         return None
@@ -132,13 +98,13 @@ def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class Overview:
-    """All that the page tells; filled by `gathered`."""
+    """Everything that the page tells; filled by `gathered`."""
 
     groups: dict[str, Group] = field(default_factory=dict)
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
     inside: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
     refused: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
-    look: list[FlightLike] = field(default_factory=list)
+    look: list[Row] = field(default_factory=list)
     looked: int = 0
     reasons: dict[str, int] = field(default_factory=dict)  # without their figures
     failed: dict[str, list[str]] = field(default_factory=dict)  # reason -> the first few files
@@ -147,12 +113,12 @@ class Overview:
 
     @property
     def flights(self) -> int:
-        """How many could be flown."""
+        """Number of flights that could be flown."""
         return sum(g.flights for g in self.groups.values())
 
 
-def gathered(rows: Iterable[FlightLike]) -> Overview:
-    """One pass over the rows."""
+def gathered(rows: Iterable[Row]) -> Overview:
+    """Gather the rows of a fleet in one pass."""
     found = Overview()
     for row in rows:
         if row.status != "ok":
@@ -173,7 +139,7 @@ def gathered(rows: Iterable[FlightLike]) -> Overview:
     return found
 
 
-def _score(found: Overview, row: FlightLike) -> None:
+def _score(found: Overview, row: Row) -> None:
     for key in CHECKPOINTS:
         inside, error_s = getattr(row, f"inside_{key}"), getattr(row, f"error_{key}_s")
         if inside is None:

@@ -8,9 +8,10 @@ from pathlib import PurePath
 
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Checkpoint, Outcome, Step
 from uavbatt.records import Flight, Status
 from uavbatt.report.flight_figures import figures
-from uavbatt.report.inputs import CheckpointLike, OutcomeLike, ResolvedLike, StepLike
 from uavbatt.report.page import (
     DASH,
     UNKNOWN,
@@ -42,9 +43,12 @@ SHOWN_AS = {
 
 
 def flight_report(
-    flight: Flight, steps: Sequence[StepLike], resolved: ResolvedLike, outcome: OutcomeLike, battery: BatteryFile
+    flight: Flight, steps: Sequence[Step], resolved: PackSize, outcome: Outcome, battery: BatteryFile
 ) -> str:
-    """The whole page as HTML."""
+    """Return the whole page as HTML.
+
+    `steps` are the rows of the replay, `resolved` the pack's size and where it came from, `outcome` the figures.
+    """
     found = stretches(steps)
     name = PurePath(flight.source).name or flight.source
     return page(
@@ -59,7 +63,7 @@ def flight_report(
     )
 
 
-def _answer(flight: Flight, outcome: OutcomeLike, resolved: ResolvedLike, found: Sequence[Stretch]) -> Html:
+def _answer(flight: Flight, outcome: Outcome, resolved: PackSize, found: Sequence[Stretch]) -> Html:
     """The headline: what the pilot came for."""
     sentences = [paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
     if outcome.checkpoints:
@@ -69,21 +73,23 @@ def _answer(flight: Flight, outcome: OutcomeLike, resolved: ResolvedLike, found:
     refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
     if refused_s > 0.0:
         air = outcome.refused_in_air
-        share = f"{air:.0%}" if air > 0.0 else "none"
-        flying = f", {share} of the rows under load after the first minute" if math.isfinite(air) else ""
-        sentences.append(paragraph(f"A number was refused for {duration(refused_s)} in all{flying}; see below why."))
+        share = f"at {air:.0%} of the rows" if air > 0.0 else "at none of the rows"
+        flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
+        sentences.append(paragraph(f"No forecast was given for {duration(refused_s)} in all{flying}; see below why."))
     sentences.append(paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}", css="quiet"))
     return element("div", *sentences, css="answer")
 
 
-def _charge_words(outcome: OutcomeLike) -> str:
+def _charge_words(outcome: Outcome) -> str:
     if not math.isfinite(outcome.end_soc):
         return "No state of charge could be given for this log."
-    spread = number(2.0 * outcome.end_soc_sd, 2)
-    return f"At the end of the log the battery held {number(outcome.end_soc, 2)} ± {spread} of its charge (±2 sd)."
+    left, spread = 100.0 * outcome.end_soc, 200.0 * outcome.end_soc_sd
+    low, high = (number(min(max(left + s * spread, 0.0), 100.0), 0) for s in (-1.0, 1.0))
+    said = f"{number(left, 0)} % of the charge was left at the end of the log"
+    return f"{said} ({low} to {high} %, two standard deviations)."
 
 
-def _end_words(outcome: OutcomeLike, resolved: ResolvedLike) -> str:
+def _end_words(outcome: Outcome, resolved: PackSize) -> str:
     cutoff = number(resolved.cutoff_V, 2, "V")
     if math.isfinite(outcome.end_of_flight_s):
         return (
@@ -91,16 +97,16 @@ def _end_words(outcome: OutcomeLike, resolved: ResolvedLike) -> str:
             f"the voltage under load fell below {cutoff} ({resolved.cutoff_from})."
         )
     return (
-        f"The log does not reach the end of flight (voltage under load below {cutoff}, {resolved.cutoff_from}), "
-        "so that the forecasts cannot be checked against it."
+        f"The flight ended before its battery did (which ends below {cutoff} under load, {resolved.cutoff_from}), "
+        "so that the forecasts cannot be checked against the truth."
     )
 
 
-def _late(outcome: OutcomeLike) -> Sequence[CheckpointLike]:
+def _late(outcome: Outcome) -> Sequence[Checkpoint]:
     return [c for c in outcome.checkpoints[1:] if "120" in c.label] or outcome.checkpoints[-1:]
 
 
-def _error_words(c: CheckpointLike) -> str:
+def _error_words(c: Checkpoint) -> str:
     when = "At half time" if c.label.startswith("half") else f"{c.label} the end"
     if not math.isfinite(c.remaining_s):
         return f"{when}: the forecast was refused"
@@ -110,7 +116,7 @@ def _error_words(c: CheckpointLike) -> str:
 
 
 def _stretches(found: Sequence[Stretch]) -> Html:
-    """What the hatching and the shading stand for."""
+    """Tell what the hatching and the shading stand for."""
     if not found:
         return paragraph("No number was refused.", css="quiet")
     body = [
@@ -127,7 +133,7 @@ def _stretches(found: Sequence[Stretch]) -> Html:
     )
 
 
-def _checkpoints(outcome: OutcomeLike) -> Html:
+def _checkpoints(outcome: Outcome) -> Html:
     if not outcome.checkpoints:
         return paragraph("The log does not show the end of flight, or it is too short before it: nothing to compare.")
     body = []
@@ -146,7 +152,7 @@ def _hit(inside: bool) -> Html:
     return badge("pass", "inside") if inside else badge("fail", "outside")
 
 
-def _battery(resolved: ResolvedLike, battery: BatteryFile) -> list[Html]:
+def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     certificate = battery.certificate
     validated = certificate.validated_ambient_C
     span = f"{min(validated):g} to {max(validated):g} °C" if validated else "none"
@@ -180,7 +186,7 @@ def _battery(resolved: ResolvedLike, battery: BatteryFile) -> list[Html]:
     return [*parts, remarks]
 
 
-def _log(flight: Flight, outcome: OutcomeLike, steps: Sequence[StepLike]) -> list[Html]:
+def _log(flight: Flight, outcome: Outcome, steps: Sequence[Step]) -> list[Html]:
     instances = ", ".join(str(i) for i in flight.instances)
     nis = number(outcome.mean_nis, 2)
     has_temp = any(math.isfinite(s.estimate.temp_C) for s in steps)
@@ -207,7 +213,7 @@ def _notes(title: str, items: Sequence[str]) -> list[Html]:
     return [element("h3", title), bullets(items)] if items else []
 
 
-def _warnings(steps: Sequence[StepLike]) -> list[str]:
+def _warnings(steps: Sequence[Step]) -> list[str]:
     """Each warning once, with how many rows carried it and from when, in the order of their coming."""
     seen: dict[str, tuple[float, int]] = {}
     for step in steps:

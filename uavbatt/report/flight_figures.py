@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Outcome
 from uavbatt.records import Status
 from uavbatt.report import plot
-from uavbatt.report.inputs import OutcomeLike, ResolvedLike
 from uavbatt.report.page import Html, figure, number, paragraph
 from uavbatt.report.series import Array, Rows, Stretch, outer, thinned
 
@@ -23,7 +24,7 @@ SHORT_S = 240.0
 class TimeAxis:
     """The time axis that all panels share: minutes, or seconds for a short log; hatching where nothing was said."""
 
-    def __init__(self, rows: Rows, stretches: Sequence[Stretch], outcome: OutcomeLike) -> None:
+    def __init__(self, rows: Rows, stretches: Sequence[Stretch], outcome: Outcome) -> None:
         known = rows.time_s[np.isfinite(rows.time_s)]
         self.first_s, self.last_s = (float(known[0]), float(known[-1])) if known.size else (0.0, 1.0)
         self.in_seconds = self.last_s - self.first_s < SHORT_S
@@ -52,8 +53,8 @@ class TimeAxis:
             axes.axvline(float(self.at(self.end_s)), color=plot.PINK, linewidth=1.2, linestyle=(0, (1, 1.5)))
 
 
-def figures(rows: Rows, stretches: Sequence[Stretch], outcome: OutcomeLike, resolved: ResolvedLike) -> list[Html]:
-    """Every panel for which the log has data; in place of the others a sentence."""
+def figures(rows: Rows, stretches: Sequence[Stretch], outcome: Outcome, resolved: PackSize) -> list[Html]:
+    """Draw every panel for which the log has data; a sentence stands in place of the others."""
     axis = TimeAxis(rows, stretches, outcome)
     return [
         _remaining(rows, axis, outcome),
@@ -84,7 +85,7 @@ def _band(axes: Axes, axis: TimeAxis, time_s: Array, low: Array, high: Array, co
     axes.fill_between(axis.at(t), lo, hi, color=colour, alpha=0.25, linewidth=0, label=name)
 
 
-def _voltage(rows: Rows, axis: TimeAxis, resolved: ResolvedLike) -> Html:
+def _voltage(rows: Rows, axis: TimeAxis, resolved: PackSize) -> Html:
     title = "Voltage, measured and modelled"
     if not np.isfinite(rows.voltage_V).any():
         return _missing(title, "The log has no voltage.")
@@ -170,7 +171,7 @@ def _temperature(rows: Rows, axis: TimeAxis) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, y="temperature (°C)"), "Temperature", said)
 
 
-def _soc(rows: Rows, axis: TimeAxis, outcome: OutcomeLike) -> Html:
+def _soc(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
     title = "State of charge"
     if not np.isfinite(rows.soc).any():
         return _missing(title, "The state of charge was refused throughout.")
@@ -186,7 +187,7 @@ def _soc(rows: Rows, axis: TimeAxis, outcome: OutcomeLike) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, y="state of charge (1 = full)"), title)
 
 
-def _remaining(rows: Rows, axis: TimeAxis, outcome: OutcomeLike) -> Html:
+def _remaining(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
     title = "Remaining time"
     if not np.isfinite(rows.remaining_s).any():
         return _missing(title, "The remaining time was refused throughout.")
@@ -205,8 +206,8 @@ def _remaining(rows: Rows, axis: TimeAxis, outcome: OutcomeLike) -> Html:
 
     cut = rows.hi_s[~np.isnan(rows.hi_s)].max(initial=0.0) / 60.0 > top_min
     truth = "The truth is the end of flight that the log itself shows" if math.isfinite(end_s) else ""
-    unknown = "" if math.isfinite(end_s) else "The log does not reach the end of flight: there is no truth to compare"
-    above = "; forecast or interval go beyond the top of the drawing in places" if cut else ""
+    unknown = "" if math.isfinite(end_s) else "The flight ended before its battery did: there is no truth to compare"
+    above = "; some values are off the chart" if cut else ""
     alt = f"Forecast of the remaining time with its 90 % interval. {truth}{unknown}."
     said = f"{truth}{unknown}{above}. Seconds until the voltage or the reserve ends the flight under the load to come."
     return figure(plot.panel(draw, alt, x=axis.label, y="remaining time (min)", height=290), title, said)

@@ -10,9 +10,11 @@ import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import Literal
 
 from uavbatt.errors import printable
+from uavbatt.files import atomic_write
 
 UNKNOWN = "not known"
 DASH = "–"
@@ -34,12 +36,12 @@ class Html(str):
 
 
 def safe(value: str) -> Html:
-    """Markup as it is; everything else escaped."""
+    """Return markup as it is, and everything else escaped."""
     return value if isinstance(value, Html) else Html(escape(printable(value), quote=True))
 
 
 def together(parts: Iterable[str], glue: str = "\n") -> Html:
-    """Parts one after the other, each made safe."""
+    """Join parts one after the other, each made safe."""
     return Html(glue.join(safe(p) for p in parts))
 
 
@@ -114,7 +116,7 @@ def figure(svg: Html, title: str, caption: str = "") -> Html:
 
 
 def number(value: float, decimals: int, unit: str = "", *, sign: bool = False) -> str:
-    """`value` to `decimals` places with its unit; a dash when it is not known, never a zero in its place."""
+    """Write `value` to `decimals` places with its unit; a dash when it is not known, never a zero in its place."""
     if not math.isfinite(value):
         return DASH if not math.isinf(value) else "unbounded"
     text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}".replace("-", "\u2212")
@@ -122,7 +124,7 @@ def number(value: float, decimals: int, unit: str = "", *, sign: bool = False) -
 
 
 def duration(seconds: float) -> str:
-    """Seconds in the words of a clock: `45 s`, `12 min 05 s`; a dash when not known."""
+    """Write seconds in the words of a clock: `45 s`, `12 min 05 s`; a dash when not known."""
     if not math.isfinite(seconds):
         return DASH if not math.isinf(seconds) else "unbounded"
     minutes, rest = divmod(round(abs(seconds)), 60)
@@ -131,12 +133,12 @@ def duration(seconds: float) -> str:
 
 
 def celsius(temp_C: float) -> str:
-    """An ambient temperature with its sign: `+25 °C`, `0 °C`, `−20 °C`."""
+    """Write an ambient temperature with its sign: `+25 °C`, `0 °C`, `−20 °C`."""
     return f"{number(temp_C, 0 if temp_C == round(temp_C) else 1, '°C', sign=temp_C > 0)}"
 
 
 def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
-    """The whole document: HTML that is well-formed XML too, so that a test can read it strictly."""
+    """Return the whole document: HTML that is well-formed XML too, so that a test can read it strictly."""
     css = (resources.files("uavbatt.report") / "page.css").read_text("utf-8")
     return "\n".join(
         (
@@ -158,3 +160,9 @@ def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
             "</html>\n",
         )
     )
+
+
+def write_page(path: str | Path, html: str) -> None:
+    """Write a page to `path` (`-`: standard output), whole or not at all. Raises BadInput when it cannot be written."""
+    with atomic_write(path) as file:
+        file.write(html)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uavbatt import __version__
+from uavbatt.plan import Plan
 from uavbatt.report import plot
-from uavbatt.report.inputs import ResolvedLike
 from uavbatt.report.page import (
     Html,
     badge,
@@ -31,44 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class EnduranceLike(Protocol):
-    """What a row of the page needs, see `uavbatt.plan.Endurance`."""
-
-    @property
-    def ambient_C(self) -> float: ...
-    @property
-    def median_s(self) -> float: ...
-    @property
-    def lo_s(self) -> float: ...
-    @property
-    def hi_s(self) -> float: ...
-    @property
-    def to_low_s(self) -> float: ...
-    @property
-    def remark(self) -> str: ...
-
-
-class PlanLike(Protocol):
-    """What the page needs, see `uavbatt.plan.Plan`."""
-
-    @property
-    def resolved(self) -> ResolvedLike: ...
-    @property
-    def load(self) -> str: ...
-    @property
-    def start_soc(self) -> float: ...
-    @property
-    def here(self) -> EnduranceLike: ...
-    @property
-    def rows(self) -> Sequence[EnduranceLike]: ...
-    @property
-    def curve(self) -> Sequence[EnduranceLike]: ...
-    @property
-    def warnings(self) -> Sequence[str]: ...
-
-
-def plan_report(plan: PlanLike) -> str:
-    """The whole page as HTML."""
+def plan_report(plan: Plan) -> str:
+    """Return the whole page as HTML."""
     return page(
         f"{plan.resolved.battery}: how long will it fly?",
         "uavbatt plan",
@@ -79,7 +42,7 @@ def plan_report(plan: PlanLike) -> str:
     )
 
 
-def _answer(plan: PlanLike) -> Html:
+def _answer(plan: Plan) -> Html:
     here = plan.here
     said = paragraph(
         strong(duration(here.median_s)),
@@ -96,7 +59,7 @@ def _answer(plan: PlanLike) -> Html:
     )
 
 
-def _figure(plan: PlanLike) -> Html:
+def _figure(plan: Plan) -> Html:
     def draw(axes: Axes) -> None:
         ambient_C = np.array([e.ambient_C for e in plan.curve])
         lo, median, hi = (
@@ -122,7 +85,7 @@ def _figure(plan: PlanLike) -> Html:
     return figure(svg, "Endurance over ambient temperature", "The pack rested, and as warm as the air, at take-off.")
 
 
-def _table(plan: PlanLike) -> Html:
+def _table(plan: Plan) -> Html:
     rows = [
         (celsius(e.ambient_C), duration(e.median_s), duration(e.lo_s), duration(e.hi_s), duration(e.to_low_s), e.remark)
         for e in plan.rows
@@ -131,7 +94,7 @@ def _table(plan: PlanLike) -> Html:
     return table(head, rows, "Time from take-off", text_columns=(0, 5))
 
 
-def _basis(plan: PlanLike) -> list[tuple[str, str]]:
+def _basis(plan: Plan) -> list[tuple[str, str]]:
     pack = plan.resolved
     return [
         ("battery", f"{pack.battery} ({pack.status})"),

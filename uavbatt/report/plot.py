@@ -48,7 +48,7 @@ SETTINGS: dict[str, Any] = {
 
 
 def literal(text: str) -> str:
-    """Text from a file for a drawing: no mathematics, no control characters, not endless."""
+    """Make text from a file fit for a drawing: no mathematics, no control characters, not endless."""
     clean = printable(text).replace("\n", " ")
     return (clean if len(clean) <= 40 else clean[:39] + "…").replace("$", r"\$")
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.log_replay import Step
 from uavbatt.records import Status
-from uavbatt.report.inputs import StepLike
 
 Array = NDArray[np.float64]
 BUCKETS = 360
@@ -27,7 +27,7 @@ GAP = "no row in the log"
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Columns of a flight. What was refused is NaN here, whatever value its maker left in it.
+    """The columns of a flight. A number that was refused is NaN here, whatever value its maker left in it.
 
     The filter takes rows in blocks and has one innovation a block: `innovation_V` is NaN at the rows between.
     `innovation_sd_V` is what it expected of it, recovered from its NIS: exact where only voltage was measured; with
@@ -65,12 +65,12 @@ class Stretch:
 
     @property
     def duration_s(self) -> float:
-        """How long it lasted [s]."""
+        """Duration [s]."""
         return self.end_s - self.begin_s
 
 
 def is_gap(time_s: Array) -> NDArray[np.bool_]:
-    """Which rows are followed by a gap."""
+    """Mark the rows that are followed by a gap."""
     steps = np.diff(time_s)
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
     found: NDArray[np.bool_] = np.append(steps > max(GAP_STEPS * usual, GAP_S), False)
@@ -78,7 +78,7 @@ def is_gap(time_s: Array) -> NDArray[np.bool_]:
 
 
 def with_gaps(rows: Rows) -> Rows:
-    """The columns with an empty row after each row before a gap, so that no line crosses it."""
+    """Add an empty row after each row before a gap, so that no line crosses it."""
     after = np.flatnonzero(is_gap(rows.time_s)) + 1
     if not after.size:
         return rows
@@ -86,8 +86,8 @@ def with_gaps(rows: Rows) -> Rows:
     return Rows(time_s=np.insert(rows.time_s, after, rows.time_s[after - 1]), **empty)
 
 
-def rows(steps: Sequence[StepLike]) -> Rows:
-    """The columns of `steps`."""
+def rows(steps: Sequence[Step]) -> Rows:
+    """Turn `steps` into columns."""
     e, r = [s.estimate for s in steps], [s.remaining for s in steps]
     blind = np.array([x.status is Status.REFUSED for x in e], dtype=bool)
     mute = blind | np.array([x.status is Status.REFUSED for x in r], dtype=bool)
@@ -116,7 +116,10 @@ def rows(steps: Sequence[StepLike]) -> Rows:
 
 
 def innovation_sd(innovation_V: Array, nis: Array, temp_C: Array, reach: int = 15) -> Array:
-    """Expected SD of the innovation [V]: |ν|/√NIS for one measurement; with two that is at most the SD."""
+    """Recover the expected SD of the innovation [V] from the NIS: |ν|/√NIS for one measurement.
+
+    With a temperature measured too that is at most the SD; then the greatest within `reach` rows stands.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         least = np.where(nis > 0.0, np.abs(innovation_V) / np.sqrt(nis), math.nan)
     if not np.isfinite(temp_C).any() or not np.isfinite(least).any():
@@ -127,7 +130,7 @@ def innovation_sd(innovation_V: Array, nis: Array, temp_C: Array, reach: int = 1
 
 
 def thinned(time_s: Array, *columns: Array, buckets: int = BUCKETS) -> tuple[Array, ...]:
-    """`time_s` and `columns` at the rows that hold the first, least, greatest and last of each column per bucket."""
+    """Thin `time_s` and `columns` to the rows with each column's first, least, greatest and last value per bucket."""
     count = time_s.size
     if count <= 4 * buckets:
         return (time_s, *columns)
@@ -144,7 +147,7 @@ def thinned(time_s: Array, *columns: Array, buckets: int = BUCKETS) -> tuple[Arr
 
 
 def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tuple[Array, Array, Array]:
-    """A band thinned to one value a bucket: the least of `low`, the greatest of `high`, gaps where all is NaN."""
+    """Thin a band to one value a bucket: the least of `low`, the greatest of `high`, gaps where all is NaN."""
     if time_s.size <= 2 * buckets:
         return time_s, low, high
     pieces = np.array_split(np.arange(time_s.size), buckets)
@@ -155,8 +158,8 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
     return middle, np.where(unknown, math.nan, lows), np.where(unknown, math.nan, highs)
 
 
-def stretches(steps: Sequence[StepLike]) -> list[Stretch]:
-    """Where a number was refused or still converging, in order; near neighbours run together when they are many."""
+def stretches(steps: Sequence[Step]) -> list[Stretch]:
+    """List where a number was refused or still converging; near neighbours run together when they are many."""
     found: list[Stretch] = []
     gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))
     for i, step in enumerate(steps):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from uavbatt import __version__
 from uavbatt.report import corridor_figures as curves
 from uavbatt.report.page import Html, badge, bullets, celsius, details, element, facts, grid, page, paragraph, section
 from uavbatt.report.validation_figures import equivalence, judged, mandel, over_ambient
-from uavbatt.report.validation_inputs import ClaimLike, ValidationPage
+from uavbatt.report.validation_page import ErrorChange, ValidationPage, page_of
 from uavbatt.report.validation_tables import (
     agreement,
     budget_table,
@@ -17,69 +19,98 @@ from uavbatt.report.validation_tables import (
     findings_list,
     precision_table,
 )
+from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.study.paper import PaperReplay
+from uavbatt.validation.validate import Validation
 
 MOODS = {"pass": "good", "fail": "bad", "not enough data": "unsure"}
 
 
-def validation_report(v: ValidationPage) -> str:
-    """The whole page as HTML."""
+def validation_report(
+    found: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
+) -> str:
+    """Return the whole page as HTML.
+
+    `paper` adds the agreement with the study's printed tables; `changes` are the errors before and after extending the
+    model (default: the gains of the loop over ambient temperature, where it was run).
+    """
+    v = page_of(found, paper, changes)
     return page(
-        f"{v.dataset.name}: may its model fly?",
-        f"uavbatt validate, method {v.method}",
+        f"{v.found.dataset.name}: may its model fly?",
+        f"uavbatt validate, method {v.found.method}",
         _answer(v),
         section("Claims", claims_table(_at_home(v))),
         section("Bias against the limits", *_equivalence(v)),
-        section("What the tests say about themselves", findings_list(v.findings)),
+        section("What the tests say about themselves", findings_list(v.found.findings)),
         section("Curves and corridors", *_corridors(v)),
         section("Over ambient temperature", *_ambient(v)),
-        *([section("Before and after", *_changes(v))] if v.changes or v.conclusions else []),
+        *([section("Before and after", *_changes(v))] if v.changes or _conclusions(v) else []),
         section("Precision", *_precision(v)),
         section("Uncertainty budget", *_budgets(v)),
-        *([section("Agreement with the study's printed tables", *agreement(v.agreements), bullets(v.paper_notes))]
-          if v.agreements else []),
-        section("Data", *data_overview(v.dataset)),
+        *([section("Agreement with the study's printed tables", *_agreement(v.paper))]
+          if v.paper is not None and v.is_study else []),
+        section("Data", *data_overview(v.found.dataset)),
         footer=f"uavbatt {__version__}. A certificate holds for the range it names and for packs of the same make.",
     )  # fmt: skip
 
 
-def _at_home(v: ValidationPage) -> list[ClaimLike]:
-    return [c for c in v.claims if c.ambient_C == v.ambient_C]
+def _at_home(v: ValidationPage) -> list[Claim]:
+    return [c for c in v.found.claims if c.ambient_C == v.found.ambient_C]
 
 
 def _answer(v: ValidationPage) -> Html:
     """The verdict in one sentence that a pilot understands, what to read first, and the limits it was judged by."""
-    serious = sum(f.severity == "serious" for f in v.findings)
+    serious = sum(f.severity == "serious" for f in v.found.findings)
     first = f"Read first: {serious} serious finding{'s' * (serious > 1)} about the tests themselves, below. "
-    limits = "; ".join(f"{name} {value}" for name, value in v.limits)
+    limits = "; ".join(f"{name} {value}" for name, value in _limits(v))
     return element(
         "div",
-        paragraph(badge(v.verdict), f" {verdict_sentence(v)}"),
+        paragraph(badge(v.found.verdict), f" {verdict_sentence(v)}"),
         *([paragraph(first)] if serious else []),
         paragraph(f"Limits, declared before the data were seen: {limits}."),
-        *([paragraph(v.shipped)] if v.shipped else []),
-        css=f"answer {MOODS.get(v.verdict, '')}",
+        paragraph(_shipped(v.found)),
+        css=f"answer {MOODS.get(v.found.verdict, '')}",
     )
 
 
 def verdict_sentence(v: ValidationPage) -> str:
-    """What the verdict means for a flight."""
-    where, within = f"at {celsius(v.ambient_C)}", " and ".join(value for _, value in v.limits[:2])
-    deciding = [c for c in v.claims if c.gates and c.verdict == v.verdict]
+    """Say in one sentence what the verdict means for a flight."""
+    where, within = f"at {celsius(v.found.ambient_C)}", " and ".join(value for _, value in _limits(v)[:2])
+    deciding = [c for c in v.found.claims if c.gates and c.verdict == v.found.verdict]
     why = f" ({deciding[0].claim}: {deciding[0].reason})" if deciding else ""
-    if v.verdict == "pass":
-        packs = any("reproducib" in c.claim and c.verdict != "pass" for c in v.claims)
+    if v.found.verdict == "pass":
+        packs = any("reproducib" in c.claim and c.verdict != "pass" for c in v.found.claims)
         unproven = "At other temperatures" + (" and for other packs of the make" if packs else "")
         return (
             f"Tests held back from the fit agree with this model {where} to within {within}, the scatter of the tests "
             f"and the doubt about the instruments counted in. {unproven} it is not proven."
         )
-    if v.verdict == "fail":
+    if v.found.verdict == "fail":
         return f"Do not fly on this model: {where} it is not right to within {within}{why}."
     return f"Not proven: these tests cannot show {where} that the model is right to within {within}{why}."
 
 
+def _limits(v: ValidationPage) -> tuple[tuple[str, str], ...]:
+    """The declared limits in words; the first two decide."""
+    limits = v.found.limits
+    return (
+        ("voltage", f"±{limits.voltage_V:.3g} V"),
+        ("time", f"±{limits.time_s:g} s"),
+        ("crossing voltage", f"{limits.crossing_V:.4g} V"),
+        ("surface temperature (informs)", f"±{limits.surface_K:g} K"),
+    )
+
+
+def _shipped(found: Validation) -> str:
+    if found.battery is None:
+        return "Nothing ships."
+    certificate = found.battery.certificate
+    validated = ", ".join(f"{t:+g} °C" for t in certificate.validated_ambient_C) or "nowhere"
+    return f"The battery file {found.battery.battery.name} ships as {certificate.status}, validated at {validated}."
+
+
 def _equivalence(v: ValidationPage) -> list[Html]:
-    drawn = equivalence(judged(v.claims, v.ambient_C))
+    drawn = equivalence(judged(v.found.claims, v.found.ambient_C))
     said = (
         "A claim passes when the whole interval of the bias lies inside the limits. The interval is one-sided 95 % "
         "at each end, over all instants together, with a guard band for the instruments."
@@ -89,7 +120,7 @@ def _equivalence(v: ValidationPage) -> list[Html]:
 
 def _corridors(v: ValidationPage) -> list[Html]:
     drawn = [curves.family(v)]
-    volts, heat = v.corridors.get(v.ambient_C), v.surface_corridors.get(v.ambient_C)
+    volts, heat = v.found.corridors.get(v.found.ambient_C), v.found.surface_corridors.get(v.found.ambient_C)
     if volts is not None:
         model = v.model.voltage_V
         drawn += [curves.corridor(v, volts, model, 4), curves.departures(v, volts, model), curves.in_time(v)]
@@ -102,17 +133,32 @@ def _corridors(v: ValidationPage) -> list[Html]:
 
 
 def _ambient(v: ValidationPage) -> list[Html]:
-    volts, heat = list(v.corridors.values()), list(v.surface_corridors.values())
-    others = [c for c in v.claims if c.ambient_C != v.ambient_C]
+    volts, heat = list(v.found.corridors.values()), list(v.found.surface_corridors.values())
+    others = [c for c in v.found.claims if c.ambient_C != v.found.ambient_C]
     drawn = [curves.over_ambient(v, volts, "voltage_V", 6), curves.crossings(v)]
     drawn += [over_ambient(others), curves.over_ambient(v, heat, "surface_C", 7)]
     return [*(elsewhere(others) if others else []), grid(*(d for d in drawn if d))]
 
 
 def _changes(v: ValidationPage) -> list[Html]:
-    """What extending the model was worth; nothing where it was not tried."""
-    said = bullets(v.conclusions)
+    """Show the worth of extending the model; nothing where it was not tried."""
+    said = bullets(_conclusions(v))
     return [changes_table(v.changes), details("In words", said)] if v.changes else [said]
+
+
+def _conclusions(v: ValidationPage) -> tuple[str, ...]:
+    loop = v.found.temperatures
+    return () if loop is None else loop.conclusions
+
+
+def _agreement(paper: PaperReplay) -> list[Html]:
+    """The study's method against its printed tables, and notes on what was compared."""
+    claim, notes = paper.fisher, list(paper.notes)
+    if claim is not None:
+        verdict = "reproduced" if claim.reproducible else "cannot be reproduced"
+        nearest = f"the nearest ratio of any column is {claim.nearest:.2f}"
+        notes.insert(0, f"F_emp = {claim.printed:g} is printed; {nearest}: {verdict}.")
+    return [*agreement(paper.agreements), bullets(notes)]
 
 
 def _precision(v: ValidationPage) -> list[Html]:
@@ -126,12 +172,12 @@ def _precision(v: ValidationPage) -> list[Html]:
     )
     parts = [words]
     for quantity in ("voltage_V", "surface_C"):
-        parts += [precision_table(v.precision, quantity), grid(*mandel(v.consistency, quantity))]
+        parts += [precision_table(v.found.precision, quantity), grid(*mandel(v.consistency, quantity))]
     return parts
 
 
 def _budgets(v: ValidationPage) -> list[Html]:
-    with_budget = [(c, c.budget) for c in v.claims if c.budget is not None and c.ambient_C == v.ambient_C]
+    with_budget = [(c, c.budget) for c in v.found.claims if c.budget is not None and c.ambient_C == v.found.ambient_C]
     if not with_budget:
         return [paragraph("No claim has a budget.", css="quiet")]
     tables = [budget_table(c, b) for c, b in with_budget]

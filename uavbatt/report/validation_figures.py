@@ -10,8 +10,9 @@ import numpy as np
 
 from uavbatt.report import plot
 from uavbatt.report.page import Html, celsius, figure, number
-from uavbatt.report.validation_inputs import Array, ClaimLike, Consistency
-from uavbatt.report.validation_tables import nearest
+from uavbatt.report.validation_page import Array, Consistency
+from uavbatt.report.validation_tables import nearest, plain_reason
+from uavbatt.validation.gating.gate import Claim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,13 +22,13 @@ SCALES = {"V": (1000.0, "mV"), "s": (1.0, "s"), "K": (1.0, "K")}
 COLOURS = {"pass": plot.GREEN, "fail": plot.RED, "not enough data": plot.AMBER}
 
 
-def judged(claims: Sequence[ClaimLike], ambient_C: float) -> list[ClaimLike]:
-    """The claims at `ambient_C` that compare a bias and its interval with a limit."""
+def judged(claims: Sequence[Claim], ambient_C: float) -> list[Claim]:
+    """List the claims at `ambient_C` [°C] that compare a bias and its interval with a limit."""
     return [c for c in claims if c.ambient_C == ambient_C and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
 
 
-def equivalence(claims: Sequence[ClaimLike]) -> list[Html]:
-    """One drawing a quantity judged at many instants, one for all that are judged once (times)."""
+def equivalence(claims: Sequence[Claim]) -> list[Html]:
+    """Draw each quantity that was judged at many instants, and all that are judged once (times) together."""
     many = [c for c in claims if c.at.size > 1]
     once = [c for c in claims if c.at.size == 1]
     return [*(_over_instants(c) for c in many), *([_single(once)] if once else [])]
@@ -38,7 +39,7 @@ def _points(axes: Axes, at: Array, bias: Array, half: Array, colour: str) -> Non
     axes.errorbar(at, bias, yerr=known, fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
 
 
-def _over_instants(claim: ClaimLike) -> Html:
+def _over_instants(claim: Claim) -> Html:
     scale, unit = SCALES.get(claim.unit, (1.0, claim.unit))
     limit = claim.limit * scale
 
@@ -54,12 +55,14 @@ def _over_instants(claim: ClaimLike) -> Html:
     alt = f"{claim.claim} per instant with its interval against the limit of ±{limit:g} {unit}: {claim.verdict}."
     drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model less tests ({unit})")
     return figure(
-        drawn, f"{_sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}", _sentence(claim.reason) + "."
+        drawn,
+        f"{_sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}",
+        _sentence(plain_reason(claim)) + ".",
     )
 
 
-def over_ambient(claims: Sequence[ClaimLike]) -> Html:
-    """The bias that comes nearest to the limit at each ambient temperature, with its interval where there is one."""
+def over_ambient(claims: Sequence[Claim]) -> Html:
+    """Draw the bias nearest to the limit at each ambient temperature, with its interval where there is one."""
     shown = [c for c in claims if c.unit == "V" and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
     if not shown:
         return Html("")
@@ -81,7 +84,7 @@ def over_ambient(claims: Sequence[ClaimLike]) -> Html:
     return figure(drawn, "Voltage bias over ambient temperature", said)
 
 
-def _single(claims: Sequence[ClaimLike]) -> Html:
+def _single(claims: Sequence[Claim]) -> Html:
     """Claims with one bias each, as bars of the allowed range: 1 is the limit."""
     height = 78.0 + 34.0 * len(claims)
 
@@ -114,7 +117,7 @@ def _sentence(text: str) -> str:
 
 
 def mandel(levels: Sequence[Consistency], quantity: str) -> list[Html]:
-    """h and k of each sample, one stem an instant, grouped by sample as in ISO 5725-2."""
+    """Draw h and k of each sample, one stem an instant, grouped by sample as in ISO 5725-2."""
     mine = [c for c in levels if c.quantity == quantity]
     if not mine:
         return []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -22,37 +24,59 @@ from uavbatt.report.page import (
     table,
     together,
 )
-from uavbatt.report.validation_inputs import (
-    AgreementLike,
-    BudgetLike,
-    Change,
-    ClaimLike,
-    FindingLike,
-    LevelPrecisionLike,
-)
+from uavbatt.report.validation_page import ErrorChange
+from uavbatt.validation.gating.budget import Budget
+from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.judging.findings import Finding
+from uavbatt.validation.study.paper import Agreement
+from uavbatt.validation.validate import LevelPrecision
 
+PASSED = re.compile(r"the interval of the bias is inside ±(?P<limit>\S+) at all (?P<count>\d+)")
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
 SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
-def claims_table(claims: Sequence[ClaimLike]) -> Html:
-    """One row a claim: the verdict, the bias that comes nearest to the limit, and why."""
+def claims_table(claims: Sequence[Claim]) -> Html:
+    """Make one row a claim: the verdict, the bias that decides, and why."""
     head = ("claim", "verdict", "decides", "bias nearest the limit", "its interval", "limit", "why")
     return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 6))
 
 
-def nearest(claim: ClaimLike) -> int:
-    """Index of the instant that uses the most of the limit (of the bias alone, where there is no one limit)."""
-    used = np.abs(claim.bias) + (np.nan_to_num(claim.half_width) if math.isfinite(claim.limit) else 0.0)
-    return int(np.nanargmax(used))
+def nearest(claim: Claim) -> int:
+    """Return the index of the instant that decides.
+
+    That is the one that uses the most of the limit, the half width of its interval counted in (the bias alone, where
+    there is no one limit). For a claim that failed it is the largest of the biases that are beyond the limit with
+    their whole interval, which the reason names.
+    """
+    size, half = np.abs(claim.bias), np.nan_to_num(claim.half_width)
+    beyond = size - half > claim.limit
+    if claim.verdict == "fail" and beyond.any():
+        return int(np.argmax(np.where(beyond, size, -1.0)))
+    return int(np.nanargmax(size + half if math.isfinite(claim.limit) else size))
 
 
-def _claim_row(c: ClaimLike) -> tuple[str, ...]:
+def plain_reason(claim: Claim) -> str:
+    """Return why a claim has its verdict, in words for the crew.
+
+    The certificate keeps the words of the statistics ("the interval of the bias is inside"); what is shown to people
+    names the error, the unit and what was counted.
+    """
+    return PASSED.sub(partial(_within, claim), claim.reason)
+
+
+def _within(claim: Claim, found: re.Match[str]) -> str:
+    limit, count = found["limit"], int(found["count"])
+    where = f" at all {count} checked instants" if count > 1 else ""
+    return f"the error is within ±{limit} {claim.unit}{where}, its uncertainty counted in"
+
+
+def _claim_row(c: Claim) -> tuple[str, ...]:
     told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
-        return *told, DASH, DASH, DASH, c.reason
+        return *told, DASH, DASH, DASH, plain_reason(c)
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
@@ -60,11 +84,11 @@ def _claim_row(c: ClaimLike) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    return *told, number(bias, decimals, unit, sign=True), interval, limit, c.reason
+    return *told, number(bias, decimals, unit, sign=True), interval, limit, plain_reason(c)
 
 
-def elsewhere(claims: Sequence[ClaimLike]) -> list[Html]:
-    """The claims at other ambient temperatures: which verdict where, and the whole table for who wants it."""
+def elsewhere(claims: Sequence[Claim]) -> list[Html]:
+    """List the claims at other ambient temperatures by verdict, with the whole table for who wants it."""
     by_kind: dict[tuple[str, str], list[float]] = {}
     for c in claims:
         by_kind.setdefault((c.claim, c.verdict), []).append(c.ambient_C)
@@ -83,8 +107,8 @@ def _span(ambients_C: Sequence[float]) -> str:
     return f"{len(ambients_C)} temperatures, {celsius(min(ambients_C))} to {celsius(max(ambients_C))}"
 
 
-def findings_list(findings: Sequence[FindingLike]) -> Html:
-    """The findings in their order, each with what it rests on."""
+def findings_list(findings: Sequence[Finding]) -> Html:
+    """List the findings in their order, each with what it rests on."""
     if not findings:
         return paragraph("Nothing in the tests speaks against them.")
     items = [
@@ -101,7 +125,7 @@ def findings_list(findings: Sequence[FindingLike]) -> Html:
 
 
 def data_overview(dataset: DataSet) -> list[Html]:
-    """What was tested and read, and what of it is suspect."""
+    """Tell what was tested and read, and what of it is suspect."""
     body = []
     for sample in dict.fromkeys(r.sample for r in dataset.runs):
         runs = [r for r in dataset.runs if r.sample == sample]
@@ -128,8 +152,8 @@ def data_overview(dataset: DataSet) -> list[Html]:
     return [facts(about), table(head, body, text_columns=(0, 1, 5)), suspect]
 
 
-def precision_table(levels: Sequence[LevelPrecisionLike], quantity: str) -> Html:
-    """s_r, s_L, s_R, r, R per level with 95 % intervals, and their relative uncertainties A_r, A_R."""
+def precision_table(levels: Sequence[LevelPrecision], quantity: str) -> Html:
+    """Tabulate s_r, s_L, s_R, r, R per level with 95 % intervals, and their relative uncertainties A_r, A_R."""
     mine = [row for row in levels if row.quantity == quantity]
     if not mine:
         return paragraph("Not measured in repeated tests.", css="quiet")
@@ -171,8 +195,8 @@ def _percent(share: float) -> str:
     return f"{share:.0%}" if math.isfinite(share) else DASH
 
 
-def budget_table(claim: ClaimLike, budget: BudgetLike) -> Html:
-    """Standard uncertainties per source and instant, and the half width that comes of them."""
+def budget_table(claim: Claim, budget: Budget) -> Html:
+    """Tabulate standard uncertainties per source and instant, and the half width that comes of them."""
     scale, unit, decimals = SHOWN.get(budget.unit, (1.0, budget.unit, 3))
     d = decimals + 1
     in_time = claim.unit in ("V", "K")
@@ -195,15 +219,15 @@ def budget_table(claim: ClaimLike, budget: BudgetLike) -> Html:
     return table(("source", *at, "how"), body, caption, text_columns=(0, last))
 
 
-def agreement(tables: Sequence[AgreementLike]) -> list[Html]:
-    """The study's printed tables against the recomputation."""
+def agreement(tables: Sequence[Agreement]) -> list[Html]:
+    """Compare the study's printed tables with the recomputation."""
     body = [(a.table, f"{a.agree} of {a.total}", a.counted) for a in tables]
     slips = bullets(s for a in tables for s in a.slips)
     return [table(("printed", "figures met", "counted"), body, text_columns=(0, 1, 2)), slips]
 
 
-def changes_table(changes: Sequence[Change]) -> Html:
-    """Errors before and after the model was extended."""
+def changes_table(changes: Sequence[ErrorChange]) -> Html:
+    """Tabulate errors before and after the model was extended."""
     body = [
         (
             c.quantity,
@@ -219,7 +243,7 @@ def changes_table(changes: Sequence[Change]) -> Html:
     return table(head, body, text_columns=(0, 4, 5))
 
 
-def _change(c: Change) -> str:
+def _change(c: ErrorChange) -> str:
     if not (math.isfinite(c.before) and math.isfinite(c.after)) or c.before == 0.0:
         return DASH
     return f"{(c.after - c.before) / abs(c.before):+.0%}".replace("-", "\u2212")

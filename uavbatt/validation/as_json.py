@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from uavbatt.files import plain
-from uavbatt.validation.paper import PaperReplay
+from uavbatt.validation.study.paper import PaperReplay
 from uavbatt.validation.validate import Validation
 
 
 def to_builtins(validation: Validation, paper: PaperReplay | None = None) -> dict[str, Any]:
-    """Everything in `validation` (and the study's method replayed, if given) as JSON values.
+    """Turn `validation`, and the study's method replayed if it is given, into JSON values.
 
     `claims` are the shipped model's, `rivals` the other models with theirs. The readings themselves are named by
     their hash, not repeated; the held-out ones stand beside their predictions in `held`.

@@ -1,4 +1,4 @@
-"""What ships when the gate says pass: the model fitted to all runs, with its certificate."""
+"""The battery file that ships when the gate says pass: the model fitted to all runs, with its certificate."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
-from uavbatt.validation.corridor import Corridor
-from uavbatt.validation.gate import Claim
-from uavbatt.validation.heldout import HeldOut, is_metered, mean_test
+from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
+from uavbatt.validation.judging.corridor import Corridor
 
 # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
 # ties the charge down again, so that half of it stays with the capacity.
@@ -32,7 +32,10 @@ LOW_CELL_V = 3.5
 def battery_file(
     dataset: DataSet, held: HeldOut, corridor: Corridor, claims: list[Claim], statistics: dict[str, float]
 ) -> BatteryFile:
-    """The battery file of a data set whose model passed: not yet sealed."""
+    """Build the battery file of a data set whose model passed; its certificate is not sealed yet.
+
+    `claims` go into the certificate, with `statistics` (names with their units) and the `corridor` of the voltage.
+    """
     fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held.ambient_C)
     table, effects, capacity_Ah, extra = fitted
     cells = dataset.cells_series
@@ -62,12 +65,12 @@ def battery_file(
 
 
 def _beside(claim: Claim) -> bool:
-    """A claim that failed and does not gate: outside what the certificate vouches for."""
+    """True for a claim that failed and does not gate: the certificate does not vouch for what it is about."""
     return claim.verdict == "fail" and not claim.gates
 
 
 def _remarks(capacity_Ah: float | None, claims: list[Claim]) -> list[str]:
-    """What the user must know. A failed claim among the verdicts would bar the file where it is valid, too."""
+    """Return the remarks for the user. A failed claim among the verdicts would bar the file where it is valid, too."""
     unknown = [] if capacity_Ah else ["capacity unknown: parameters are per ampere-hour; give --capacity-ah"]
     beside = [c for c in claims if _beside(c)]
     failed = []
@@ -118,7 +121,7 @@ def _metered(
 
 
 def _held_out_discrepancy(held: HeldOut, dataset: DataSet) -> Discrepancy:
-    """What the model leaves on occasions that it has not seen; correlated over minutes, as the readings show."""
+    """Sum up what the model leaves on occasions that it has not seen; it is correlated over minutes."""
     judged = np.nanmean(held.measured_V, axis=(0, 1)) > dataset.cutoff_V + 0.1
     gap_V = (held.model_V - held.measured_V)[:, :, judged]
     with np.errstate(invalid="ignore"):

@@ -1,7 +1,7 @@
-"""The whole ISO 5725 stage on one data set: judge the tests, build the corridor, gate the models.
+"""The whole ISO 5725 stage on one data set judges the tests, builds the corridor and gates the models.
 
 Two models are gated on the same held-out occasions: the circuit model, which ships, and the regression model, its
-rival. Fast records are read at the whole minutes first (`reading`), for the statistics as for the models.
+rival. Fast records are read at the whole minutes first (`Readings`), for the statistics as for the models.
 """
 
 from __future__ import annotations
@@ -12,19 +12,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.dataset import DataSet, Levels, whole_minutes
+from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import gate, heldout, reading, regression, ship, temperatures
-from uavbatt.validation.ambient_claims import ambient_claims
-from uavbatt.validation.corridor import Corridor, corridor, corridors
-from uavbatt.validation.drift import Drift, drift
-from uavbatt.validation.findings import Finding, findings
-from uavbatt.validation.gate import Claim, Limits, Method, Verdict
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation import ship
+from uavbatt.validation.gating import gate, heldout, regression, temperatures
+from uavbatt.validation.gating.ambient_claims import ambient_claims
+from uavbatt.validation.gating.gate import Claim, Limits, Method, Verdict
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.gating.precision_claims import repeatability_claim, reproducibility_claim
+from uavbatt.validation.gating.temperatures import TemperatureLoop
 from uavbatt.validation.iso5725 import Precision, precision
-from uavbatt.validation.outliers import Mandel, mandel
-from uavbatt.validation.precision_claims import repeatability_claim, reproducibility_claim
-from uavbatt.validation.temperatures import TemperatureLoop
+from uavbatt.validation.iso5725.outliers import Mandel, mandel
+from uavbatt.validation.judging.corridor import Corridor, corridors
+from uavbatt.validation.judging.drift import Drift, drift
+from uavbatt.validation.judging.findings import Finding, findings
+from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings, read_once
 
 LEAST_DRIFT_RUNS = 4
 
@@ -57,8 +59,7 @@ class Validation:
     `claims` are those of the circuit model. `temperatures` closes the loop over one-time tests, None without them.
     """
 
-    dataset: DataSet
-    ambient_C: float
+    readings: Readings
     limits: Limits
     findings: tuple[Finding, ...]
     precision: tuple[LevelPrecision, ...]
@@ -74,61 +75,86 @@ class Validation:
     temperatures: TemperatureLoop | None = None
     method: Method = "iso"
 
+    @property
+    def dataset(self) -> DataSet:
+        """The tests as they were recorded."""
+        return self.readings.dataset
+
+    @property
+    def ambient_C(self) -> float:
+        """The ambient temperature that was gated [°C]: the one with the most runs."""
+        return self.readings.ambient_C
+
 
 def validate(
     dataset: DataSet,
     limits: Limits | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     method: Method = "iso",
     close_loop: bool = True,
 ) -> Validation:
-    """Judge, fit with one occasion left out at a time, gate. Raises NotEnoughData without repeated runs.
+    """Judge the tests, fit with one occasion left out at a time, and gate the model.
 
-    `method` says which claims decide: equivalence (`iso`) or the study's corridor (`paper`); both are reported.
-    `close_loop` off leaves out the analysis over ambient temperatures.
+    dataset : repeated discharge tests, runs of one occasion under one run number
+    limits : declared limits for a 3S pack, scaled to the cells of the data set
+    progress : called with the share of the work that was just done; the shares add up to 1
+    method : "iso" lets equivalence decide, "paper" the study's corridor; both are reported
+    close_loop : False leaves out the analysis over ambient temperatures, which takes most of the time
+
+    Raises NotEnoughData below three occasions at one ambient temperature.
     """
-    tests = reading.at_minutes(dataset)
-    ambient_C = heldout.repeated_ambient(dataset)
+    readings = read_once(dataset)
+    ambient_C = readings.ambient_C
     declared = (limits or Limits()).for_cells(dataset.cells_series)
-    levels, found = whole_minutes(tests, ambient_C), corridor(tests, ambient_C)
-    if levels is None or found is None or len(levels.occasions) < gate.LEAST_OCCASIONS:
+    levels = readings.levels(ambient_C)
+    if levels is None or len(levels.occasions) < gate.LEAST_OCCASIONS:
         n = 0 if levels is None else len(levels.occasions)
         raise NotEnoughData(
             f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {gate.LEAST_OCCASIONS} repeated "
             "runs at one ambient temperature to judge dispersion"
         )
-    said = findings(tests, ambient_C)
-    held = heldout.circuit(dataset, progress)
-    rival = regression.held_out(dataset)
-    claims = _claims(dataset, held, found, declared, levels, said, method)
+    volts = corridors(readings)
+    found = volts[ambient_C]
+    said = findings(readings, ambient_C, found)
+    done = _shares(progress, len(levels.occasions) + (temperatures.fits(readings) if close_loop else 0.0))
+    held = heldout.circuit(readings, done)
+    rival = regression.held_out(readings)
+    claims = _claims(readings, held, found, declared, levels, said, method)
     verdict = gate.overall(claims)
-    table = _precision_table(tests, ambient_C)
+    table = _precision_table(readings)
     passed = verdict == "pass"
     return Validation(
-        dataset=dataset,
-        ambient_C=ambient_C,
+        readings=readings,
         limits=declared,
         findings=said,
         precision=table,
-        corridors=corridors(tests),
+        corridors=volts,
         held=held,
         claims=tuple(claims),
         verdict=verdict,
         battery=ship.battery_file(dataset, held, found, claims, _statistics(held, table)) if passed else None,
         rivals=(rival,),
-        rival_claims=(tuple(model_claims(dataset, rival, found, declared, method)),),
-        drifts=_drifts(tests, ambient_C),
-        surface_corridors=corridors(tests, "surface_C"),
-        temperatures=temperatures.close_loop(dataset, limits or Limits()) if close_loop else None,
+        rival_claims=(tuple(model_claims(readings, rival, found, declared, method)),),
+        drifts=_drifts(readings),
+        surface_corridors=corridors(readings, SURFACE),
+        temperatures=temperatures.close_loop(readings, limits or Limits(), done) if close_loop else None,
         method=method,
     )
 
 
+def _shares(progress: Callable[[float], None] | None, fits: float) -> Callable[[float], None]:
+    """Turn counts of fits into shares of all `fits`. The regression is left out: it takes no time beside them."""
+    return (lambda _: None) if progress is None else (lambda done: progress(done / fits))
+
+
 def model_claims(
-    dataset: DataSet, held: HeldOut, found: Corridor, limits: Limits, method: Method = "iso"
+    readings: Readings, held: HeldOut, found: Corridor, limits: Limits, method: Method = "iso"
 ) -> list[Claim]:
-    """The claims that a model can be judged by: voltage, corridor, times, surface temperature, other temperatures."""
-    known, cutoff_V = dataset.uncertainty, dataset.cutoff_V
+    """List the claims that a model can be judged by: voltage, corridor, times, surface and other temperatures.
+
+    `held` are its predictions of held-out runs, `found` the corridor of the voltage at the same ambient temperature.
+    """
+    known, cutoff_V = readings.dataset.uncertainty, readings.dataset.cutoff_V
     equivalences = [
         gate.voltage_claim(held, limits, cutoff_V, known),
         gate.crossing_claim(held, limits, known),
@@ -138,11 +164,11 @@ def model_claims(
     claims = [gate.gating(c, not decides) for c in equivalences]
     claims.insert(1, gate.corridor_claim(held, found.mean, found.C, limits, cutoff_V, gates=decides))
     surface = gate.surface_claim(held, limits, known)
-    return [*claims, *([] if surface is None else [surface]), *ambient_claims(dataset, held, limits)]
+    return [*claims, *([] if surface is None else [surface]), *ambient_claims(readings, held, limits)]
 
 
 def _claims(
-    dataset: DataSet,
+    readings: Readings,
     held: HeldOut,
     found: Corridor,
     limits: Limits,
@@ -150,8 +176,8 @@ def _claims(
     said: tuple[Finding, ...],
     method: Method,
 ) -> list[Claim]:
-    """The circuit model's claims, with those about the tests before the single temperatures."""
-    claims = model_claims(dataset, held, found, limits, method)
+    """List the circuit model's claims, those about the tests before those at single temperatures."""
+    dataset, claims = readings.dataset, model_claims(readings, held, found, limits, method)
     home = [c for c in claims if c.ambient_C == held.ambient_C]
     about_tests = [
         gate.gating(repeatability_claim(levels, limits, said), method == "iso"),
@@ -160,10 +186,10 @@ def _claims(
     return [*home, *about_tests, *(c for c in claims if c.ambient_C != held.ambient_C)]
 
 
-def _precision_table(tests: DataSet, ambient_C: float) -> tuple[LevelPrecision, ...]:
+def _precision_table(readings: Readings) -> tuple[LevelPrecision, ...]:
     table = []
-    for quantity in ("voltage_V", "surface_C"):
-        levels = whole_minutes(tests, ambient_C, quantity)
+    for quantity in (VOLTAGE, SURFACE):
+        levels = readings.levels(readings.ambient_C, quantity)
         if levels is None:
             continue
         for i, t in enumerate(levels.time_s):
@@ -173,10 +199,10 @@ def _precision_table(tests: DataSet, ambient_C: float) -> tuple[LevelPrecision, 
     return tuple(table)
 
 
-def _drifts(tests: DataSet, ambient_C: float) -> tuple[LevelDrift, ...]:
+def _drifts(readings: Readings) -> tuple[LevelDrift, ...]:
     out = []
-    for quantity in ("voltage_V", "surface_C"):
-        levels = whole_minutes(tests, ambient_C, quantity)
+    for quantity in (VOLTAGE, SURFACE):
+        levels = readings.levels(readings.ambient_C, quantity)
         if levels is None:
             continue
         for j, sample in enumerate(levels.samples):
@@ -187,7 +213,7 @@ def _drifts(tests: DataSet, ambient_C: float) -> tuple[LevelDrift, ...]:
 
 
 def _statistics(held: HeldOut, table: tuple[LevelPrecision, ...]) -> dict[str, float]:
-    """The figures that the certificate carries."""
+    """Return the figures that the certificate carries, by name with unit."""
     volts = [row.precision for row in table if row.quantity == "voltage_V"]
     residual = held.residual_V()
     return {

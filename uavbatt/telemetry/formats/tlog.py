@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
-from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
-from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, add_rows, distinct, latest_before, times_s
+from uavbatt.telemetry.builder import LEAP_S, LogBuilder, add_rows, known, times_s
+from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.recording import is_recording
 from uavbatt.telemetry.formats.tlog_frames import Frames, frames
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
-from uavbatt.telemetry.recording import is_recording
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, Cells, numbers, spread, summarise
+from uavbatt.validation.iso5725.cells import Array, Cells, numbers, spread, summarise
 
 Verdict = Literal["ok", "straggler", "outlier"]
 

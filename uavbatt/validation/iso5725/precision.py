@@ -7,8 +7,7 @@ Model y = m + B + e (ISO 5725-1). With p cells (samples, laboratories) of n_i re
     s_R² = s_r² + s_L²                          r = 2.8 s_r,  R = 2.8 s_R  (2.8 = 1.96·√2 rounded)
 
 Unequal n_i are allowed. With fewer than three cells the between-cell part is a number without worth (its 95 %
-interval spans a factor of 70) and is not called reproducibility. Outlier tests live in `outliers`; their public
-names are repeated here.
+interval spans a factor of 70) and is not called reproducibility.
 """
 
 from __future__ import annotations
@@ -21,25 +20,8 @@ import numpy as np
 from scipy import optimize, stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import BadCells, Cells, Summary, from_statistics, summarise
-from uavbatt.validation.intervals import UNKNOWN, Interval, between_interval, sd_interval, sum_interval
-from uavbatt.validation.outliers import (
-    Cochran,
-    DoubleGrubbs,
-    Grubbs,
-    Mandel,
-    cochran,
-    double_grubbs,
-    grubbs,
-    mandel,
-    scrutinise,
-)
-
-__all__ = [
-    "LIMIT_FACTOR", "BadCells", "Cochran", "DoubleGrubbs", "Grubbs", "Mandel", "Precision", "Summary",
-    "cochran", "double_grubbs", "from_statistics", "grubbs", "mandel", "precision", "precision_of",
-    "relative_uncertainty_R", "relative_uncertainty_r", "scrutinise", "summarise",
-]  # fmt: skip
+from uavbatt.validation.iso5725.cells import Cells, Summary, summarise
+from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, between_interval, sd_interval, sum_interval
 
 LIMIT_FACTOR = 2.8
 MIN_SAMPLES = 3
@@ -81,16 +63,17 @@ class Precision:
 
 
 def precision(cells: Cells, method: Method = "anova") -> Precision:
-    """Precision from one sequence of results per sample; lengths may differ.
+    """Compute the precision from one sequence of results per sample; lengths may differ (ISO 5725-2).
 
-    `method` "anova" is ISO 5725-2; "reml" (restricted maximum likelihood) differs for unequal numbers of
-    results and at a between-cell variance of zero.
+    `method` "anova" is the standard's; "reml" (restricted maximum likelihood) differs for unequal numbers of
+    results and at a between-cell variance of zero. Everything is in the unit of the results.
+    Raises BadCells for what is no result, NotEnoughData when every sample has a single one.
     """
     return precision_of(summarise(cells), method)
 
 
 def precision_of(summary: Summary, method: Method = "anova") -> Precision:
-    """Precision from cell means, variances and numbers of results."""
+    """Compute the precision from cell means, variances and numbers of results. Raises NotEnoughData as `precision`."""
     if method not in ("anova", "reml"):
         raise ValueError(f"method {method!r}: expected 'anova' or 'reml'")
     if summary.within_df < 1:
@@ -142,7 +125,7 @@ def mean_count(summary: Summary) -> float:
 
 
 def relative_uncertainty_r(within_df: float) -> float:
-    """A_r = 1.96·√(1/(2ν)), ν = p(n-1) (ISO 5725-1)."""
+    """Compute A_r = 1.96·√(1/(2ν)), ν = p(n-1): the relative 95 % uncertainty of s_r (ISO 5725-1)."""
     return 1.96 * math.sqrt(1 / (2 * within_df))
 
 

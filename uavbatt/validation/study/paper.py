@@ -17,8 +17,8 @@ import numpy as np
 
 from uavbatt.dataset import DataSet, Levels, whole_minutes
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import paper_equations as eq
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.study import paper_equations as eq
 
 STUDY = "lpab-3s"
 LATTICE_C = 0.1
@@ -68,7 +68,7 @@ class Pooled:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How many printed figures the recomputation meets, and each that it does not."""
+    """The agreement with one printed table: how many figures are met, and each that is not."""
 
     table: str
     agree: int
@@ -104,13 +104,13 @@ class PaperReplay:
 
 
 def printed_tables() -> dict[str, Any]:
-    """The study's printed Tables 5, 8, 9, F_emp and F_kr; figures of Tables 8 and 9 as text."""
+    """Read the study's printed Tables 5, 8, 9, F_emp and F_kr; figures of Tables 8 and 9 are text."""
     file = resources.files("uavbatt") / "data" / "study" / "printed.toml"
     return tomllib.loads(file.read_text("utf-8"))
 
 
 def column(sample: str, quantity: str, time_s: float, x: Array) -> Column:
-    """Equations (1)-(7) for the results `x` of one sample at one instant."""
+    """Evaluate equations (1)-(7) for the results `x` of one sample at one instant."""
     a = eq.eq5_pair_differences(x)
     sigma_r = eq.eq6_pair_sd(a)
     r, ratio = eq.eq7_repeatability_limit(sigma_r), eq.drift_ratio(x)
@@ -119,7 +119,7 @@ def column(sample: str, quantity: str, time_s: float, x: Array) -> Column:
 
 
 def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, results: Array | None) -> Pooled:
-    """Equations (8)-(17) from the sample means and variances; `results` for (13), if they are known."""
+    """Evaluate equations (8)-(17) from the sample means and variances; `results` for (13), if they are known."""
     high, low = int(np.argmax(means)), int(np.argmin(means))
     t = eq.eq10_student(means[high], variances[high], means[low], variances[low], n) if high != low else 0.0
     sds = np.sqrt(variances)
@@ -144,12 +144,22 @@ def _complete(levels: Levels) -> tuple[list[Array], tuple[str, ...]]:
 
 
 def replay(dataset: DataSet, ambient_C: float = 25.0) -> PaperReplay:
-    """The study's method on the repeated runs at `ambient_C`; the printed tables are compared for the study only."""
+    """Apply the study's method to the repeated runs at `ambient_C` [°C]. Raises NotEnoughData below three runs."""
     volts = whole_minutes(dataset, ambient_C)
-    heat = whole_minutes(dataset, ambient_C, "surface_C")
-    tables, notes = ([], ()) if volts is None else _complete(volts)
-    if volts is None or len(tables[0]) < 3:
-        raise NotEnoughData(f"the study's method needs three runs or more at {ambient_C:g} °C")
+    if volts is None:
+        raise _too_few(ambient_C)
+    return replay_levels(dataset.name, volts, whole_minutes(dataset, ambient_C, "surface_C"))
+
+
+def replay_levels(name: str, volts: Levels, heat: Levels | None) -> PaperReplay:
+    """Apply the study's method to tables of voltage and surface temperature, of the data set called `name`.
+
+    The printed tables are compared for the study only. Raises NotEnoughData below three runs.
+    """
+    ambient_C = volts.ambient_C
+    tables, notes = _complete(volts)
+    if len(tables[0]) < 3:
+        raise _too_few(ambient_C)
     columns = _columns(volts, tables)
     pooled = _pooled(volts, tables)
     surface: tuple[Pooled, ...] = ()
@@ -158,7 +168,7 @@ def replay(dataset: DataSet, ambient_C: float = 25.0) -> PaperReplay:
         columns, surface, notes = columns + _columns(heat, warm), _pooled(heat, warm), notes + more
     agreements: tuple[Agreement, ...] = ()
     claim = None
-    if dataset.name == STUDY and ambient_C == 25.0 and heat is not None and _is_whole(volts, tables, heat):
+    if name == STUDY and ambient_C == 25.0 and heat is not None and _is_whole(volts, tables, heat):
         printed = printed_tables()
         surface = rebuild(heat.curves(0), printed)
         agreements = (_table5(tables[0][:, 0], printed), _table8(pooled, printed), _table9(surface, printed))
@@ -167,8 +177,12 @@ def replay(dataset: DataSet, ambient_C: float = 25.0) -> PaperReplay:
     return PaperReplay(ambient_C, volts.samples, columns, pooled, surface, agreements, claim, notes)
 
 
+def _too_few(ambient_C: float) -> NotEnoughData:
+    return NotEnoughData(f"the study's method needs three runs or more at {ambient_C:g} °C")
+
+
 def _is_whole(volts: Levels, tables: list[Array], heat: Levels) -> bool:
-    """Are the tables of the size that the study printed: 2 x 10 x 9 voltages, 10 x 9 temperatures?"""
+    """True for tables of the size that the study printed: 2 x 10 x 9 voltages, 10 x 9 temperatures."""
     whole = [t.shape for t in tables] == [(10, 9)] * 2 and list(volts.time_s) == [60.0 * m for m in range(9)]
     return whole and heat.curves(0).shape == (10, 9)
 
@@ -192,7 +206,7 @@ def _pooled(levels: Levels, tables: list[Array]) -> tuple[Pooled, ...]:
 
 
 def lattice_sum_of_squares(target: float, tolerance: float, mean: float, n: int) -> float | None:
-    """The sum of squares of n readings on the 0.1 °C lattice with this mean, nearest to `target`, or None.
+    """Return the sum of squares of n readings on the 0.1 °C lattice with this mean, nearest to `target`, or None.
 
     With v = 10·x whole, Σv = N is given, Σv² = Q is whole with the parity of N, and SS = (Q - N²/n)/100.
     """
@@ -205,7 +219,7 @@ def lattice_sum_of_squares(target: float, tolerance: float, mean: float, n: int)
 
 
 def rebuild(first: Array, printed: dict[str, Any]) -> tuple[Pooled, ...]:
-    """Table 9 rebuilt: sample 2's mean is 2x̄ - x̄_1, its variance follows from (17) and the lattice.
+    """Rebuild Table 9: sample 2's mean is 2x̄ - x̄_1, its variance follows from (17) and the lattice.
 
     `first`: sample 1's temperatures, run x minute [°C]. A minute without a lattice solution gets a NaN variance.
     """
@@ -223,7 +237,7 @@ def rebuild(first: Array, printed: dict[str, Any]) -> tuple[Pooled, ...]:
 
 
 def meets(printed: str, computed: float, decimals: int | None = None) -> bool:
-    """Does `computed` round to the printed figure (to its own digits, or to `decimals`)?"""
+    """True when `computed` rounds to the printed figure (to its own digits, or to `decimals`)."""
     places = len(printed.partition(".")[2]) if decimals is None else decimals
     return abs(round(float(printed), places) - computed) <= 0.5 * 10.0**-places * (1 + 1e-6)
 

@@ -1,4 +1,4 @@
-"""Claims about the tests themselves: is their precision known well enough, and does it reach other samples?
+"""Claims about the tests themselves say whether their precision is known well enough and reaches other samples.
 
 Repeatability: s_r with its relative 95 % uncertainty A_r = 1.96/√(2ν) (ISO 5725-1) against a declared bound. Samples
 that depend on each other count as one. Drift over the runs is named in the reason.
@@ -19,15 +19,15 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Levels, Uncertainty
-from uavbatt.validation import budget, gate
-from uavbatt.validation.corridor import shared_table
-from uavbatt.validation.drift import permutations
-from uavbatt.validation.findings import Finding
-from uavbatt.validation.gate import Claim, Limits, Verdict, informing
-from uavbatt.validation.heldout import HeldOut
-from uavbatt.validation.intermediate import crossed
-from uavbatt.validation.intervals import satterthwaite
+from uavbatt.validation.gating import budget, gate
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict, informing
+from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
+from uavbatt.validation.iso5725.intermediate import crossed
+from uavbatt.validation.iso5725.intervals import satterthwaite
+from uavbatt.validation.judging.corridor import shared_table
+from uavbatt.validation.judging.drift import permutations
+from uavbatt.validation.judging.findings import Finding
 
 LEAST_SAMPLES = 3
 DEPENDENT_BELOW = 0.01
@@ -43,7 +43,7 @@ class Dependence:
 
 
 def dependence(table: Array, seed: int = 5725) -> Dependence:
-    """Do the runs of `table[occasion, sample, level]` belong together in the order in which they are numbered?
+    """Test whether the runs of `table[occasion, sample, level]` belong together in the order of their numbers.
 
     Statistics: the sum over pairs of samples of the correlation of their residuals, and of identical readings; the
     smaller p of the two, doubled.
@@ -69,7 +69,7 @@ def dependence(table: Array, seed: int = 5725) -> Dependence:
 
 
 def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]) -> Claim:
-    """s_r known to within `precision_A_r`; drift is a warning."""
+    """Judge whether s_r is known to within `precision_A_r`; drift over the runs is a warning."""
     rows = [precision(levels.cells(i)) for i in range(levels.time_s.size)]
     shared = shared_table(levels).table
     linked = dependence(shared).dependent
@@ -89,7 +89,7 @@ def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]
 
 
 def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
-    """The bias for another sample; informs, does not gate (a pack of the same make ships without it)."""
+    """Judge the bias for another sample; it informs, does not gate (a pack of the same make ships without it)."""
     name = "reproducibility"
     shared = shared_table(levels).table
     k, linked = shared.shape[1], dependence(shared)

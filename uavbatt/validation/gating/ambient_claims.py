@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet
-from uavbatt.validation import budget, reading
-from uavbatt.validation.budget import ONE_SIDED, meter_rows
-from uavbatt.validation.gate import Claim, Limits, Verdict
-from uavbatt.validation.heldout import HeldOut, Single
-from uavbatt.validation.series import QuasiReplicates, breaks, quasi_replicates
+from uavbatt.validation.gating import budget
+from uavbatt.validation.gating.budget import ONE_SIDED, meter_rows
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict
+from uavbatt.validation.gating.heldout import HeldOut, Single
+from uavbatt.validation.judging.readings import Readings
+from uavbatt.validation.judging.series import QuasiReplicates
 
 NAME = "voltage bias at this temperature"
 
 
-def ambient_claims(dataset: DataSet, held: HeldOut, limits: Limits) -> list[Claim]:
-    """One claim for each other ambient temperature, ascending; none of them gates."""
-    tests = reading.at_minutes(dataset)
-    groups, series = quasi_replicates(tests), breaks(tests)
+def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Claim]:
+    """Make one claim for each other ambient temperature, ascending; none of them gates."""
+    dataset, groups, series = readings.dataset, readings.near_repeats, readings.broken
     claims = []
     for single in sorted(held.singles, key=lambda s: s.ambient_C):
         group = next((g for g in groups if np.any(np.abs(g.ambients_C - single.ambient_C) < 0.25)), None)
@@ -79,7 +79,7 @@ def _near_repeats(
 
 
 def _shown(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
-    """A failure only where the whole interval is beyond the limit: it does not gate, so that doubt is not failure."""
+    """Decide a claim that does not gate: it fails only where the whole interval lies beyond the limit."""
     outside = np.abs(bias) - half > limit
     if outside.any():
         worst = int(np.argmax(np.where(outside, np.abs(bias), 0.0)))
@@ -92,7 +92,7 @@ def _shown(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
 
 
 def _series_offset(dataset: DataSet, held: HeldOut, single: Single) -> Array:
-    """How far the series of a one-time test lies from the repeats where both were tested [V] per instant.
+    """Return how far the series of a one-time test lies from the repeats where both were tested [V] per instant.
 
     0 for a sample that was itself repeated; NaN when the series has no test at the repeated temperature.
     """

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from uavbatt.battery.model import Array
-from uavbatt.dataset import DataSet, Levels, Run
-from uavbatt.validation import reading
-from uavbatt.validation.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
-from uavbatt.validation.series import breaks
+from uavbatt.dataset import Levels, Run
+from uavbatt.validation.gating.heldout import Curve, HeldOut, Single, other_runs, repeats, rest_at, smallest_step
+from uavbatt.validation.judging import fast_records
+from uavbatt.validation.judging.readings import Readings
 
 READING_SD_V, TIMING_SD_S = 0.02, 6.0
 FLOOR_WIDTH_V = 0.02  # a cell
@@ -32,7 +32,7 @@ NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", 
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class RunTable:
     """Readings of many runs in one table: time under load [s] (negative at rest), T [°C], volts, series, sigma."""
 
     time_s: Array
@@ -51,13 +51,13 @@ class Regression:
     cells: int
 
     def voltage(self, time_s: Array, ambient_C: Array, series: NDArray[np.intp] | int = 0) -> Array:
-        """Pack voltage [V] at `time_s` [s] under load; negative times are before the load."""
+        """Return the pack voltage [V] at `time_s` [s] under load; negative times are before the load."""
         nuisance = np.vstack([np.zeros((1, 2)), self.series])[series]
         return curve(self.coefficients, time_s, ambient_C, nuisance[..., 0], nuisance[..., 1], self.cells)
 
 
 def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Array, cells: int) -> Array:
-    """V(t, T) [V] of the coefficients x; the equations of the module."""
+    """Compute V(t, T) [V] of the coefficients x by the equations of the module; times [s], temperatures [°C]."""
     p0, p1, p2, a, ln_tau, q1, q2, ln_t0, c1, c2, d, ln_w, f, e0 = x
     theta, w, h = (ambient_C - 25.0) / 25.0, math.exp(ln_w), FLOOR_WIDTH_V * cells
     t = np.maximum(time_s, 0.0)
@@ -69,17 +69,17 @@ def curve(x: Array, time_s: Array, ambient_C: Array, level_V: Array, ln_knee: Ar
 
 
 def load_start_s(run: Run) -> float:
-    """When the load begins [s]: by the measured current, else just after the first reading."""
-    phase = reading.phases(run.current_A)
-    rested = phase[-1] > 0 and run.current_A[0] < reading.REST_SHARE * np.quantile(run.current_A, 0.9)
+    """Return when the load begins [s]: by the measured current, else just after the first reading."""
+    phase = fast_records.phases(run.current_A)
+    rested = phase[-1] > 0 and run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
     return float(run.time_s[np.argmax(phase > 0)]) if rested else float(run.time_s[0]) + 1e-6
 
 
-def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> Rows:
-    """The readings of runs as one table."""
+def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> RunTable:
+    """Put the readings of runs into one table."""
     slopes = [np.abs(np.gradient(r.voltage_V, r.time_s)) for r in runs]
     early = [np.where(r.time_s <= t, 0.0, s) for r, t, s in zip(runs, starts_s, slopes, strict=True)]
-    return Rows(
+    return RunTable(
         time_s=np.concatenate([r.time_s - t for r, t in zip(runs, starts_s, strict=True)]),
         ambient_C=np.concatenate([np.full(r.time_s.size, r.ambient_C) for r in runs]),
         voltage_V=np.concatenate([r.voltage_V for r in runs]),
@@ -88,8 +88,8 @@ def rows_of(runs: list[Run], starts_s: list[float], series: list[int]) -> Rows:
     )
 
 
-def guess(rows: Rows, cells: int) -> tuple[Array, Array]:
-    """(start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
+def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
+    """Return (start, prior sd) of the coefficients from the readings at 25 °C or nearest to it."""
     near = np.abs(rows.ambient_C - 25.0) <= np.min(np.abs(rows.ambient_C - 25.0)) + 0.25
     load = near & (rows.time_s >= 0.0)
     first, last = float(np.max(rows.voltage_V[load])), float(np.min(rows.voltage_V[load]))
@@ -103,8 +103,8 @@ def guess(rows: Rows, cells: int) -> tuple[Array, Array]:
     return np.array(start), np.array(sd)
 
 
-def fit(rows: Rows, cells: int) -> Regression:
-    """Most probable coefficients under wide priors; robust beyond three sigma."""
+def fit(rows: RunTable, cells: int) -> Regression:
+    """Fit the most probable coefficients under wide priors; the loss is robust beyond three sigma."""
     start, sd = guess(rows, cells)
     others, n = int(rows.series.max()), len(NAMES)
     spread = np.concatenate([sd, np.tile([0.1 * cells, 0.2], others)])
@@ -121,16 +121,16 @@ def fit(rows: Rows, cells: int) -> Regression:
     return unpacked(np.asarray(found.x))
 
 
-def series_of(dataset: DataSet, levels: Levels) -> Callable[[Run], int]:
-    """Number of a run's series: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
-    edges = sorted(b.high_C for b in breaks(dataset) or ())
+def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
+    """Number the series of a run: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
+    edges = sorted(b.high_C for b in readings.broken or ())
     return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
 
 
-def held_out(dataset: DataSet, progress: Callable[[int], None] | None = None) -> HeldOut:
-    """The regression model, each occasion (and its share of the one-time runs) predicted from the others."""
-    levels, tests = repeats(dataset), reading.at_minutes(dataset)
-    number, others = series_of(tests, levels), other_runs(tests, levels)
+def held_out(readings: Readings, progress: Callable[[float], None] | None = None) -> HeldOut:
+    """Predict each occasion, and its share of the one-time runs, by a regression fitted to the others."""
+    dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
+    number, others = series_of(readings, levels), other_runs(tests, levels)
     starts = {(r.sample, r.run, r.ambient_C): load_start_s(r) for r in dataset.runs}
     home = [r for r in tests.at(levels.ambient_C) if r.sample in levels.samples]
     volts, curves, singles = np.full(levels.values.shape, np.nan), [], []
@@ -144,7 +144,7 @@ def held_out(dataset: DataSet, progress: Callable[[int], None] | None = None) ->
             if run.sample in levels.samples and run.run == occasion:
                 at, t0 = levels.samples.index(run.sample), starts[run.sample, run.run, run.ambient_C]
                 volts[k, at] = found.voltage(levels.time_s - t0, np.full(levels.time_s.size, run.ambient_C))
-                if reading.is_fast(run):
+                if fast_records.is_fast(run):
                     curves.append(_curve(found, run, k, at, t0))
         for run in out:
             block = blocks.index(number(run)) if number(run) in blocks else 0
@@ -152,7 +152,7 @@ def held_out(dataset: DataSet, progress: Callable[[int], None] | None = None) ->
             model = found.voltage(t, np.full(t.size, run.ambient_C), block)
             singles.append(Single(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
         if progress is not None:
-            progress(1)
+            progress(1.0)
     runs = dataset.at(levels.ambient_C)
     return HeldOut(
         model="regression", ambient_C=levels.ambient_C, cells=dataset.cells_series, time_s=levels.time_s,
@@ -167,6 +167,6 @@ def _consecutive(series: list[int]) -> list[int]:
 
 
 def _curve(found: Regression, run: Run, occasion: int, sample: int, start_s: float) -> Curve:
-    own = reading.weights(run.time_s, reading.phases(run.current_A), run.time_s)
+    own = fast_records.weights(run.time_s, fast_records.phases(run.current_A), run.time_s)
     model = found.voltage(run.time_s - start_s, np.full(run.time_s.size, run.ambient_C))
     return Curve(occasion, sample, run.time_s, own @ run.voltage_V, own @ model)

@@ -1,6 +1,6 @@
-"""When does a discharge fall to a voltage?
+"""The time at which a discharge falls to a voltage.
 
-Straight lines between the readings. Below about -15 °C a pack recovers by its own heat: the voltage crosses a level,
+Readings are joined by straight lines. Below about -15 °C a pack recovers by its own heat: the voltage crosses a level,
 rises again and falls for good, so that the first and the last crossing differ by minutes (-17 °C: 10 V at 0.94 and
 3.10 min). Which one is meant is always said.
 """
@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
 
 Which = Literal["first", "last", "held"]
 
@@ -25,7 +25,7 @@ def _crossings(time_s: Array, voltage_V: Array, level_V: float, downward: bool) 
 
 
 def downward_crossings(time_s: Array, voltage_V: Array, level_V: float) -> Array:
-    """Every time [s] at which the voltage falls through `level_V` [V]; readings that are NaN are passed over."""
+    """List every time [s] at which the voltage falls through `level_V` [V]; readings that are NaN are passed over."""
     known = ~np.isnan(voltage_V)
     return _crossings(time_s[known], voltage_V[known], level_V, True)
 
@@ -33,7 +33,7 @@ def downward_crossings(time_s: Array, voltage_V: Array, level_V: float) -> Array
 def crossing_time(
     time_s: Array, voltage_V: Array, level_V: float, which: Which = "first", hold_s: float = 60.0
 ) -> float:
-    """Time [s] of the first or last fall through `level_V` [V], NaN if there is none.
+    """Return the time [s] of the first or last fall through `level_V` [V], NaN if there is none.
 
     "held" is the first fall after which the voltage stays below for `hold_s` [s] (or to the end of the record).
     """

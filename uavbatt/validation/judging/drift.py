@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, numbers, spread
-from uavbatt.validation.paper_equations import DRIFT_LIMIT, drift_ratio
+from uavbatt.validation.iso5725.cells import Array, numbers, spread
+from uavbatt.validation.study.paper_equations import DRIFT_LIMIT, drift_ratio
 
 NDIndex = NDArray[np.intp]
 PERMUTATIONS = 10_000
@@ -92,26 +92,26 @@ def _in_order(results: ArrayLike, least: int) -> Array:
 
 
 def permutations(n: int, count: int = PERMUTATIONS, seed: int = 5725) -> NDIndex:
-    """`count` seeded random orders of n things, one a row."""
+    """Draw `count` seeded random orders of n things, one a row."""
     order: NDIndex = np.argsort(np.random.default_rng(seed).random((count, n)), axis=1)
     return order
 
 
 def paper_rule(results: ArrayLike) -> PaperDrift:
-    """The study's |d̄| < 0.2σ, equations (1)-(4)."""
+    """Apply the study's rule |d̄| < 0.2σ, equations (1)-(4)."""
     ratio = drift_ratio(_in_order(results, 3))
     return PaperDrift(ratio, ratio >= DRIFT_LIMIT)
 
 
 def abbe_ratio(rows: Array) -> Array:
-    """q²/s² = [Σ(x_i-x_(i+1))²/2] / Σ(x_i-x̄)² of each row (von Neumann 1941, Abbe)."""
+    """Compute q²/s² = [Σ(x_i-x_(i+1))²/2] / Σ(x_i-x̄)² of each row (von Neumann 1941, Abbe)."""
     centred = rows - rows.mean(axis=-1, keepdims=True)
     ratio: Array = (np.diff(centred, axis=-1) ** 2).sum(axis=-1) / 2 / (centred**2).sum(axis=-1)
     return ratio
 
 
 def abbe(results: ArrayLike, seed: int = 5725) -> Abbe:
-    """Von Neumann's ratio with the p-value of a value as small or smaller under random order."""
+    """Test von Neumann's ratio: the p-value is that of a value as small or smaller under random order."""
     values, squares = spread(_in_order(results, 4))
     if squares == 0:
         return Abbe(math.nan, math.nan)
@@ -121,12 +121,12 @@ def abbe(results: ArrayLike, seed: int = 5725) -> Abbe:
 
 
 def mann_kendall_S(values: Array) -> int:
-    """S = Σ sign(x_j - x_i) over i < j."""
+    """Compute S = Σ sign(x_j - x_i) over i < j."""
     return int(np.sign(values[None, :] - values[:, None])[np.triu_indices(len(values), 1)].sum())
 
 
 def mann_kendall(results: ArrayLike) -> MannKendall:
-    """Mann-Kendall trend test; exact for up to 60 runs, else normal with continuity and tie corrections."""
+    """Test for a trend by Mann-Kendall; exact for up to 60 runs, else normal with continuity and tie corrections."""
     values = _in_order(results, 4)
     S, n = mann_kendall_S(values), len(values)
     ties = [int(c) for c in np.unique(values, return_counts=True)[1]]
@@ -165,7 +165,7 @@ def _over_one_minus(a: list[int], m: int) -> list[int]:
 
 
 def slope(results: ArrayLike) -> Slope:
-    """Straight line through results against run number."""
+    """Fit a straight line through results against run number; Theil-Sen's slope stands beside it."""
     values, _ = spread(_in_order(results, 4))
     n = len(values)
     runs = np.arange(n) - (n - 1) / 2
@@ -173,12 +173,11 @@ def slope(results: ArrayLike) -> Slope:
     left = float(((values - per_run * runs) ** 2).sum()) / (n - 2)
     error = math.sqrt(left / float(runs @ runs))
     p = float(2 * stats.t.sf(abs(per_run) / error, n - 2)) if error > 0 else (0.0 if per_run else 1.0)
-    i, j = np.triu_indices(n, 1)
-    return Slope(per_run, error, p, float(np.median((values[j] - values[i]) / (j - i))))
+    return Slope(per_run, error, p, float(stats.theilslopes(values).slope))
 
 
 def step_share(tables: Array, least: int = 2) -> Array:
-    """Share of a column's sum of squares that a step after run k explains: `[..., k - least]`.
+    """Compute the share of a column's sum of squares that a step after run k explains, [..., k - least].
 
     `tables[..., run, column]` is centred per column; the share is averaged over the columns that vary.
     """
@@ -192,13 +191,13 @@ def step_share(tables: Array, least: int = 2) -> Array:
 
 
 def step(results: ArrayLike, seed: int = 5725) -> Step:
-    """Most likely step in one column: maximal share of the sum of squares, p by permutation of the runs."""
+    """Find the most likely step in one column: maximal share of the sum of squares, p by permutation of the runs."""
     values = _in_order(results, 5)
     return curve_step(values[:, None], seed)
 
 
 def curve_step(table: Array, seed: int = 5725) -> Step:
-    """Most likely step of whole curves, `table[run, time]`: every column counts alike.
+    """Find the most likely step of whole curves, `table[run, time]`; every column counts alike.
 
     `size` and `p_at_place` are of the mean over the columns (unit of the results).
     """
@@ -219,7 +218,7 @@ def curve_step(table: Array, seed: int = 5725) -> Step:
 
 
 def drift(results: ArrayLike, seed: int = 5725) -> Drift:
-    """Every drift test of one column of four runs or more in run order."""
+    """Run every drift test on one column of four runs or more in run order."""
     values = _in_order(results, 4)
     found = step(values, seed) if len(values) >= 5 else None
     return Drift(paper_rule(values), abbe(values, seed), mann_kendall(values), slope(values), found)

@@ -14,18 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
-from uavbatt.dataset import DataSet, Levels, Run, whole_minutes
+from uavbatt.dataset import DataSet, Levels, Run
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, prior, solve, unmetered
 from uavbatt.fitting.unmetered import MeanTest
-from uavbatt.validation import reading
+from uavbatt.validation.judging import fast_records
+from uavbatt.validation.judging.readings import SURFACE, Readings
 
 Effects = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One held-out run in full, read at each of its rows (`reading`); [s], [V]."""
+    """One held-out run in full, read at each of its rows (`fast_records`); [s], [V]."""
 
     occasion: int
     sample: int
@@ -69,17 +70,17 @@ class HeldOut:
     singles: tuple[Single, ...] = ()
 
     def residual_V(self) -> Array:
-        """Model minus measured [occasion, level], the mean over the samples of an occasion."""
+        """Return model minus measured [V], [occasion, level], the mean over the samples of an occasion."""
         out: Array = np.nanmean(self.model_V - self.measured_V, axis=1)
         return out
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Which instants come before the load; unless told, the one at 0 s."""
+        """Marks of the instants before the load; unless told, the one at 0 s."""
         return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
 
     def runs(self) -> list[Curve]:
-        """The held-out runs: the full records where there are any, else the readings."""
+        """Return the held-out runs: the full records where there are any, else the readings."""
         if self.curves:
             return list(self.curves)
         grid = np.ndindex(self.measured_V.shape[:2])
@@ -87,7 +88,7 @@ class HeldOut:
 
 
 def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
-    """The mean of runs that were read at the same instants under one load."""
+    """Average runs that were read at the same instants under one load."""
     grid = min((r.time_s for r in runs), key=len)
     volts = np.array([np.interp(grid, r.time_s, r.voltage_V) for r in runs])
     surfaces = np.array([np.interp(grid, r.time_s, r.surface_C) for r in runs])
@@ -104,48 +105,45 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
 
 
 def is_metered(dataset: DataSet) -> bool:
-    """Whether the current of every run was measured."""
+    """True when the current of every run was measured."""
     return all(np.isfinite(r.current_A).all() for r in dataset.runs)
 
 
-def repeated_ambient(dataset: DataSet) -> float:
-    """The ambient temperature with the most runs [°C]: the one that a gate can judge."""
-    counts = {t: len(dataset.at(t)) for t in dataset.ambients_C}
-    return max(counts, key=lambda t: counts[t])
-
-
-def repeats(dataset: DataSet) -> Levels:
-    """The repeated runs, read at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
-    levels = whole_minutes(reading.at_minutes(dataset), repeated_ambient(dataset))
+def repeats(readings: Readings) -> Levels:
+    """Return the repeated runs at the whole minutes. Raises NotEnoughData when there are fewer than two occasions."""
+    levels = readings.levels(readings.ambient_C)
     if levels is None or len(levels.occasions) < 2:
-        raise NotEnoughData(f"{dataset.path}: expected repeated runs at one ambient temperature, to leave one out")
+        raise NotEnoughData(
+            f"{readings.dataset.path}: expected repeated runs at one ambient temperature, to leave one out"
+        )
     return levels
 
 
 def other_runs(dataset: DataSet, levels: Levels) -> list[Run]:
-    """The runs at other ambient temperatures than the repeated one."""
+    """List the runs at other ambient temperatures than the repeated one."""
     return [r for r in dataset.runs if r not in dataset.at(levels.ambient_C)]
 
 
 def circuit(
-    dataset: DataSet,
-    progress: Callable[[int], None] | None = None,
+    readings: Readings,
+    progress: Callable[[float], None] | None = None,
     effects: Effects = prior.BASE_EFFECTS,
     model: str = "circuit",
 ) -> HeldOut:
-    """The circuit model with its effects, each occasion predicted from the others.
+    """Predict each occasion by the circuit model with its effects, fitted to the other occasions.
 
+    `effects` are the names of the effects that are on; `progress` is called with 1 after each fit.
     Raises NotEnoughData when nothing is left to fit once an occasion is out.
     """
-    levels = repeats(dataset)
+    dataset, levels = readings.dataset, repeats(readings)
     predict = _metered if is_metered(dataset) else _unmetered
     others = other_runs(dataset, levels)
     folds = []
     for k, occasion in enumerate(levels.occasions):
         folds.append(predict(dataset, levels, occasion, others[k :: len(levels.occasions)], effects))
         if progress is not None:
-            progress(1)
-    surface = whole_minutes(reading.at_minutes(dataset), levels.ambient_C, "surface_C")
+            progress(1.0)
+    surface = readings.levels(levels.ambient_C, SURFACE)
     measured_C = _aligned(levels, surface)
     return HeldOut(
         model=model,
@@ -173,18 +171,18 @@ class _Fold:
 
 
 def smallest_step(runs: tuple[Run, ...]) -> float:
-    """Smallest difference between two readings of the voltage [V]: what the meter resolves, if nothing is stated."""
+    """Return the smallest step between two voltages [V]: what the meter resolves, if nothing is stated."""
     distinct = np.unique(np.round(np.concatenate([r.voltage_V for r in runs]), 6))
     return float(np.diff(distinct).min()) if distinct.size > 1 else 0.0
 
 
 def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
-    """Which instants of the levels come before the load: by the measured current, else the one at 0 s."""
+    """Mark the instants of the levels that come before the load: by the measured current, else the one at 0 s."""
     run = dataset.at(levels.ambient_C)[0]
     if not np.isfinite(run.current_A).all():
         return tuple(bool(t <= 0.0) for t in levels.time_s)
-    phase = reading.phases(run.current_A)
-    rested = run.current_A[0] < reading.REST_SHARE * np.quantile(run.current_A, 0.9)
+    phase = fast_records.phases(run.current_A)
+    rested = run.current_A[0] < fast_records.REST_SHARE * np.quantile(run.current_A, 0.9)
     at = np.searchsorted(run.time_s, levels.time_s, side="right") - 1
     return tuple(bool(rested and phase[max(i, 0)] == 0) for i in at)
 
@@ -219,15 +217,15 @@ def _metered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run],
     for j, test in enumerate(tested):
         rows = stack.compare[:, j]
         time_s, measured = stack.time_s[rows, j], stack.voltage_V[rows, j]
-        model, phase = run.voltage_V[rows, j] * stack.cells[j], reading.phases(stack.current_A[rows, j])
-        own = reading.weights(time_s, phase, time_s)
+        model, phase = run.voltage_V[rows, j] * stack.cells[j], fast_records.phases(stack.current_A[rows, j])
+        own = fast_records.weights(time_s, phase, time_s)
         if test in others:
             singles.append(Single(test.ambient_C, test.sample, time_s, own @ measured, own @ model))
             continue
-        at, w = levels.samples.index(test.sample), reading.weights(time_s, phase, levels.time_s)
+        at, w = levels.samples.index(test.sample), fast_records.weights(time_s, phase, levels.time_s)
         volts[at] = levels.values[k, at] + w @ (model - measured)
         surface[at] = w @ run.sensor_C[rows, j]
-        if reading.is_fast(test):
+        if fast_records.is_fast(test):
             curves.append(Curve(k, at, time_s, own @ measured, own @ model))
     return _Fold(volts, surface, curves, singles)
 

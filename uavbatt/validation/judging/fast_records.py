@@ -1,4 +1,4 @@
-"""How a fast record is read at an instant, so that one noisy row stands neither for the battery nor for the model.
+"""A fast record is read at an instant so that one noisy row stands neither for the battery nor for the model.
 
 A record sampled faster than once a minute is read at the whole minutes by a straight line through the rows within
 ±WINDOW_S/2, the mean where there are fewer than four. A window never reaches across a load step: rest and load do not
@@ -26,12 +26,12 @@ REST_SHARE = 0.2
 
 
 def is_fast(run: Run) -> bool:
-    """Whether the rows come so fast that a window holds several."""
+    """True when the rows come so fast that a window holds several."""
     return bool(np.median(np.diff(run.time_s)) < WINDOW_S / 2.0)
 
 
 def phases(current_A: Array) -> NDArray[np.intp]:
-    """Number of the phase (rest, load, rest, ...) that each row belongs to; one phase without a current."""
+    """Number the phase (rest, load, rest, ...) that each row belongs to; one phase without a current."""
     if not np.isfinite(current_A).all() or np.max(current_A) <= 0.0:
         return np.zeros(current_A.size, dtype=np.intp)
     loaded = current_A > REST_SHARE * np.quantile(current_A, 0.9)
@@ -39,7 +39,10 @@ def phases(current_A: Array) -> NDArray[np.intp]:
 
 
 def weights(time_s: Array, phase: NDArray[np.intp], at_s: Array) -> Array:
-    """Matrix [instants, rows] that reads a record at `at_s` [s]; a row of NaN where nothing may be read."""
+    """Compute the matrix [instants, rows] that reads a record at `at_s` [s]; a row of NaN where nothing may be read.
+
+    time_s : times of the rows [s], phase : their phases (`phases`).
+    """
     out = np.zeros((at_s.size, time_s.size))
     for i, t in enumerate(at_s):
         near = np.abs(time_s - t) <= WINDOW_S / 2.0 + 1e-9
@@ -56,7 +59,7 @@ def weights(time_s: Array, phase: NDArray[np.intp], at_s: Array) -> Array:
 
 
 def at_minutes(dataset: DataSet) -> DataSet:
-    """The data set with its fast runs read at the whole minutes; hand-read runs unchanged."""
+    """Read the fast runs of a data set at the whole minutes; hand-read runs stay unchanged."""
     runs = list(dataset.runs)
     for ambient_C in dataset.ambients_C:
         fast = [i for i, r in enumerate(runs) if r.ambient_C == ambient_C and is_fast(r)]

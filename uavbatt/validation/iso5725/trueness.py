@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from scipy import integrate, optimize, stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import BadCells, Cells, numbers, spread, summarise
-from uavbatt.validation.intervals import Interval
-from uavbatt.validation.iso5725 import precision_of
+from uavbatt.validation.iso5725.cells import BadCells, Cells, numbers, spread, summarise
+from uavbatt.validation.iso5725.intervals import Interval
+from uavbatt.validation.iso5725.precision import precision_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Bias:
 
 @dataclass(frozen=True, slots=True)
 class PrecisionCheck:
-    """Observed over known variance against its 5 % limit (5725-4): is the method as precise as was claimed?"""
+    """A check of the observed against the claimed variance with its 5 % limits (ISO 5725-4)."""
 
     C_r: float
     limit_r: float
@@ -56,7 +56,11 @@ class RangeCheck:
 
 
 def laboratory_bias(results: ArrayLike, reference: float, u_reference: float = 0.0) -> Bias:
-    """One laboratory: Δ̂ = ȳ - μ ± t(0.975; n-1)·s/√n, the reference's own uncertainty added in squares."""
+    """Estimate the bias of one laboratory: Δ̂ = ȳ - μ ± t(0.975; n-1)·s/√n (ISO 5725-4).
+
+    `reference` is μ in the unit of the results; its own uncertainty `u_reference` is added in squares.
+    Raises NotEnoughData below two results.
+    """
     values = numbers(results, "results")
     n = len(values)
     if n < 2:
@@ -71,7 +75,7 @@ def laboratory_bias(results: ArrayLike, reference: float, u_reference: float = 0
 
 
 def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, sigma_R: float | None = None) -> Bias:
-    """Several laboratories: δ̂ = ȳ - μ, σ_δ² = [σ_R² - (1-1/n)σ_r²]/p (ISO 5725-4).
+    """Estimate the bias of a method in several laboratories: δ̂ = ȳ - μ, σ_δ² = [σ_R² - (1-1/n)σ_r²]/p (ISO 5725-4).
 
     With known σ_r and σ_R the factor is 1.96; estimated from the cells it is t with p-1 degrees of freedom.
     """
@@ -89,17 +93,20 @@ def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, si
 
 
 def bias_uncertainty(sigma_r: float, sigma_R: float, n: float, p: int) -> float:
-    """σ_δ = √([σ_R² - (1-1/n)σ_r²]/p)."""
+    """Compute σ_δ = √([σ_R² - (1-1/n)σ_r²]/p)."""
     return math.sqrt(max(sigma_R**2 - (1 - 1 / n) * sigma_r**2, 0.0) / p)
 
 
 def bias_factor(p: int, n: float, gamma: float) -> float:
-    """A = 1.96·√{[n(γ²-1)+1]/(γ²pn)}: a bias beyond A·σ_R is significant."""
+    """Compute A = 1.96·√{[n(γ²-1)+1]/(γ²pn)}: a bias beyond A·σ_R is significant."""
     return 1.96 * math.sqrt((n * (gamma**2 - 1) + 1) / (gamma**2 * p * n))
 
 
 def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float = 0.05) -> PrecisionCheck:
-    """C' = s_r²/σ_r² <= χ²(1-α;ν)/ν, C'' = [s_R²-(1-1/n)s_r²]/[σ_R²-(1-1/n)σ_r²] <= χ²(1-α;p-1)/(p-1)."""
+    """Check a claimed σ_r and σ_R against results (ISO 5725-4).
+
+    C' = s_r²/σ_r² <= χ²(1-α;ν)/ν, C'' = [s_R²-(1-1/n)s_r²]/[σ_R²-(1-1/n)σ_r²] <= χ²(1-α;p-1)/(p-1).
+    """
     summary = summarise(cells)
     found, df, p = precision_of(summary), summary.within_df, summary.p
     if p < 2:
@@ -113,7 +120,7 @@ def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float =
 
 @cache
 def range_factor(n: int, probability: float = 0.95) -> float:
-    """f(n): the quantile of the range of n results of unit SD, unrounded (2.77 for n = 2)."""
+    """Compute f(n), the quantile of the range of n results of unit SD, unrounded (2.77 for n = 2)."""
     if n < 2:
         raise BadCells(f"a range needs two results or more, found {n}")
 
@@ -128,7 +135,7 @@ def range_factor(n: int, probability: float = 0.95) -> float:
 
 
 def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
-    """Range of n results <= f(n)·s_r, f rounded to one decimal as in the standard.
+    """Check the range of n results against f(n)·s_r, f rounded to one decimal as in the standard (ISO 5725-6).
 
     `pair_share_beyond`, the share of pairs beyond 2.8·s_r, is for the record: pairs are dependent, it has no level.
     """
@@ -141,15 +148,15 @@ def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
 
 
 def critical_difference_of_means(r: float, R: float, n1: int, n2: int) -> float:
-    """95 % critical difference of two laboratories' means: √(R² - r²(1 - 1/(2n_1) - 1/(2n_2)))."""
+    """Compute the 95 % critical difference of two laboratories' means: √(R² - r²(1 - 1/(2n_1) - 1/(2n_2)))."""
     return math.sqrt(R**2 - r**2 * (1 - 1 / (2 * n1) - 1 / (2 * n2)))
 
 
 def critical_difference_to_reference(r: float, R: float, n: int) -> float:
-    """95 % critical difference of one laboratory's mean to a reference: (1/√2)·√(R² - r²(1-1/n))."""
+    """Compute the 95 % critical difference of a laboratory's mean to a reference: √((R² - r²(1-1/n))/2)."""
     return math.sqrt((R**2 - r**2 * (1 - 1 / n)) / 2)
 
 
 def result_uncertainty(s_r: float, s_L: float, n: int, u_bias: float = 0.0) -> float:
-    """Standard uncertainty of a mean of n results, ISO 21748: u² = s_L² + s_r²/n + u²(bias)."""
+    """Compute the standard uncertainty of a mean of n results, ISO 21748: u² = s_L² + s_r²/n + u²(bias)."""
     return math.sqrt(s_L**2 + s_r**2 / n + u_bias**2)

@@ -25,7 +25,7 @@ from scipy import stats
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
-from uavbatt.validation.heldout import HeldOut
+from uavbatt.validation.gating.heldout import HeldOut
 
 LEVEL = 0.05
 ONE_SIDED = float(stats.norm.ppf(1.0 - LEVEL))
@@ -38,7 +38,7 @@ HAND_READ_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BudgetRow:
     """One source: standard uncertainty per instant in the budget's unit, GUM type, and how it was obtained."""
 
     source: str
@@ -57,7 +57,7 @@ class Budget:
 
     unit: str
     at: Array
-    rows: tuple[Row, ...]
+    rows: tuple[BudgetRow, ...]
     combined: Array
     df: Array
     factors: Array
@@ -67,20 +67,20 @@ class Budget:
 
 
 def coverage_factor(df: Array, instants: int) -> Array:
-    """One-sided t at 5 %, shared out over the instants."""
+    """Return the one-sided t factor at 5 %, shared out over the instants (Bonferroni), per instant."""
     return np.asarray(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df), dtype=float)
 
 
 def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
-    """(combined standard uncertainty, effective degrees of freedom) per instant."""
+    """Combine type A and type B uncertainty in squares; return (u, effective degrees of freedom) per instant."""
     u = np.asarray(np.hypot(u_A, u_B))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
     return u, df
 
 
-def assembled(unit: str, at: Array, rows: list[Row], df_A: float) -> Budget:
-    """Add the rows in squares; `df_A` are the degrees of freedom of the scatter."""
+def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:
+    """Add the rows of a budget in squares; `df_A` are the degrees of freedom of the scatter."""
 
     def root(kind: str) -> Array:
         squares = [r.u**2 for r in rows if r.kind == kind]
@@ -92,8 +92,8 @@ def assembled(unit: str, at: Array, rows: list[Row], df_A: float) -> Budget:
     return Budget(unit, at, tuple(rows), u, df, k, largest, ONE_SIDED * root("B"), k * u)
 
 
-def scatter_rows(residual: Array) -> list[Row]:
-    """Scatter of the mean and drift over the runs, of residuals [occasion, instant] in run order.
+def scatter_rows(residual: Array) -> list[BudgetRow]:
+    """Estimate the scatter of the mean, and the drift over the runs, of residuals [occasion, instant] in run order.
 
     Drift: d = mean of the earlier less the later half of the occasions, rectangular between its ends: |d|/2/√3.
     """
@@ -101,13 +101,17 @@ def scatter_rows(residual: Array) -> list[Row]:
     half = n // 2
     d = np.abs(residual[:half].mean(axis=0) - residual[-half:].mean(axis=0))
     return [
-        Row("scatter of the occasions", "A", residual.std(axis=0, ddof=1) / math.sqrt(n), f"s/√n of {n} occasions"),
-        Row("drift over the runs", "B", d / 2.0 / math.sqrt(3.0), f"first {half} against last {half}, rectangular"),
+        BudgetRow(
+            "scatter of the occasions", "A", residual.std(axis=0, ddof=1) / math.sqrt(n), f"s/√n of {n} occasions"
+        ),
+        BudgetRow(
+            "drift over the runs", "B", d / 2.0 / math.sqrt(3.0), f"first {half} against last {half}, rectangular"
+        ),
     ]
 
 
-def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[Row]:
-    """Calibration and resolution of the voltmeter at `voltage_V` [V]."""
+def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[BudgetRow]:
+    """Estimate the calibration and resolution rows of the voltmeter at `voltage_V` [V]."""
     stated, step = known.voltage_calibration_V, known.voltage_resolution_V
     if stated is not None:
         calibration, how = np.full(voltage_V.size, stated), "stated by the data set"
@@ -117,13 +121,13 @@ def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[Row]
     fine_V = held.step_V if step is None else step
     said = f"step of {fine_V:.3g} V{' seen in the readings' if step is None else ''}, rectangular"
     return [
-        Row("calibration of the voltmeter", "B", calibration, how),
-        Row("resolution of the voltmeter", "B", np.full(voltage_V.size, fine_V / math.sqrt(12.0)), said),
+        BudgetRow("calibration of the voltmeter", "B", calibration, how),
+        BudgetRow("resolution of the voltmeter", "B", np.full(voltage_V.size, fine_V / math.sqrt(12.0)), said),
     ]
 
 
 def reading_half_width_s(held: HeldOut, known: Uncertainty) -> tuple[float, str]:
-    """(a, how): readings are off their instant by at most a [s]."""
+    """Return (a, how): readings are off their instant by at most a [s], and where that figure comes from."""
     if known.reading_time_s is not None:
         return known.reading_time_s, f"stated ±{known.reading_time_s:g} s, rectangular"
     if held.row_s >= HAND_READ_S:
@@ -132,7 +136,7 @@ def reading_half_width_s(held: HeldOut, known: Uncertainty) -> tuple[float, str]
 
 
 def loaded_slope(held: HeldOut) -> Array:
-    """|dV/dt| of the mean test [V/s]: second-order differences within rest and load, never across the step."""
+    """Return |dV/dt| of the mean test [V/s] by second-order differences, never across the start of the load."""
     mean_V = np.nanmean(held.measured_V, axis=(0, 1))
     out = np.zeros(mean_V.size)
     load = ~held.at_rest
@@ -142,32 +146,34 @@ def loaded_slope(held: HeldOut) -> Array:
 
 
 def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: Uncertainty) -> Budget:
-    """Budget of the voltage bias [V] at the instants with indices `at`."""
+    """Build the budget of the voltage bias [V] at the instants with indices `at`; `residual` [occasion, instant]."""
     half_s, how = reading_half_width_s(held, known)
     mean_V = np.nanmean(held.measured_V, axis=(0, 1))[at]
-    moment = Row("instant of reading", "B", loaded_slope(held)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope")
+    moment = BudgetRow(
+        "instant of reading", "B", loaded_slope(held)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope"
+    )
     rows = [*scatter_rows(residual), *meter_rows(held, mean_V, known), moment]
     return assembled("V", held.time_s[at], rows, len(residual) - 1.0)
 
 
 def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty) -> Budget:
-    """Budget of the bias of a crossing time [s]; `slope_Vps` there turns the voltmeter's rows into seconds."""
+    """Build the budget of the bias of a crossing time [s]; `slope_Vps` turns the voltmeter's rows into seconds."""
     half_s, how = reading_half_width_s(held, known)
     one = np.array([float(np.mean(levels_V))])
     divided = f"over {slope_Vps * 1e3:.3g} mV/s"
-    meter = [Row(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}") for r in meter_rows(held, one, known)]
-    moment = Row("instant of reading", "B", np.array([half_s / math.sqrt(3.0)]), how)
+    meter = [BudgetRow(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}") for r in meter_rows(held, one, known)]
+    moment = BudgetRow("instant of reading", "B", np.array([half_s / math.sqrt(3.0)]), how)
     return assembled("s", one, [*scatter_rows(residual_s), *meter, moment], len(residual_s) - 1.0)
 
 
 def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget:
-    """Budget of the bias of the surface temperature [K]."""
+    """Build the budget of the bias of the surface temperature [K]."""
     stated = known.temperature_calibration_C
     u = ASSUMED_TEMPERATURE_C if stated is None else stated
     how = "stated by the data set" if stated is not None else f"assumed {u:g} K: none stated"
-    rows = [*scatter_rows(residual_K), Row("calibration of the thermometer", "B", np.full(at_s.size, u), how)]
+    rows = [*scatter_rows(residual_K), BudgetRow("calibration of the thermometer", "B", np.full(at_s.size, u), how)]
     if known.temperature_resolution_C is not None:
         fine = np.full(at_s.size, known.temperature_resolution_C / math.sqrt(12.0))
         step = f"{known.temperature_resolution_C:g} K step, rectangular"
-        rows.append(Row("resolution of the thermometer", "B", fine, step))
+        rows.append(BudgetRow("resolution of the thermometer", "B", fine, step))
     return assembled("K", at_s, rows, len(residual_K) - 1.0)

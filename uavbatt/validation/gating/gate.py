@@ -1,4 +1,4 @@
-"""The gate: is the model equivalent to the tests, within limits declared for flight safety?
+"""The gate asks whether the model is equivalent to the tests, within limits declared for flight safety.
 
 Two one-sided tests per instant: the interval of the bias (model minus mean of the held-out occasions) must lie inside
 ±limit. It is simultaneous over the instants and holds both the scatter of the occasions and what that scatter cannot
@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Uncertainty
-from uavbatt.validation import budget as budgets
-from uavbatt.validation.budget import Budget
-from uavbatt.validation.crossing import crossing_time
-from uavbatt.validation.heldout import Curve, HeldOut
-from uavbatt.validation.series import KNEE_CELL_V
+from uavbatt.validation.gating import budget as budgets
+from uavbatt.validation.gating.budget import Budget
+from uavbatt.validation.gating.heldout import Curve, HeldOut
+from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.judging.series import KNEE_CELL_V
 
 Verdict = Literal["pass", "fail", "not enough data"]
 Method = Literal["iso", "paper"]
@@ -51,7 +51,7 @@ class Limits:
     precision_A_R: float = 1.0
 
     def for_cells(self, cells: int) -> Limits:
-        """The same limits for a pack of `cells` in series."""
+        """Scale the limits in volts to a pack of `cells` in series."""
         share = cells / 3.0
         return Limits(
             voltage_V=self.voltage_V * share,
@@ -84,19 +84,22 @@ class Claim:
 
 
 def informing(claim: str, ambient_C: float, reason: str, statistics: Mapping[str, float] | None = None) -> Claim:
-    """A claim of which nothing can be said, with the reason; it does not gate."""
+    """Make a claim of which nothing can be said, with the reason; it does not gate."""
     nothing = np.empty(0)
     return Claim(claim, ambient_C, "not enough data", reason, False, nothing, nothing, nothing, nothing, np.nan, "",
                  statistics=statistics or {})  # fmt: skip
 
 
 def gating(claim: Claim, gates: bool) -> Claim:
-    """The same claim, deciding or informing."""
+    """Return the same claim, deciding or informing."""
     return replace(claim, gates=gates)
 
 
 def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
-    """Verdict and reason for biases with the half widths of their intervals against ±`limit`."""
+    """Return verdict and reason for biases with the half widths of their intervals against ±`limit`.
+
+    All three are in the unit of the claim; `bias` and `half` per instant.
+    """
     instants = bias.size
     beyond = np.abs(bias) > limit
     if not instants:
@@ -126,13 +129,13 @@ def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Ar
 
 
 def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
-    """Indices of the instants before the speed controller's limiter takes over."""
+    """Return the indices of the instants before the speed controller's limiter takes over."""
     mean_V = np.nanmean(held.measured_V, axis=(0, 1))
     return np.flatnonzero(mean_V > cutoff_V + limits.limiter_margin_V)
 
 
 def complete(residual: Array) -> Array:
-    """The occasions whose residual is known at every instant."""
+    """Keep the occasions whose residual is known at every instant."""
     known: Array = residual[np.isfinite(residual).all(axis=1)]
     return known
 
@@ -145,7 +148,7 @@ def too_few(name: str, ambient_C: float, n: int) -> Claim:
 
 
 def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
-    """Bias of the voltage at fixed times, under intermediate precision."""
+    """Judge the bias of the voltage at fixed times, under intermediate precision."""
     name = "voltage bias (intermediate precision)"
     at = judged_instants(held, limits, cutoff_V)
     residual = complete(held.residual_V()[:, at])
@@ -160,7 +163,7 @@ def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncerta
 def corridor_claim(
     held: HeldOut, mean_V: Array, limit_V: Array, limits: Limits, cutoff_V: float, gates: bool = False
 ) -> Claim:
-    """The study's own criterion: the model's mean curve inside x̄ ± C at every instant before the limiter."""
+    """Judge by the study's own criterion: the model's mean curve inside x̄ ± C at every instant before the limiter."""
     at = judged_instants(held, limits, cutoff_V)
     gap = (np.nanmean(held.model_V, axis=(0, 1)) - mean_V)[at]
     inside = np.abs(gap) <= limit_V[at] + 1e-9
@@ -174,13 +177,13 @@ def corridor_claim(
 
 
 def crossing_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim:
-    """Bias of the time at which the pack falls to the crossing voltage; model and data interpolated alike."""
+    """Judge the bias of the time at which the pack falls to the crossing voltage; model and data read alike."""
     level = limits.crossing_V
     return _timed(f"time of {level:.4g} V", held, np.array([level]), limits, known)
 
 
 def knee_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
-    """Bias of the time of the knee: the mean crossing of eight voltages just above the cut-off (`series`)."""
+    """Judge the bias of the time of the knee: the mean crossing of eight voltages just above the cut-off (`series`)."""
     return _timed("time of the knee", held, cutoff_V + held.cells * KNEE_CELL_V, limits, known)
 
 
@@ -235,7 +238,7 @@ def _slope(runs: list[Curve], levels_V: Array) -> float:
 
 
 def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | None:
-    """Bias of the surface temperature; informs, does not gate. None when it was not measured."""
+    """Judge the bias of the surface temperature; it informs, does not gate. None when it was not measured."""
     if held.measured_C is None or held.model_C is None:
         return None
     name = "surface temperature bias"
@@ -253,7 +256,7 @@ def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | 
 
 
 def overall(claims: Sequence[Claim]) -> Verdict:
-    """The verdict that decides: that of the worst claim that gates."""
+    """Return the verdict that decides: that of the worst claim that gates."""
     verdicts = [c.verdict for c in claims if c.gates]
     if not verdicts or "fail" in verdicts:
         return "fail" if verdicts else "not enough data"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
 
 DRAWS = 4000
 
@@ -29,14 +29,17 @@ class Components:
     samples: int
 
     def sd(self, with_samples: bool) -> Array:
-        """SD of one new result per level: occasion and residual, and sample if asked for."""
+        """Return the SD of one new result per level: occasion and residual, and sample if asked for."""
         total = self.occasion + self.residual + (self.sample if with_samples else 0.0)
         root: Array = np.sqrt(np.maximum(np.diag(total), 0.0))
         return root
 
 
 def tolerance_factor(n: float, df: float, content: float = 0.95, confidence: float = 0.95) -> float:
-    """k with x̄ ± k·s holding `content` of the population with `confidence` (Howe): z·√(ν(1+1/n)/χ²(1-γ;ν))."""
+    """Return k with x̄ ± k·s holding `content` of the population with `confidence`: z·√(ν(1+1/n)/χ²(1-γ;ν)) (Howe).
+
+    n : number of results behind the mean, df : degrees of freedom ν of s; NaN where they are too few.
+    """
     if df < 1 or n <= 0:
         return math.nan
     z = float(stats.norm.ppf((1 + content) / 2))
@@ -44,7 +47,7 @@ def tolerance_factor(n: float, df: float, content: float = 0.95, confidence: flo
 
 
 def components(y: Array) -> Components:
-    """Covariance components of `y[occasion, sample, level]` by the crossed model's mean products, clipped to >= 0."""
+    """Estimate the covariances of `y[occasion, sample, level]` by the crossed model, clipped to >= 0."""
     o, k, levels = y.shape
     d = y - y[0, 0]
     rows, columns, grand = d.mean(axis=1), d.mean(axis=0), d.mean(axis=(0, 1))
@@ -73,7 +76,7 @@ def _root(matrix: Array) -> Array:
 def new_curve_scores(
     parts: Components, with_samples: bool, seed: int = 5725, draws: int = DRAWS
 ) -> tuple[Array, Array]:
-    """|new curve - mean|/s per draw and level, with s by the crossed model and s the plain SD of all results.
+    """Simulate |new curve - mean|/s, [draw, level], with s by the crossed model and s the plain SD of all results.
 
     One draw repeats the whole experiment (occasions x samples), estimates mean and s, and tests one new curve.
     """
@@ -121,11 +124,11 @@ def _ratio(gap: Array, sd: Array) -> Array:
 
 
 def simultaneous_factor(scores: Array, content: float = 0.95) -> float:
-    """Factor that holds a new curve at all levels at once with probability `content`."""
+    """Return the factor that holds a new curve at all levels at once with probability `content`."""
     return float(np.quantile(scores.max(axis=1), content))
 
 
 def coverage(scores: Array, factor: float) -> tuple[float, float]:
-    """Probability that mean ± factor·s holds a new curve: at one level (average), and at all levels at once."""
+    """Return the probabilities that mean ± factor·s holds a new curve: at one level (average), at all at once."""
     inside = scores <= factor
     return float(inside.mean()), float(inside.all(axis=1).mean())

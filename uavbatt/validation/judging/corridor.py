@@ -18,12 +18,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.dataset import DataSet, Levels, whole_minutes
-from uavbatt.validation import bands
-from uavbatt.validation.cells import Array
-from uavbatt.validation.crossing import Which, crossing_time
-from uavbatt.validation.intervals import satterthwaite
-from uavbatt.validation.series import QuasiReplicates, quasi_replicates
+from uavbatt.dataset import DataSet, Levels
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.iso5725.intervals import satterthwaite
+from uavbatt.validation.judging import bands
+from uavbatt.validation.judging.crossing import Which, crossing_time
+from uavbatt.validation.judging.readings import VOLTAGE, Readings
+from uavbatt.validation.judging.series import QuasiReplicates
 
 MIN_OCCASIONS = 3
 NDBool = NDArray[np.bool_]
@@ -65,7 +66,7 @@ class Corridor:
     notes: tuple[str, ...]
 
     def inside(self, values: Array, half_width: Array | None = None) -> NDBool:
-        """Which of `values` lie within the mean ± `half_width` (default C)."""
+        """Mark the `values` that lie within the mean ± `half_width` (default C)."""
         width = self.C if half_width is None else half_width
         within: NDBool = np.abs(values - self.mean) <= width + 1e-9
         return within
@@ -93,7 +94,7 @@ class LeaveOneOut:
 
 
 def shared_table(levels: Levels) -> Shared:
-    """The occasions that all samples share, as a full table, and what was left out to get there.
+    """Cut repeated runs to the occasions that all samples share, and name what was left out to get there.
 
     A sample with less than half of the runs of the longest is left out rather than the occasions it lacks; samples
     that share no two occasions are put side by side in the order of their runs.
@@ -117,29 +118,29 @@ def shared_table(levels: Levels) -> Shared:
     return Shared(np.stack([t[:n] for t in tables], axis=1), tuple(range(1, n + 1)), names, tuple(notes))
 
 
-def corridor(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V", seed: int = 5725) -> Corridor | None:
-    """The corridor at one ambient temperature, at fixed times; None if the quantity was not measured there."""
-    levels = whole_minutes(dataset, ambient_C, quantity)
+def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed: int = 5725) -> Corridor | None:
+    """Build the corridor at one ambient temperature [°C], at fixed times; None if `quantity` was not measured there."""
+    levels = readings.levels(ambient_C, quantity)
     if levels is None:
         return None
     shared = shared_table(levels)
     table, notes = shared.table, levels.left_out + levels.notes + shared.notes
     if len(table) >= MIN_OCCASIONS:
         return from_table(ambient_C, quantity, levels.time_s, table, notes, seed)
-    group = _group_at(dataset, ambient_C) if quantity == "voltage_V" else None
+    group = _group_at(readings, ambient_C) if quantity == VOLTAGE else None
     if group is not None:
         return from_quasi_replicates(ambient_C, group, notes, seed)
     return _unknown(ambient_C, quantity, levels.time_s, table, notes)
 
 
-def corridors(dataset: DataSet, quantity: str = "voltage_V", seed: int = 5725) -> dict[float, Corridor]:
-    """The corridor of every ambient temperature at which `quantity` was measured."""
-    found = ((t, corridor(dataset, t, quantity, seed)) for t in dataset.ambients_C)
+def corridors(readings: Readings, quantity: str = VOLTAGE, seed: int = 5725) -> dict[float, Corridor]:
+    """Build the corridor of every ambient temperature at which `quantity` was measured."""
+    found = ((t, corridor(readings, t, quantity, seed)) for t in readings.dataset.ambients_C)
     return {t: c for t, c in found if c is not None}
 
 
 def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
-    """Voltages [V] that every run falls through after the first reading: steps of 0.1 V for three cells."""
+    """List the voltages [V] that every run falls through after the first reading: steps of 0.1 V for three cells."""
     step = round(0.1 * dataset.cells_series / 3, 2)
     curves = np.concatenate([levels.curves(j) for j in range(len(levels.samples))])
     if not len(curves):
@@ -151,17 +152,17 @@ def crossing_levels(dataset: DataSet, levels: Levels) -> Array:
 
 
 def time_corridor(
-    dataset: DataSet, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
+    readings: Readings, ambient_C: float, voltages_V: Array | None = None, which: Which = "first", seed: int = 5725
 ) -> Corridor | None:
-    """The corridor of crossing times [s] at fixed voltages; None without voltages that every run falls through."""
-    levels = whole_minutes(dataset, ambient_C)
+    """Build the corridor of crossing times [s] at fixed voltages; None if no voltage is crossed by every run."""
+    levels = readings.levels(ambient_C)
     if levels is None:
         return None
-    volts = crossing_levels(dataset, levels) if voltages_V is None else np.asarray(voltages_V, dtype=float)
+    volts = crossing_levels(readings.tests, levels) if voltages_V is None else np.asarray(voltages_V, dtype=float)
     if not len(volts):
         return None
     values = np.full((*levels.values.shape[:2], len(volts)), math.nan)
-    for run in dataset.at(ambient_C):
+    for run in readings.tests.at(ambient_C):
         if run.sample in levels.samples and run.run in levels.occasions:
             where = (levels.occasions.index(run.run), levels.samples.index(run.sample))
             values[where] = [crossing_time(run.time_s, run.voltage_V, float(v), which) for v in volts]
@@ -176,7 +177,11 @@ def time_corridor(
 def from_table(
     ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...] = (), seed: int = 5725
 ) -> Corridor:
-    """The corridor from `table[occasion, sample, level]` of repeats, three occasions or more."""
+    """Build the corridor from `table[occasion, sample, level]` of repeats, three occasions or more, at `at`.
+
+    `at` holds the instants [s] (or voltages [V] for crossing times) of the levels; `quantity` gives the
+    unit of the table.
+    """
     o, k, levels = table.shape
     parts = bands.components(table)
     with_samples = k >= 3
@@ -215,15 +220,15 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
     return np.array(found)
 
 
-def _group_at(dataset: DataSet, ambient_C: float) -> QuasiReplicates | None:
-    hits = (g for g in quasi_replicates(dataset) if np.any(np.abs(g.ambients_C - ambient_C) < 0.25))
+def _group_at(readings: Readings, ambient_C: float) -> QuasiReplicates | None:
+    hits = (g for g in readings.near_repeats if np.any(np.abs(g.ambients_C - ambient_C) < 0.25))
     return next(hits, None)
 
 
 def from_quasi_replicates(
     ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...] = (), seed: int = 5725
 ) -> Corridor:
-    """The corridor about a line in temperature through one-time curves one degree apart."""
+    """Build the corridor about a line in temperature through one-time curves one degree apart."""
     m, levels = group.residuals.shape
     covariance = group.residuals.T @ group.residuals / (m - 2)
     t = group.ambients_C - group.ambients_C.mean()
@@ -261,7 +266,7 @@ def _unknown(ambient_C: float, quantity: str, at: Array, table: Array, notes: tu
 
 
 def leave_one_out(levels: Levels) -> LeaveOneOut | None:
-    """Each occasion against mean ± 2S of all the others; None with fewer than four shared occasions."""
+    """Judge each occasion by mean ± 2S of all the others; None with fewer than four shared occasions."""
     shared = shared_table(levels)
     table = shared.table
     o, k, size = table.shape

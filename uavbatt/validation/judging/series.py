@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.dataset import DataSet, Flag, Run
-from uavbatt.validation.cells import Array
-from uavbatt.validation.crossing import crossing_time
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.judging.crossing import crossing_time
 
 KNEE_CELL_V = np.linspace(0.2, 0.9, 8) / 3  # above the cut-off, a cell; 9.5 to 10.2 V on the study's pack
 COLDEST_C = -10.0  # below, cold resistance and self-heating bend the law by themselves
@@ -49,18 +49,18 @@ class QuasiReplicates:
     left_out: tuple[str, ...]
 
     def line(self, ambient_C: float) -> Array:
-        """Voltage on the line at `ambient_C` [V]."""
+        """Return the voltage on the line at `ambient_C` [°C], in V per instant."""
         mean: Array = self.centre + self.slope * (ambient_C - self.ambients_C.mean())
         return mean
 
     def leverage(self, ambient_C: float) -> float:
-        """1/n of the line at `ambient_C`: 1/m + (T-T̄)²/Σ(T-T̄)²."""
+        """Return 1/n of the line at `ambient_C` [°C]: 1/m + (T-T̄)²/Σ(T-T̄)²."""
         t = self.ambients_C - self.ambients_C.mean()
         return 1 / len(t) + (ambient_C - float(self.ambients_C.mean())) ** 2 / float((t**2).sum())
 
 
 def single_series(dataset: DataSet) -> tuple[Run, ...]:
-    """Runs of the sample with the most ambient temperatures tested once, ascending in temperature."""
+    """List the runs of the sample with the most ambient temperatures tested once, ascending in temperature."""
     by_sample: dict[str, list[Run]] = {}
     for run in dataset.runs:
         twins = [r for r in dataset.at(run.ambient_C) if r.sample == run.sample]
@@ -71,17 +71,19 @@ def single_series(dataset: DataSet) -> tuple[Run, ...]:
 
 
 def knee_time(run: Run, dataset: DataSet) -> float:
-    """Mean time [s] of the first falls through eight voltages just above the cut-off; NaN if any is missing."""
+    """Return the mean time [s] of the first falls through eight voltages just above the cut-off, else NaN."""
     volts = dataset.cutoff_V + dataset.cells_series * KNEE_CELL_V
     return float(np.mean([crossing_time(run.time_s, run.voltage_V, float(v)) for v in volts]))
 
 
-def breaks(dataset: DataSet) -> tuple[Break, ...] | None:
-    """Breaks between series of one-time tests at -10 °C and above; None with fewer than eight temperatures.
+def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | None:
+    """Find the breaks in a series of one-time tests (`single_series`) at -10 °C and above.
+
+    Returns None with fewer than eight temperatures.
 
     Score: knee-time difference of neighbours less the median slope, over the robust scatter (1.483·MAD).
     """
-    runs = [r for r in single_series(dataset) if r.ambient_C >= COLDEST_C]
+    runs = [r for r in series if r.ambient_C >= COLDEST_C]
     knee = np.array([knee_time(r, dataset) for r in runs])
     T = np.array([r.ambient_C for r in runs])[~np.isnan(knee)]
     knee = knee[~np.isnan(knee)]
@@ -99,20 +101,21 @@ def breaks(dataset: DataSet) -> tuple[Break, ...] | None:
     )
 
 
-def quasi_replicates(dataset: DataSet, with_flagged: bool = False) -> tuple[QuasiReplicates, ...]:
-    """Groups of five one-time curves or more, at most one degree apart, that no break divides.
+def quasi_replicates(
+    series: tuple[Run, ...], broken: tuple[Break, ...] | None, flags: tuple[Flag, ...] = ()
+) -> tuple[QuasiReplicates, ...]:
+    """Group a series of one-time tests into near repeats: five curves or more, a degree apart, no break between.
 
-    Readings that the data set flags take part only `with_flagged`; the groups name those left out.
+    Readings that `flags` name take no part; the groups say which were left out.
     """
-    divided = {b.high_C for b in breaks(dataset) or ()}
+    divided = {b.high_C for b in broken or ()}
     groups: list[list[Run]] = []
-    for run in single_series(dataset):
+    for run in series:
         near = groups and run.ambient_C - groups[-1][-1].ambient_C <= 1.01 and run.ambient_C not in divided
         if near and np.array_equal(run.time_s, groups[-1][-1].time_s):
             groups[-1].append(run)
         else:
             groups.append([run])
-    flags = () if with_flagged else dataset.flags
     return tuple(_line(group, flags) for group in groups if len(group) >= MIN_CURVES)
 
 

@@ -1,4 +1,4 @@
-"""Are the results what they seem: samples independent of each other, one population, resolved by the instrument?
+"""Tests of what the results seem to be: independent samples, one population, resolved by the instrument.
 
 Independence: if run k of two samples were unrelated, pairing the runs at random would give as many identical
 readings, and residuals as correlated, as the order in the table. Permutation p-values, every order tried up to
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, numbers
-from uavbatt.validation.drift import NDIndex, permutations
+from uavbatt.validation.iso5725.cells import Array, numbers
+from uavbatt.validation.judging.drift import NDIndex, permutations
 
 RANDOM_PAIRINGS = 20_000
 DEPENDENT_BELOW = 0.01
@@ -70,7 +70,10 @@ def _orders(n: int, count: int, seed: int) -> NDIndex:
 
 
 def independence(first: Array, second: Array, seed: int = 5725, resolution: float = 0.0) -> Independence:
-    """Compare two tables run x time of equal shape; readings within half a `resolution` are identical."""
+    """Compare two tables run x time of equal shape, in the unit of the results.
+
+    Readings within half a `resolution` are identical.
+    """
     a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     if a.shape != b.shape or a.ndim != 2:
         raise ValueError(f"expected two tables run x time of one shape, found {a.shape} and {b.shape}")
@@ -108,7 +111,7 @@ def split_share(rows: Array) -> Array:
 
 
 def bimodality(results: ArrayLike, step: float | None = None, seed: int = 5725) -> Bimodality:
-    """Do the results fall into two groups, three steps or more apart, each of two results or more?"""
+    """Test whether the results fall into two groups, three steps or more apart, each of two results or more."""
     values = np.sort(numbers(results, "results"))
     n = len(values)
     if n < 6:
@@ -125,7 +128,7 @@ def bimodality(results: ArrayLike, step: float | None = None, seed: int = 5725) 
 
 
 def resolution(results: ArrayLike, step: float | None = None) -> Resolution:
-    """Smallest difference between results (or the `step` given) against their SD; coarse below two steps."""
+    """Compare the smallest difference between results (or the `step` given) with their SD; coarse below two steps."""
     values = numbers(results, "results")
     distinct = np.unique(np.round(values, 9))
     grain = float(np.diff(distinct).min()) if step is None and len(distinct) > 1 else step or 0.0

@@ -1,4 +1,4 @@
-"""What the tests say about themselves: findings computed from a data set, in words that a pilot understands.
+"""Findings: the tests judged by themselves, computed from the data set and said in words that a pilot understands.
 
 Nothing here knows the study's numbers; each function looks for one thing in any data set and returns what it finds,
 or nothing. `detail` carries the numbers and the test behind the words, `numbers` the same for programs.
@@ -13,14 +13,16 @@ from typing import Literal
 
 import numpy as np
 
-from uavbatt.dataset import DataSet, Levels, whole_minutes
+from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation import outliers, paper
-from uavbatt.validation.cells import Array
-from uavbatt.validation.corridor import corridor, leave_one_out, shared_table
-from uavbatt.validation.drift import abbe, curve_step
-from uavbatt.validation.independence import bimodality, independence, resolution
-from uavbatt.validation.series import breaks, quasi_replicates
+from uavbatt.validation.iso5725 import outliers
+from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
+from uavbatt.validation.judging.drift import abbe, curve_step
+from uavbatt.validation.judging.independence import bimodality, independence, resolution
+from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
+from uavbatt.validation.judging.series import quasi_replicates
+from uavbatt.validation.study import paper
 
 NAMES = {"voltage_V": "voltage", "surface_C": "surface temperature"}
 UNITS = {"voltage_V": "V", "surface_C": "°C"}
@@ -29,7 +31,7 @@ HELD_WELL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that the tests say about themselves. `severity`: what it means for trust in the result."""
+    """A finding tells one thing about the tests; `severity` is what it means for trust in the result."""
 
     kind: str
     title: str
@@ -38,17 +40,20 @@ class Finding:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
 
-def findings(dataset: DataSet, ambient_C: float = 25.0) -> tuple[Finding, ...]:
-    """Every finding, at `ambient_C` [°C] where it is about repeats; the most serious first."""
-    volts, heat = (whole_minutes(dataset, ambient_C, q) for q in ("voltage_V", "surface_C"))
-    found: list[Finding] = []
+def findings(readings: Readings, ambient_C: float, band: Corridor | None) -> tuple[Finding, ...]:
+    """Judge the tests by themselves, at `ambient_C` [°C] where it is about repeats; the most serious comes first.
+
+    `band` is the corridor of the voltage at that temperature, None where nothing was measured.
+    """
+    volts, heat = (readings.levels(ambient_C, q) for q in (VOLTAGE, SURFACE))
+    dataset, found = readings.tests, list[Finding]()
     if volts is not None and len(volts.occasions) > 1:
-        found += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(dataset, volts)]
-        found += [*_outside(dataset, ambient_C), *_paper(dataset, ambient_C)]
+        found += [*_dependence(dataset, volts), *_few_samples(volts), *_coverage(volts, band)]
+        found += [*_outside(dataset, ambient_C, band), *_paper(dataset.name, volts, heat)]
     for levels in (volts, heat):
         if levels is not None and len(levels.occasions) > 1:
             found += [*_drift(levels), *_outliers(levels), *_two_groups(dataset, levels), *_coarse(dataset, levels)]
-    found += [*_misprints(dataset), *_breaks(dataset)]
+    found += [*_misprints(readings), *_breaks(readings)]
     rank = {"serious": 0, "warning": 1, "note": 2}
     return tuple(sorted(found, key=lambda f: rank[f.severity]))
 
@@ -91,8 +96,8 @@ def _few_samples(levels: Levels) -> Iterator[Finding]:
         yield Finding("reproducibility_unknown", title, detail, "warning", {"samples": k})
 
 
-def _coverage(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
-    left, band = leave_one_out(levels), corridor(dataset, levels.ambient_C)
+def _coverage(levels: Levels, band: Corridor | None) -> Iterator[Finding]:
+    left = leave_one_out(levels)
     if left is None or band is None or min(left.share_all, band.covers_all) >= HELD_WELL:
         return
     held, total = int(left.inside.sum()), left.inside.size
@@ -108,8 +113,7 @@ def _coverage(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
     yield Finding("corridor_coverage", title, detail, "serious", numbers)
 
 
-def _outside(dataset: DataSet, ambient_C: float) -> Iterator[Finding]:
-    band = corridor(dataset, ambient_C)
+def _outside(dataset: DataSet, ambient_C: float, band: Corridor | None) -> Iterator[Finding]:
     if band is None or band.basis != "repeats":
         return
     runs = dataset.at(ambient_C)
@@ -134,9 +138,9 @@ def _outside(dataset: DataSet, ambient_C: float) -> Iterator[Finding]:
         yield Finding("curve_outside_corridor", title, detail, "serious", numbers)
 
 
-def _paper(dataset: DataSet, ambient_C: float) -> Iterator[Finding]:
+def _paper(name: str, volts: Levels, heat: Levels | None) -> Iterator[Finding]:
     try:
-        replay = paper.replay(dataset, ambient_C)
+        replay = paper.replay_levels(name, volts, heat)
     except NotEnoughData:
         return
     for quantity, pooled in (("voltage_V", replay.pooled), ("surface_C", replay.pooled_surface)):
@@ -176,7 +180,7 @@ def _printed(replay: paper.PaperReplay) -> Iterator[Finding]:
 
 
 def _drift(levels: Levels) -> Iterator[Finding]:
-    """Abbe's test on occasion means, Holm over the instants; the step over the instants that drift."""
+    """Test the occasion means for drift by Abbe, Holm over the instants, and find the step over those that drift."""
     shared = shared_table(levels)
     means = shared.table.mean(axis=1)
     if len(means) < 6:
@@ -257,9 +261,9 @@ def _coarse(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
         yield Finding("coarse_resolution", title, detail, "note", {"instants": len(coarse), "step": step})
 
 
-def _misprints(dataset: DataSet) -> Iterator[Finding]:
-    """Single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
-    for group in quasi_replicates(dataset, with_flagged=True):
+def _misprints(readings: Readings) -> Iterator[Finding]:
+    """Find single readings that leave the line through their neighbours in temperature (Grubbs 1 % on residuals)."""
+    for group in quasi_replicates(readings.series, readings.broken):
         for i, t in enumerate(group.time_s):
             for index, side, G, limit in _beyond(group.residuals[:, i]):
                 T = float(group.ambients_C[index])
@@ -272,8 +276,8 @@ def _misprints(dataset: DataSet) -> Iterator[Finding]:
                 yield Finding("likely_misprint", title, detail, "warning", numbers)
 
 
-def _breaks(dataset: DataSet) -> Iterator[Finding]:
-    for b in breaks(dataset) or ():
+def _breaks(readings: Readings) -> Iterator[Finding]:
+    for b in readings.broken or ():
         title = f"The one-time tests break between {b.low_C:+g} and {b.high_C:+g} °C: two series, not one"
         detail = (
             f"The knee comes {abs(b.jump_s):.0f} s {'later' if b.jump_s > 0 else 'earlier'} at {b.high_C:+g} °C, "

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from scipy import stats
 
-from uavbatt.validation.cells import Array
+from uavbatt.validation.iso5725.cells import Array
 
 LIMIT_FACTOR = 2.8
 DRIFT_LIMIT = 0.2

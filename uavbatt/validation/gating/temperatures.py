@@ -1,4 +1,4 @@
-"""Closing the loop on one-time tests over ambient temperature: what does an isothermal model leave, and what mends it?
+"""Closing the loop on one-time tests over ambient temperature shows what an isothermal model leaves, and what mends it.
 
 The isothermal model is gated first, at the temperature that has repeats, and its residual over temperature shown.
 Then the terms that could explain the residual are added one by one (`cold_model`): self-heating, a resistance that
@@ -12,7 +12,7 @@ is a lenient test: what fails it has failed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,19 +20,19 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from uavbatt.battery.model import Array
-from uavbatt.dataset import DataSet
 from uavbatt.fitting import prior
-from uavbatt.validation import cold_model, gate, heldout
-from uavbatt.validation.cold_model import OneTimeTests, Variant
-from uavbatt.validation.gate import Claim, Limits
-from uavbatt.validation.heldout import HeldOut
-from uavbatt.validation.series import breaks, single_series
+from uavbatt.validation.gating import cold_model, gate, heldout
+from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
+from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.judging.readings import Readings
 
 LEAST_TESTS = 8
 COLD_C = -10.0
 FOLDS = 4
 RISE_S = (60.0, 180.0)
 SIGNIFICANT = 0.05
+START_FITS = 0.5  # one start of a variant takes about half as long as one fit of the circuit model
 TERMS = {(False, False): "isothermal", (False, True): "isothermal, steeper cold resistance",
          (True, False): "self-heating", (True, True): "self-heating, steeper cold resistance"}  # fmt: skip
 
@@ -58,7 +58,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """Does `after` predict unseen tests of `group` better than `before`? RMSE [V], one-sided p; `holds` by Holm."""
+    """The gain of `after` over `before` on unseen tests of `group`: RMSE [V], one-sided p; `holds` by Holm."""
 
     question: str
     scope: str
@@ -91,16 +91,32 @@ class TemperatureLoop:
     left_out: tuple[str, ...]
 
 
-def close_loop(dataset: DataSet, limits: Limits) -> TemperatureLoop | None:
-    """The whole analysis; None when fewer than eight temperatures were tested once, or the current was measured."""
+def fits(readings: Readings) -> float:
+    """Return how much work `close_loop` is, in fits of the circuit model; 0 where it has nothing to do."""
+    tests = None if heldout.is_metered(readings.dataset) else one_time_tests(readings)[0]
+    if tests is None:
+        return 0.0
+    variants = [*_variants("cold", _cold(tests)), *_variants("all", tests)]
+    return len(heldout.repeats(readings).occasions) + START_FITS * sum(map(_fresh_starts, variants))
+
+
+def close_loop(
+    readings: Readings, limits: Limits, progress: Callable[[float], None] | None = None
+) -> TemperatureLoop | None:
+    """Gate the isothermal model, add terms one by one, and judge each on tests that the fit has not seen.
+
+    Returns None when fewer than eight temperatures were tested once, or the current was measured. `progress` is called
+    with the fits just done, which add up to `fits(readings)`.
+    """
+    dataset = readings.dataset
     if heldout.is_metered(dataset):
         return None
-    tests, left_out = one_time_tests(dataset)
+    tests, left_out = one_time_tests(readings)
     if tests is None:
         return None
     declared, known = limits.for_cells(dataset.cells_series), dataset.uncertainty
     effects = tuple(e for e in prior.BASE_EFFECTS if e != "self_heating")
-    held = heldout.circuit(dataset, effects=effects, model="circuit without self-heating")
+    held = heldout.circuit(readings, progress, effects=effects, model="circuit without self-heating")
     surface = gate.surface_claim(held, declared, known)
     claims = (
         gate.voltage_claim(held, declared, dataset.cutoff_V, known),
@@ -109,7 +125,7 @@ def close_loop(dataset: DataSet, limits: Limits) -> TemperatureLoop | None:
         *(() if surface is None else (surface,)),
     )
     groups = _groups(tests)
-    outcomes = (*_outcomes("cold", _cold(tests), groups), *_outcomes("all", tests, groups))
+    outcomes = (*_outcomes("cold", _cold(tests), groups, progress), *_outcomes("all", tests, groups, progress))
     gains = _gains(outcomes, groups)
     by_ambient = {s.ambient_C: float(np.sqrt(np.mean((s.model_V - s.measured_V) ** 2))) for s in held.singles}
     rise = _rise(tests.time_s, tests.voltage_V)
@@ -131,9 +147,9 @@ def close_loop(dataset: DataSet, limits: Limits) -> TemperatureLoop | None:
     )
 
 
-def one_time_tests(dataset: DataSet) -> tuple[OneTimeTests | None, tuple[str, ...]]:
-    """The one-time tests as a table, flagged readings left out and named; None when there are too few."""
-    runs = single_series(dataset)
+def one_time_tests(readings: Readings) -> tuple[OneTimeTests | None, tuple[str, ...]]:
+    """Put the one-time tests into a table, flagged readings left out and named; None when there are too few."""
+    dataset, runs = readings.tests, readings.series
     if len(runs) < LEAST_TESTS or any(not np.array_equal(r.time_s, runs[0].time_s) for r in runs):
         return None, ()
     volts, left_out = np.array([r.voltage_V for r in runs]), []
@@ -143,7 +159,7 @@ def one_time_tests(dataset: DataSet) -> tuple[OneTimeTests | None, tuple[str, ..
                 volts[i, r.time_s == flag.time_s] = np.nan
                 left_out.append(flag.where)
     T = np.array([r.ambient_C for r in runs])
-    edges = sorted(b.high_C for b in breaks(dataset) or ())
+    edges = sorted(b.high_C for b in readings.broken or ())
     series = np.searchsorted(edges, T, "right").astype(np.intp)
     return OneTimeTests(T, runs[0].time_s, volts, series, dataset.cells_series), tuple(left_out)
 
@@ -168,18 +184,38 @@ def _rise(time_s: Array, voltage_V: Array) -> Array:
     return out
 
 
-def _outcomes(scope: str, tests: OneTimeTests, groups: Mapping[str, tuple[float, float]]) -> list[Outcome]:
+def _variants(scope: str, tests: OneTimeTests) -> list[Variant]:
+    """The models to compare, what a model contains before itself; none for fewer than three tests."""
     if tests.ambient_C.size < 3:
         return []
     several = len(set(tests.series.tolist())) > 1
-    out = []
-    for series in (False, True) if several else (False,):
-        smaller: tuple[cold_model.Fit, ...] = ()
-        for (heat, steep), name in TERMS.items():
-            if scope == "cold" or heat == steep:
-                outcome, found = _outcome(scope, Variant(name, heat, steep, series), tests, groups, smaller)
-                smaller = (*smaller, found)
-                out.append(outcome)
+    return [
+        Variant(name, heat, steep, series)
+        for series in ((False, True) if several else (False,))
+        for (heat, steep), name in TERMS.items()
+        if scope == "cold" or heat == steep
+    ]
+
+
+def _fresh_starts(variant: Variant) -> int:
+    """Starts of the optimiser besides those from the smaller models."""
+    return cold_model.FRESH // 2 if variant.self_heating or variant.steeper_cold else cold_model.FRESH
+
+
+def _outcomes(
+    scope: str,
+    tests: OneTimeTests,
+    groups: Mapping[str, tuple[float, float]],
+    progress: Callable[[float], None] | None,
+) -> list[Outcome]:
+    out, fitted = [], list[cold_model.Fit]()
+    for variant in _variants(scope, tests):
+        smaller = [f for f in fitted if f.variant.series == variant.series]
+        outcome, found = _outcome(scope, variant, tests, groups, smaller)
+        fitted.append(found)
+        out.append(outcome)
+        if progress is not None:
+            progress(START_FITS * _fresh_starts(variant))
     return out
 
 
@@ -188,11 +224,11 @@ def _outcome(
     variant: Variant,
     tests: OneTimeTests,
     groups: Mapping[str, tuple[float, float]],
-    smaller: tuple[cold_model.Fit, ...],
+    smaller: list[cold_model.Fit],
 ) -> tuple[Outcome, cold_model.Fit]:
     T, count = tests.ambient_C, int(tests.series.max()) + 1
     inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
-    found = cold_model.fit(variant, tests, count, inside, cold_model.FRESH // 2 if inside else cold_model.FRESH)
+    found = cold_model.fit(variant, tests, count, inside, _fresh_starts(variant))
     fitted, unseen = cold_model.residuals(found, tests), np.empty((T.size, tests.time_s.size))
     folds = FOLDS if T.size >= 2 * FOLDS else T.size
     for k in range(folds):
@@ -248,7 +284,7 @@ def _gains(outcomes: tuple[Outcome, ...], groups: Mapping[str, tuple[float, floa
 
 
 def _holm(gains: list[Gain]) -> tuple[Gain, ...]:
-    """Which gains hold at 5 % over all questions together (Holm)."""
+    """Mark the gains that hold at 5 % over all questions together (Holm)."""
     order = np.argsort([g.p_value for g in gains])
     holds, still = set(), True
     for rank, i in enumerate(order):
@@ -272,7 +308,7 @@ def _gain(question: str, before: Outcome, after: Outcome, group: str, span: tupl
 def _conclusions(
     gains: tuple[Gain, ...], outcomes: tuple[Outcome, ...], tests: OneTimeTests, rise: Array
 ) -> tuple[str, ...]:
-    """One sentence per question: what holds on unseen tests and what does not."""
+    """Say in one sentence per question what holds on unseen tests and what does not."""
     said = []
     for g in gains:
         where = f"{g.question} ({g.group})"

@@ -63,7 +63,7 @@ class Summary:
 
 
 def numbers(values: ArrayLike, what: str) -> Array:
-    """A flat array of finite results, or `BadCells` naming `what`."""
+    """Return a flat array of finite results. Raises BadCells naming `what`."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -79,7 +79,7 @@ def numbers(values: ArrayLike, what: str) -> Array:
 
 
 def summarise(cells: Cells) -> Summary:
-    """Counts, means and variances of the cells, in two passes about the first result."""
+    """Reduce cells to counts, means and variances, in two passes about the first result."""
     if isinstance(cells, str) or not hasattr(cells, "__len__") or len(cells) == 0:
         raise BadCells("cells: expected one sequence of results per sample, there is none")
     arrays = [numbers(c, f"cell {i + 1}") for i, c in enumerate(cells)]
@@ -95,7 +95,7 @@ def summarise(cells: Cells) -> Summary:
 
 
 def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summary:
-    """The same from printed cell means, standard deviations and numbers of results."""
+    """Make the same summary from printed cell means, standard deviations and numbers of results."""
     m, s, n = (numbers(v, w) for v, w in ((means, "means"), (sds, "SDs"), (counts, "counts")))
     if not len(m) == len(s) == len(n):
         raise BadCells(f"expected as many means, SDs and counts, found {len(m)}, {len(s)} and {len(n)}")
@@ -105,7 +105,7 @@ def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summ
 
 
 def spread(values: Array) -> tuple[Array, float]:
-    """Deviations from the mean and their sum of squares, free of the size of the mean."""
+    """Return deviations from the mean and their sum of squares, free of the size of the mean."""
     offsets = values - values[0]
     deviations = offsets - math.fsum(offsets) / len(offsets)
     return deviations, math.fsum(deviations**2)

@@ -40,7 +40,7 @@ HEAT = ("heat_capacity_JpKAh", "cooling_WpKAh")
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Which terms are on."""
+    """A model is named by the terms that are on."""
 
     name: str
     self_heating: bool
@@ -78,7 +78,7 @@ class Fit:
 
 
 def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
-    """Unknowns of a variant for tests of `series` series."""
+    """List the unknowns of a variant for tests of `series` series."""
     cell = [s for s in prior.cell_slots(KEPT) if not s.name.startswith("ocv_")]
     heat = [Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT]
     load = [s for s in LOAD_SLOTS if s.name != "start_offset_K"]
@@ -94,7 +94,7 @@ def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
 
 
 def predict(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: OneTimeTests) -> Array:
-    """Pack voltage [batch, test, instant] of the values x [batch, slots]."""
+    """Simulate the pack voltage [V], [batch, test, instant], for the values x [batch, slots]."""
     batch, rows = x.shape[0], tests.ambient_C.size
     at = {s.name: np.repeat(x[:, i], rows) for i, s in enumerate(slots)}
     ambient = np.tile(tests.ambient_C, batch)
@@ -149,7 +149,7 @@ def _held(cell: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
 
 
 def fit(variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, ...] = (), fresh: int = FRESH) -> Fit:
-    """Least squares over all readings, under the priors; the best of several starts.
+    """Fit by least squares over all readings, under the priors; the best of several starts counts.
 
     Where the speed controller holds the voltage, nothing but its limit has a slope, so that the sum of squares has
     minima of its own there. Hence `fresh` starts, at the priors and (seeded) around them, each by a robust loss first.
@@ -170,7 +170,7 @@ def fit(variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, .
 def _solve(
     variant: Variant, slots: tuple[Slot, ...], tests: OneTimeTests, u0: Array, robust: bool
 ) -> tuple[float, Array]:
-    """(cost, u) from one start."""
+    """Return (cost, u) of the minimum that one start leads to."""
 
     def misfit(u: Array) -> Array:
         gap = predict(variant, slots, prior.values(slots, u), tests) - tests.voltage_V
@@ -193,7 +193,7 @@ def _solve(
 
 
 def residuals(found: Fit, tests: OneTimeTests) -> Array:
-    """Model minus measured [test, instant], V."""
+    """Return model minus measured voltage [V], [test, instant]."""
     x = prior.values(found.slots, found.u)[None]
     out: Array = predict(found.variant, found.slots, x, tests)[0] - tests.voltage_V
     return out

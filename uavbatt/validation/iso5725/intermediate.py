@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.cells import Array, BadCells, Cells, summarise
-from uavbatt.validation.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
+from uavbatt.validation.iso5725.cells import Array, BadCells, Cells, summarise
+from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
 
 MIN_DF = 15
 
@@ -84,7 +84,7 @@ class Crossed:
 
 
 def one_factor(groups: Cells) -> OneFactor:
-    """s_I = √(ΣΣ(y-ȳ_j)²/Σ(n_j-1)) over groups j of results with one factor changed within each."""
+    """Compute s_I = √(ΣΣ(y-ȳ_j)²/Σ(n_j-1)) over groups j of results with one factor changed within each."""
     summary = summarise(groups)
     df = int(summary.within_df)
     if df < 1:
@@ -161,7 +161,7 @@ def _nested(
 
 
 def crossed(table: ArrayLike) -> Crossed:
-    """The crossed model from `table[occasion, sample]`; occasions with a gap (NaN) are left out and named."""
+    """Fit the crossed model to `table[occasion, sample]`; occasions with a gap (NaN) are left out and named."""
     y = np.asarray(table, dtype=np.float64)
     if y.ndim != 2 or y.size == 0 or np.isinf(y).any():
         raise BadCells(f"expected a table occasion x sample, found shape {y.shape}")

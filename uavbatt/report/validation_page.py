@@ -1,0 +1,135 @@
+"""A validation with the few values that only its page needs: the model's mean curve, consistency, changes in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.iso5725 import mandel
+from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings
+from uavbatt.validation.study.paper import PaperReplay
+from uavbatt.validation.validate import Validation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Consistency:
+    """Mandel's h and k of the samples at one instant, with their critical values at 5 % and 1 %."""
+
+    quantity: str
+    time_s: float
+    samples: tuple[str, ...]
+    h: Array
+    k: Array
+    h_critical: tuple[float, float]
+    k_critical: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ModelCurve:
+    """The mean prediction of held-out tests at the gated ambient temperature; `surface_C` None where not predicted."""
+
+    name: str
+    time_s: Array
+    voltage_V: Array
+    surface_C: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorChange:
+    """One error before and after the model was extended, on the data named."""
+
+    quantity: str
+    unit: str
+    before: float
+    after: float
+    on: str
+    decimals: int = 1
+    verdict: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ValidationPage:
+    """A validation as the page shows it: `found`, and what is worked out from it for the page alone.
+
+    `paper` is the study's method replayed, None where it cannot be applied.
+    """
+
+    found: Validation
+    paper: PaperReplay | None
+    changes: Sequence[ErrorChange]
+    consistency: Sequence[Consistency]
+    model: ModelCurve
+
+    @property
+    def is_study(self) -> bool:
+        """True when the tests are the study's own, so that its printed tables and figures can be compared."""
+        return self.paper is not None and bool(self.paper.agreements)
+
+
+def page_of(
+    found: Validation, paper: PaperReplay | None = None, changes: Sequence[ErrorChange] | None = None
+) -> ValidationPage:
+    """Work out what the page needs besides; without `changes`, they are the gains of the loop over temperature."""
+    return ValidationPage(
+        found=found,
+        paper=paper,
+        changes=gains(found) if changes is None else changes,
+        consistency=consistency(found.readings),
+        model=mean_prediction(found.held),
+    )
+
+
+def consistency(readings: Readings) -> tuple[Consistency, ...]:
+    """Compute Mandel's h and k per instant at the gated temperature, for two samples or more with repeats."""
+    found = []
+    for quantity in (VOLTAGE, SURFACE):
+        levels = readings.levels(readings.ambient_C, quantity)
+        if levels is None or len(levels.samples) < 2:
+            continue
+        for i, t in enumerate(levels.time_s):
+            cells = levels.cells(i)
+            if len(cells) != len(levels.samples):
+                continue
+            m = mandel(cells)
+            criticals = (m.h_critical_5, m.h_critical_1), (m.k_critical_5, m.k_critical_1)
+            found.append(Consistency(quantity, float(t), levels.samples, m.h, m.k, *criticals))
+    return tuple(found)
+
+
+def gains(found: Validation) -> tuple[ErrorChange, ...]:
+    """List the gain of each extension over temperature on tests that the fit had not seen; none if not tried."""
+    if found.temperatures is None:
+        return ()
+    return tuple(
+        ErrorChange(
+            quantity=f"voltage RMSE: {g.question}",
+            unit="mV",
+            before=1000.0 * g.before_V,
+            after=1000.0 * g.after_V,
+            on=f"held-out tests, {'all temperatures' if g.group == 'all' else g.group}",
+            decimals=0,
+            verdict=f"{'yes' if g.holds else 'no'} (p = {g.p_value:.2g})",
+        )
+        for g in found.temperatures.gains
+    )
+
+
+def mean_prediction(held: HeldOut) -> ModelCurve:
+    """Average the predictions over the held-out occasions; an instant that none predicts is NaN."""
+    surface = None if held.model_C is None else _known_mean(held.model_C)
+    return ModelCurve(held.model, held.time_s, _known_mean(held.model_V), surface)
+
+
+def _known_mean(table: Array) -> Array:
+    """Mean over all but the last axis, of what is known."""
+    flat = table.reshape(-1, table.shape[-1])
+    known = np.isfinite(flat)
+    total = np.where(known, flat, 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), math.nan)
