@@ -26,6 +26,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.replay import engine_for
 from uavbatt.telemetry import read_log
 
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -101,7 +102,13 @@ def pools(battery: BatteryFile) -> dict[str, list[Flown]]:
 def run(flown: list[Flown], change: Change, battery: BatteryFile, *without: str) -> Diagnosis:
     """The diagnosis of the flights with the change in them."""
     records = [change(f).observed() for f in flown]
-    return diagnose(records, battery, pack_from(battery, PackOptions(plant.CELLS, plant.CAPACITY_AH)), without)
+    return diagnose(
+        records,
+        battery,
+        pack_from(battery, PackOptions(plant.CELLS, plant.CAPACITY_AH)),
+        without,
+        engine=engine_for(is_long=True),
+    )
 
 
 def kin(effect: str) -> set[str]:

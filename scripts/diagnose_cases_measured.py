@@ -27,6 +27,7 @@ from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.replay import engine_for
 from uavbatt.telemetry import read_log
 from uavbatt.validation.gating import temperatures
 from uavbatt.validation.gating.gate import Limits
@@ -77,7 +78,7 @@ def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutof
     """One line of the table: the diagnosis of the records, each left out in turn for the error."""
     pack = pack_from(file, PackOptions(records[0].cells, records[0].capacity_Ah, cutoff_V))
     try:
-        found = diagnose(records, file, pack)
+        found = diagnose(records, file, pack, engine=engine_for(is_long=True))
     except NotEnoughData as error:
         return f"| {name} | {model} | not enough data: {error} | – | – |"
     empty = [np.zeros(0)] * len(found.problem.evidence.names)

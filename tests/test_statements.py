@@ -55,9 +55,10 @@ def after(
     facts: PackFacts | None = None,
     samples: Sequence[Sample] | None = None,
     battery: str = "lipo-generic",
+    settings: Settings = EVERY_30_S,
 ) -> list[tuple[Estimate, Remaining]]:
     """Every row's estimate, as the library gives it."""
-    estimator = Estimator(battery_file.read(battery), options, EVERY_30_S)
+    estimator = Estimator(battery_file.read(battery), options, settings)
     if facts is not None:
         estimator.update_facts(facts)
     return [estimator.step(sample) for sample in samples or flown()]
@@ -187,7 +188,7 @@ def test_ten_times_the_capacity_is_said() -> None:
 
 
 def test_a_hundred_times_the_capacity_is_refused() -> None:
-    rows = after(replace(STATED, capacity_Ah=500.0, load=ConstantLoad(300.0, 0.04)))
+    rows = after(replace(STATED, capacity_Ah=500.0), settings=replace(EVERY_30_S, load=ConstantLoad(300.0, 0.04)))
     assert is_refused(rows[-1]) and "the stated 500 Ah gives less than 0.3 C" in rows[-1][1].reason
 
 
@@ -295,7 +296,7 @@ def of_another(power_W: float) -> VehicleFile:
 
 @pytest.mark.parametrize(("power_W", "is_other"), [(900.0, True), (120.0, True), (330.0, False), (250.0, False)])
 def test_a_vehicle_file_of_another_aircraft_is_said(power_W: float, is_other: bool) -> None:
-    rows = after(replace(STATED, load=learned_load(of_another(power_W))))
+    rows = after(settings=replace(EVERY_30_S, load=learned_load(of_another(power_W))))
     assert ("another aircraft's?" in said(rows)) is is_other
 
 

@@ -293,7 +293,7 @@ class Estimator:
         return Pending(sample, found, self._forecaster, refusal, question, self._wall.left_s(sample.time_s))
 
     def _hold_against(self, raw: Sample, sample: Sample) -> None:
-        """What is stated of the pack, held against a row, as it came and as the filter has it; see `statements`."""
+        """Hold what is stated of the pack against a row, as it came and as the filter has it (`battery.statements`)."""
         self.pack_size = self.pack_size or self._size_by([sample])
         if self.pack_size is None:
             return

@@ -87,13 +87,13 @@ class Checkpoint:
 
     @property
     def inside(self) -> bool:
-        """Whether the truth lies in the 90 % interval."""
+        """True if the truth lies in the 90 % interval."""
         return self.lo_s <= self.before_end_s <= self.hi_s
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a replay shows in figures."""
+    """One replay in figures."""
 
     rows: int
     duration_s: float

@@ -52,7 +52,7 @@ class Endurance:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What was asked and what came of it: at the planned temperature, as a table, and as a finer curve."""
+    """One plan: the pack, the load, and the endurance at the planned temperature, as a table and as a finer curve."""
 
     resolved: PackSize
     load: str
@@ -148,7 +148,7 @@ def endurance(
 
 
 def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
-    """What is known of a pack before take-off: its stated charge, the temperature of the air, the file's spreads."""
+    """The belief about a pack before take-off: its stated charge, the temperature of the air, the file's spreads."""
     state, members = model.rested(start_soc, ambient_C), capacities(pack)
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : C.SENSOR + 1], means[:, C.LOG_CAPACITY] = state, members.log_scale
@@ -158,7 +158,7 @@ def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
 
 
 def range_remark(battery: BatteryFile, ambient_C: float) -> str:
-    """Whether the certificate reaches this temperature [°C], give or take VALID_WITHIN_K; empty when it does."""
+    """Say if the certificate does not reach this temperature [°C], give or take VALID_WITHIN_K; else empty."""
     validated = battery.certificate.validated_ambient_C
     if not validated:
         return "not tested at any temperature"

@@ -17,6 +17,7 @@ from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
+from uavbatt.replay import engine_for
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
 GENERIC = battery_file.read("lipo-generic")
@@ -75,7 +76,7 @@ def flights(**effect: float) -> list[Observed]:
 
 
 def found(records: list[Observed], *without: str) -> Diagnosis:
-    return diagnose(records, FILE, PACK, without)
+    return diagnose(records, FILE, PACK, without, engine=engine_for(is_long=True))
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,7 @@ from uavbatt.diagnosis import close, gate
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight
 from uavbatt.records import Flight
+from uavbatt.replay import engine_for
 from uavbatt.simulate import Mission, fly, with_effects, write
 from uavbatt.telemetry import read_log
 
@@ -44,7 +45,9 @@ def found(file: BatteryFile, tmp_path_factory: pytest.TempPathFactory) -> Diagno
         write(path, fly(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
         flights.append(read_log(path))
     records = [from_flight(f, CELLS, CAPACITY_AH) for f in flights]
-    return diagnose(records, file, pack_from(file, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)))
+    return diagnose(
+        records, file, pack_from(file, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine=engine_for(is_long=True)
+    )
 
 
 def test_a_sensor_effect_leaves_the_bench_tests_as_they_are_so_that_the_file_is_certified(

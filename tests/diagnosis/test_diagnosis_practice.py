@@ -14,6 +14,7 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import from_flight
+from uavbatt.replay import engine_for
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
@@ -35,7 +36,9 @@ def battery(shared_data: Path) -> BatteryFile:
 
 def diagnosed(battery: BatteryFile, folder: Path, *without: str) -> Diagnosis:
     records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in sorted(folder.glob("*.tlog"))]
-    return diagnose(records, battery, pack_from(battery, PackOptions(CELLS, CAPACITY_AH)), without)
+    return diagnose(
+        records, battery, pack_from(battery, PackOptions(CELLS, CAPACITY_AH)), without, engine=engine_for(is_long=True)
+    )
 
 
 @pytest.mark.parametrize("case", ["p1", "p2", "p3", "p4", "p5", "p6"])

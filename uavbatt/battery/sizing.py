@@ -228,7 +228,7 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
 
 
 def certificate_remark(battery: BatteryFile, pack: PackSize) -> str:
-    """What the certificate does not cover of this pack; empty when it covers it."""
+    """Say what of this pack the certificate does not cover; empty when it covers it."""
     typed = battery.battery
     if battery.caveat:
         return battery.caveat

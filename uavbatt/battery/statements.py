@@ -269,7 +269,7 @@ def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
 
 
 def _is_idle(sample: Sample, capacity_Ah: float) -> bool:
-    """Whether a row shows a pack at rest, or one that only its avionics draw from."""
+    """True if a row shows a pack at rest, or one that only its avionics draw from."""
     if math.isfinite(sample.current_A):
         return abs(sample.current_A) <= IDLE_C_RATE * capacity_Ah
     return sample.armed is False

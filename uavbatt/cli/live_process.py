@@ -75,7 +75,7 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 
 
 def stated(pack: PackSection) -> tuple[PackOptions, Settings]:
-    """What the configuration states of the pack, and of forecasts, for the estimator."""
+    """The pack and the forecasts as the configuration states them, for the estimator."""
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.prediction.forecaster import Settings

@@ -1,4 +1,4 @@
-"""What all refits share, and what a refit gives back."""
+"""The values that all refits share, and the value that a refit gives back."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _hats(soc: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What all refits share: the pack of the battery file, the records, the quantities' values there."""
+    """One problem for all refits: the pack of the battery file, the records, the quantities' values there."""
 
     pack: Pack
     evidence: Evidence

@@ -21,7 +21,7 @@ from uavbatt.diagnosis.evidence import SHIFTS_S, Evidence
 
 
 class Own(NamedTuple):
-    """What each record has of its own, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
+    """Own values of each record, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
 
     soc: Array
     start_K: Array
@@ -29,7 +29,7 @@ class Own(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """What the sensors should show: [rows, variants, records]; soc for reports."""
+    """Readings that the sensors should show: [rows, variants, records]; soc for reports."""
 
     voltage_V: Array
     temp_C: Array

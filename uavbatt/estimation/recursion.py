@@ -148,7 +148,7 @@ def _between(pack: Pack, state: FilterState, sample: Sample) -> Between:
 
 
 def _innovations(pack: Pack, rows: list[Between]) -> list[Innovation]:
-    """What rows within blocks show, by the members' weights."""
+    """Innovations of rows within blocks, by the members' weights."""
     if not rows:
         return []
     x, weight = np.array([row.x for row in rows]), np.array([row.weight for row in rows])

@@ -1,4 +1,4 @@
-"""What forecasts have to simulate, and the answers: one at a time in flight, many side by side in a replay.
+"""Questions are what forecasts have to simulate: one at a time in flight, many side by side in a replay.
 
 Questions of a flight do not depend on each other's answers. A step of arithmetic on 2000 columns costs little more than
 one on 128, so that a replay that asks ahead is several times faster, and gives the same numbers.

@@ -74,7 +74,7 @@ class Forecast(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a forecaster knows of the past, as a value: saved with the belief, so that a restart goes on."""
+    """The past as a forecaster knows it, as a value: saved with the belief, so that a restart goes on."""
 
     load: RecentLoad
     rate_c: float

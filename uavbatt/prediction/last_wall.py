@@ -57,7 +57,7 @@ class Fall(NamedTuple):
 
     @property
     def is_due(self) -> bool:
-        """Whether the last row has begun a new bin: once a second is often enough to look."""
+        """True if the last row has begun a new bin: once a second is often enough to look."""
         return bool(self.bins) and self.bins[-1].rows == 1
 
     def after(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
@@ -76,11 +76,11 @@ class Fall(NamedTuple):
         return Fall((*kept, Row(time_s, voltage_V, current_A, lag_V)))
 
     def begins(self, time_s: float) -> bool:
-        """Whether a row at this time begins a new bin, which needs the lag."""
+        """True if a row at this time begins a new bin, which needs the lag."""
         return not self.bins or not 0.0 <= time_s - self.bins[-1].begin_s < BIN_S
 
     def _is_level(self, cutoff_V: float) -> bool:
-        """Whether the voltage fell so little over the window that no bend could matter: most of a flight."""
+        """True if the voltage fell so little over the window that no bend could matter: most of a flight."""
         part = len(self.bins) // 4
         first_V = sum(row.voltage_V for row in self.bins[:part]) / part
         last_V = sum(row.voltage_V for row in self.bins[-part:]) / part

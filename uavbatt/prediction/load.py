@@ -36,7 +36,7 @@ SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
 
 
 class Scenarios(NamedTuple):
-    """What may be asked: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
+    """Loads that may come: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
 
     `dt_s` [steps] are the lengths of the steps.
     """
@@ -65,7 +65,7 @@ class Load(Protocol):
         ...
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """What may be asked from now on, in `steps` steps of `dt_s`."""
+        """The loads that may come from now on, in `steps` steps of `dt_s` [s]."""
         ...
 
 

@@ -38,7 +38,7 @@ def finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Est
 
 
 def _finish(row: Pending, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
-    """What is known after a row; `ends` answers its question, if it had one."""
+    """The estimate and the remaining time of a row; `ends` answers its question, if it had one."""
     sample, found = row.sample, row.estimate
     if row.forecaster is None:
         return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, row.refusal)

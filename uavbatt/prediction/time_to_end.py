@@ -105,7 +105,7 @@ def time_to_end(
 
 
 class _Recent(NamedTuple):
-    """What packs went through in the last steps, [steps, batch] each: mean voltage of a cell with its share of the
+    """The last steps of the packs, [steps, batch] each: mean voltage of a cell with its share of the
     harness and of the model's error, charge, what a row's voltage adds to it."""
 
     cell_V: Array
