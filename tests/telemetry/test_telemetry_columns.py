@@ -21,7 +21,8 @@ from uavbatt.mavlink import fields
 from uavbatt.records import Sample
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.builder import LogBuilder, add_rows, default_instance, times_s
+from uavbatt.telemetry.builder import LogBuilder, default_instance
+from uavbatt.telemetry.column_rules import add_rows, times_s
 from uavbatt.telemetry.columns import UNKNOWN, Rows, rows_of
 from uavbatt.telemetry.formats import dataflash_binary, tlog_frames, tlog_payloads
 from uavbatt.telemetry.formats.checksum import checksums

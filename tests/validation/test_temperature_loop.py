@@ -15,7 +15,8 @@ from uavbatt.validation import as_json
 from uavbatt.validation.gating import cold_model, temperatures
 from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
 from uavbatt.validation.gating.gate import Limits
-from uavbatt.validation.gating.temperatures import Gain, Outcome, TemperatureLoop
+from uavbatt.validation.gating.temperature_gains import Gain, VariantOutcome
+from uavbatt.validation.gating.temperatures import TemperatureLoop
 from uavbatt.validation.judging.readings import read_once
 
 ISOTHERMAL = Variant("isothermal", False, False, False)
@@ -30,7 +31,7 @@ def loop(judged_study: Judged) -> TemperatureLoop:
     return found
 
 
-def outcome(loop: TemperatureLoop, scope: str, variant: str, series: bool = False) -> Outcome:
+def outcome(loop: TemperatureLoop, scope: str, variant: str, series: bool = False) -> VariantOutcome:
     return next(o for o in loop.outcomes if (o.scope, o.variant, o.series) == (scope, variant, series))
 
 

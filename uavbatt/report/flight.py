@@ -73,7 +73,7 @@ def _answer(flight: Flight, outcome: Outcome, resolved: PackSize, found: Sequenc
     refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
     if refused_s > 0.0:
         air = outcome.refused_in_air
-        share = f"at {air:.0%} of the rows" if air > 0.0 else "at none of the rows"
+        share = f"{air:.0%} of the rows" if air > 0.0 else "none of it"
         flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
         sentences.append(paragraph(f"No forecast was given for {duration(refused_s)} in all{flying}; see below why."))
     sentences.append(paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}", css="quiet"))

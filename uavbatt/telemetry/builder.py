@@ -7,8 +7,7 @@ Time: seconds from the first timed record. A clock that falls back by 1 s or mor
 ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is the same; a clock that
 is monotonic does not leap, so that live, and in a recording of live, a silence of days is one (`longest_step_s`).
 
-`LogBuilder.add` and `time_s` are the rules for one row; `add_rows` and `times_s` are the same rules for the columns
-that the readers of big logs decode. A test holds the two equal.
+These are the rules for one row; `column_rules` has the same for the columns that the readers of big logs decode.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from uavbatt.records import NAN, Identity, Sample
-from uavbatt.telemetry.columns import Column, Rows, distinct
+
+if TYPE_CHECKING:
+    from uavbatt.telemetry.columns import Rows
 
 REBOOT_STEP_S = 1.0
 LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
@@ -120,47 +119,3 @@ def default_instance(log: LogBuilder) -> int:
 
 def _first_current_s(samples: Iterable[Sample]) -> float:
     return next((s.time_s for s in samples if not math.isnan(s.current_A)), NAN)
-
-
-def times_s(log: LogBuilder, raw_s: Column) -> Column:
-    """Time since the first record [s] of every reading of the log's own clock [s], as `LogBuilder.time_s` gives it."""
-    if not len(raw_s):
-        return raw_s
-    first_s = log.time_s(float(raw_s[0]))
-    highest_s = np.maximum.accumulate(raw_s)
-    step_s = raw_s[1:] - highest_s[:-1]
-    if not (np.all(np.isfinite(raw_s)) and np.all((step_s > -REBOOT_STEP_S) & (step_s <= log.longest_step_s))):
-        # a reboot, a leap, an unknown time: rare enough to go row by row
-        return np.array([first_s, *(log.time_s(t) for t in raw_s[1:].tolist())])
-    offset_s = log.offset_s
-    log.time_s(float(highest_s[-1]))
-    return np.round(raw_s + offset_s, 6)
-
-
-def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Rows) -> None:
-    """Add the rows in their order, dropping and correcting what `LogBuilder.add` drops and corrects."""
-    with np.errstate(invalid="ignore"):
-        possible = (rows.voltage_V > 0) & (rows.voltage_V <= MAX_VOLTAGE_V)
-    kept = possible.copy()
-    time_s = rows.time_s.copy()
-    for number in distinct(instance[possible]):
-        own = np.flatnonzero(possible & (instance == number))
-        time_s[own[0]] = max(time_s[own[0]], 0.0)
-        kept[own] = time_s[own] >= np.maximum.accumulate(time_s[own])
-    with np.errstate(invalid="ignore"):
-        wild = kept & (np.abs(rows.current_A) > MAX_CURRENT_A)
-    _count(log, ("rows without a possible voltage dropped", ~possible), ("rows out of order dropped", possible & ~kept),
-           ("impossible currents set to unknown", wild))  # fmt: skip
-    current_A = np.where(wild, np.nan, rows.current_A)
-    cleaned = Rows(
-        time_s, rows.voltage_V, current_A, rows.temp_C, rows.consumed_Ah, rows.reported_soc, rows.armed, rows.cells_V
-    )
-    for number in distinct(instance[kept]):
-        log.columns[number] = cleaned.at(kept & (instance == number))
-
-
-def _count(log: LogBuilder, *found: tuple[str, NDArray[np.bool_]]) -> None:
-    """Count what was dropped; what came first is told first."""
-    present = [(int(np.argmax(mask)), what, int(np.count_nonzero(mask))) for what, mask in found if mask.any()]
-    for _, what, number in sorted(present):
-        log.counts[what] += number

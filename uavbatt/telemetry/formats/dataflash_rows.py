@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.telemetry.builder import LogBuilder, add_rows, times_s
+from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.column_rules import add_rows, times_s
 from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, distinct, latest_before
 from uavbatt.telemetry.parameters import VOLTAGE_ONLY, monitor_parameter
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
-from uavbatt.telemetry.builder import LEAP_S, LogBuilder, add_rows, known, times_s
+from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
+from uavbatt.telemetry.column_rules import add_rows, times_s
 from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask

@@ -13,11 +13,10 @@ is a lenient test: what fails it has failed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from uavbatt.battery.model import Array
 from uavbatt.fitting import prior
@@ -25,50 +24,14 @@ from uavbatt.validation.gating import cold_model, gate, heldout
 from uavbatt.validation.gating.cold_model import OneTimeTests, Variant
 from uavbatt.validation.gating.gate import Claim, Limits
 from uavbatt.validation.gating.heldout import HeldOut
+from uavbatt.validation.gating.temperature_gains import TERMS, Gain, VariantOutcome, conclusions_of, gains_of
 from uavbatt.validation.judging.readings import Readings
 
 LEAST_TESTS = 8
 COLD_C = -10.0
 FOLDS = 4
 RISE_S = (60.0, 180.0)
-SIGNIFICANT = 0.05
 START_FITS = 0.5  # one start of a variant takes about half as long as one fit of the circuit model
-TERMS = {(False, False): "isothermal", (False, True): "isothermal, steeper cold resistance",
-         (True, False): "self-heating", (True, True): "self-heating, steeper cold resistance"}  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """One variant fitted in one scope ("cold" or "all"): RMSE [V] per group and per test, fitted and held out.
-
-    `rise_V` is the model's change from minute 1 to 3 at each test: the recovery by its own heat.
-    """
-
-    scope: str
-    variant: str
-    series: bool
-    ambient_C: Array
-    fitted_V: Array
-    held_out_V: Array
-    by_group_fitted_V: Mapping[str, float]
-    by_group_held_out_V: Mapping[str, float]
-    rise_V: Array
-    parameters: Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Gain:
-    """The gain of `after` over `before` on unseen tests of `group`: RMSE [V], one-sided p; `holds` by Holm."""
-
-    question: str
-    scope: str
-    group: str
-    before_V: float
-    after_V: float
-    fitted_before_V: float
-    fitted_after_V: float
-    p_value: float
-    holds: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +48,7 @@ class TemperatureLoop:
     isothermal_claims: tuple[Claim, ...]
     isothermal_rmse_V: Array
     measured_rise_V: Array
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[VariantOutcome, ...]
     gains: tuple[Gain, ...]
     conclusions: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -126,7 +89,7 @@ def close_loop(
     )
     groups = _groups(tests)
     outcomes = (*_outcomes("cold", _cold(tests), groups, progress), *_outcomes("all", tests, groups, progress))
-    gains = _gains(outcomes, groups)
+    gains = gains_of(outcomes, groups)
     by_ambient = {s.ambient_C: float(np.sqrt(np.mean((s.model_V - s.measured_V) ** 2))) for s in held.singles}
     rise = _rise(tests.time_s, tests.voltage_V)
     return TemperatureLoop(
@@ -142,7 +105,7 @@ def close_loop(
         measured_rise_V=rise,
         outcomes=outcomes,
         gains=gains,
-        conclusions=_conclusions(gains, outcomes, tests, rise),
+        conclusions=conclusions_of(gains, outcomes, tests, rise),
         left_out=left_out,
     )
 
@@ -207,7 +170,7 @@ def _outcomes(
     tests: OneTimeTests,
     groups: Mapping[str, tuple[float, float]],
     progress: Callable[[float], None] | None,
-) -> list[Outcome]:
+) -> list[VariantOutcome]:
     out, fitted = [], list[cold_model.Fit]()
     for variant in _variants(scope, tests):
         smaller = [f for f in fitted if f.variant.series == variant.series]
@@ -225,7 +188,7 @@ def _outcome(
     tests: OneTimeTests,
     groups: Mapping[str, tuple[float, float]],
     smaller: list[cold_model.Fit],
-) -> tuple[Outcome, cold_model.Fit]:
+) -> tuple[VariantOutcome, cold_model.Fit]:
     T, count = tests.ambient_C, int(tests.series.max()) + 1
     inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
     found = cold_model.fit(variant, tests, count, inside, _fresh_starts(variant))
@@ -236,7 +199,7 @@ def _outcome(
         part = cold_model.fit(variant, tests.of(~out), count, (found,), fresh=0)
         unseen[out] = cold_model.residuals(part, tests.of(out))
     model_V = fitted + tests.voltage_V
-    outcome = Outcome(
+    outcome = VariantOutcome(
         scope=scope,
         variant=variant.name,
         series=variant.series,
@@ -259,68 +222,3 @@ def _rms(residual: Array) -> Array:
 def _by_group(residual: Array, T: Array, groups: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     rows: dict[str, NDArray[np.bool_]] = {name: (low <= T) & (high >= T) for name, (low, high) in groups.items()}
     return {name: float(np.sqrt(np.nanmean(residual[r] ** 2))) for name, r in rows.items() if r.any()}
-
-
-def _gains(outcomes: tuple[Outcome, ...], groups: Mapping[str, tuple[float, float]]) -> tuple[Gain, ...]:
-    found = {(o.scope, o.variant, o.series): o for o in outcomes}
-    plain, heat, both = TERMS[False, False], TERMS[True, False], TERMS[True, True]
-    cold = next(iter(groups))
-    asked = (
-        ("self-heating, fitted to the cold tests alone", ("cold", plain, False), ("cold", heat, False), cold),
-        ("steeper cold resistance on top", ("cold", heat, False), ("cold", both, False), cold),
-        ("both, fitted to the cold tests alone", ("cold", plain, False), ("cold", both, False), cold),
-        ("both, over all tests", ("all", plain, False), ("all", both, False), cold),
-        ("both, over all tests", ("all", plain, False), ("all", both, False), "all"),
-        ("steps between the series", ("all", plain, False), ("all", plain, True), "all"),
-        ("both, the steps between the series modelled", ("all", plain, True), ("all", both, True), cold),
-        ("both, the steps between the series modelled", ("all", plain, True), ("all", both, True), "all"),
-    )
-    gains = [
-        _gain(question, found[before], found[after], group, groups[group])
-        for question, before, after, group in asked
-        if before in found and after in found
-    ]
-    return _holm(gains)
-
-
-def _holm(gains: list[Gain]) -> tuple[Gain, ...]:
-    """Mark the gains that hold at 5 % over all questions together (Holm)."""
-    order = np.argsort([g.p_value for g in gains])
-    holds, still = set(), True
-    for rank, i in enumerate(order):
-        still = still and gains[i].p_value * (len(gains) - rank) < SIGNIFICANT
-        if still:
-            holds.add(int(i))
-    return tuple(replace(g, holds=i in holds) for i, g in enumerate(gains))
-
-
-def _gain(question: str, before: Outcome, after: Outcome, group: str, span: tuple[float, float]) -> Gain:
-    rows = (before.ambient_C >= span[0]) & (before.ambient_C <= span[1])
-    better = before.held_out_V[rows] ** 2 - after.held_out_V[rows] ** 2
-    p = float(stats.ttest_1samp(better, 0.0, alternative="greater").pvalue) if better.size > 1 else np.nan
-    return Gain(
-        question, before.scope, group,
-        before.by_group_held_out_V[group], after.by_group_held_out_V[group],
-        before.by_group_fitted_V[group], after.by_group_fitted_V[group], p, False,
-    )  # fmt: skip
-
-
-def _conclusions(
-    gains: tuple[Gain, ...], outcomes: tuple[Outcome, ...], tests: OneTimeTests, rise: Array
-) -> tuple[str, ...]:
-    """Say in one sentence per question what holds on unseen tests and what does not."""
-    said = []
-    for g in gains:
-        where = f"{g.question} ({g.group})"
-        numbers = f"{1e3 * g.before_V:.0f} to {1e3 * g.after_V:.0f} mV held out"
-        numbers += f" ({1e3 * g.fitted_before_V:.0f} to {1e3 * g.fitted_after_V:.0f} fitted, p = {g.p_value:.2g})"
-        said.append(f"{where}: {'holds' if g.holds else 'does not hold'}, {numbers}")
-    recovering = rise > 0.0
-    for o in outcomes:
-        if o.scope == "cold" and recovering.any() and o.variant in (TERMS[False, False], TERMS[True, False]):
-            at = [i for i in np.flatnonzero(recovering) if tests.ambient_C[i] in o.ambient_C]
-            model = dict(zip(o.ambient_C.tolist(), o.rise_V.tolist(), strict=True))
-            pairs = [(float(tests.ambient_C[i]), float(rise[i])) for i in at]
-            shown = ", ".join(f"{model[T]:+.2f} V at {T:+g} °C (measured {r:+.2f})" for T, r in pairs)
-            said.append(f"recovery from minute 1 to 3, {o.variant}: {shown}")
-    return tuple(said)
