@@ -17,7 +17,7 @@ from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
-from uavbatt.replay import engine_for
+from uavbatt.log_replay import engine_for
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
 GENERIC = battery_file.read("lipo-generic")
