@@ -93,9 +93,7 @@ class DataSet:
 
     def __repr__(self) -> str:
         """Return one line: the runs are tables."""
-        return (
-            f"<DataSet {self.name} of {self.path}: {len(self.runs)} runs, {len(self.ambients_C)} temperatures>"
-        )
+        return f"<DataSet {self.name} of {self.path}: {len(self.runs)} runs, {len(self.ambients_C)} temperatures>"
 
     def at(self, ambient_C: float, tolerance_C: float = 0.25) -> tuple[Run, ...]:
         """The runs at one ambient temperature [°C]."""
