@@ -37,10 +37,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what a test says of itself: it asks for the measured data, or lies among the tests of the live process."""
+    """Mark a test by what it asks for: measured data, a judged study (half a minute), or the live process."""
     for item in items:
-        if "shared_data" in getattr(item, "fixturenames", ()):
+        asked = getattr(item, "fixturenames", ())
+        if "shared_data" in asked:
             item.add_marker(pytest.mark.data)
+        if "judged_study" in asked:
+            item.add_marker(pytest.mark.slow)
         if item.path.parent.name == "live":
             item.add_marker(pytest.mark.live)
 
