@@ -83,7 +83,7 @@ def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutof
         return f"| {name} | {model} | not enough data: {error} | – | – |"
     empty = [np.zeros(0)] * len(found.problem.evidence.names)
     before_V, _ = close.open_loop(found.problem, found.before, empty)
-    after_V, _ = close.open_loop(found.problem, found.after, close.left_out(found.problem, found.after))
+    after_V, _ = close.open_loop(found.problem, found.after, close.left_out_values(found.problem, found.after))
     left = "; ".join(found.reasons) or "nothing"
     return f"| {name} | {model} | {words(found)} | {1000 * before_V:.0f} → {1000 * after_V:.0f} | {left} |"
 

@@ -155,3 +155,25 @@ def test_column_order_does_not_matter(tmp_path):
     turned = "\n".join(",".join(reversed(line.split(","))) for line in (HEADER + ROWS).splitlines())
     (tmp_path / "b" / "discharge.csv").write_text(turned)
     assert dataset.load(tmp_path / "b").sha256 == a.sha256
+
+
+def test_a_template_is_a_data_set_and_overwrites_nothing(tmp_path: Path) -> None:
+    dataset.write_template(tmp_path / "mine")
+    found = dataset.load(tmp_path / "mine")
+    assert (found.cells_series, found.capacity_Ah, len(found.runs)) == (4, 5.0, 3)
+    with pytest.raises(BadInput, match="overwrites nothing"):
+        dataset.write_template(tmp_path / "mine")
+
+
+def test_all_missing_keys_are_named_at_once(tmp_path: Path) -> None:
+    dataset.write_template(tmp_path)
+    (tmp_path / "battery.toml").write_text('name = "a"\ncells_series = 4\n')
+    with pytest.raises(BadInput, match="keys chemistry, cutoff_V, load, source: expected them to be there"):
+        dataset.load(tmp_path)
+
+
+def test_all_missing_columns_are_named_at_once(tmp_path: Path) -> None:
+    dataset.write_template(tmp_path)
+    (tmp_path / "discharge.csv").write_text("sample;run;ambient_c\nA;1;25\n")
+    with pytest.raises(BadInput, match=r"a column sample and one run .*semicolons.*all of them: sample,run"):
+        dataset.load(tmp_path)

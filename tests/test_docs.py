@@ -33,8 +33,8 @@ FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
-# Documented, and on its way into the code: route and mission, pack ledger, the wandering discrepancy. Empty it then.
-COMING = ("discrepancy.wander", "powers.", "link.request_mission", "packs.", "taught", "evidence", "hidden")
+# Documented, and on its way into the code: powers over speed and climb, the pack ledger. Empty it then.
+COMING = ("powers.", "packs.", "taught")
 
 
 def agree(documented_keys: Iterable[str], keys: Iterable[str]) -> None:
@@ -120,7 +120,8 @@ def test_the_battery_file(tmp_path: Path) -> None:
     assert (found.status, found.battery.capacity_Ah) == ("fitted", 5.0)
     listed = keys_of(sections.BatteryFile)
     agree(documented("Battery file"), {*listed, "certificate.verdicts"})
-    agree(listed, keys_in(msgspec.toml.decode(example("acme.battery.toml"))) & set(listed))  # it shows every key
+    shown = keys_in(msgspec.toml.decode(example("acme.battery.toml"))) & set(listed)
+    assert set(listed) - shown == {key for key in listed if key.startswith("discrepancy.wander.")}  # its own section
 
 
 def test_the_vehicle_file(tmp_path: Path) -> None:

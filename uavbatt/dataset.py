@@ -25,10 +25,12 @@ import numpy as np
 from uavbatt.dataset_csv import MIN_POINTS, Array, read_runs
 from uavbatt.dataset_csv import Run as Run
 from uavbatt.errors import BadInput
+from uavbatt.files import atomic_write
 from uavbatt.limits import CAPACITY_AH, capacity_doubt
 
+TEMPLATE_FILES = ("battery.toml", "discharge.csv")
 QUANTITIES = ("voltage_V", "surface_C", "current_A")
-_T = TypeVar("_T")
+_T = TypeVar("_T", bound=msgspec.Struct)
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
@@ -159,6 +161,21 @@ def load(path: str | Path | None = None) -> DataSet:
     return DataSet(**facts, runs=runs, sha256=_digest(battery, runs), path=shown, flags=tuple(flags))
 
 
+def write_template(folder: Path) -> None:
+    """Write a data set to fill in: `battery.toml` with every key explained and a `discharge.csv` of a few rows.
+
+    Raises BadInput when one of the two files is there already.
+    """
+    root = resources.files("uavbatt") / "data" / "template"
+    for name in TEMPLATE_FILES:
+        if (folder / name).exists():
+            raise BadInput(folder / name, "", "a folder without it: a template overwrites nothing")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in TEMPLATE_FILES:
+        with atomic_write(folder / name) as file:
+            file.write((root / name).read_text("utf-8"))
+
+
 def _text(file: Traversable, shown: str) -> str:
     try:
         return file.read_bytes().decode("utf-8-sig")
@@ -169,12 +186,29 @@ def _text(file: Traversable, shown: str) -> str:
 def _decode(file: Traversable, shown: str, kind: type[_T]) -> _T:
     try:
         table = tomllib.loads(_text(file, shown))
+        absent = [f.name for f in msgspec.structs.fields(kind) if f.required and f.name not in table]
+        if absent:
+            keys = "keys" if len(absent) > 1 else "key"
+            said = "them to be there, they are missing" if len(absent) > 1 else "it to be there, it is missing"
+            raise BadInput(
+                shown, f"{keys} {', '.join(absent)}", f"{said} (`uavbatt validate --template DIR` shows all)"
+            )
         return msgspec.convert(table, kind)
     except tomllib.TOMLDecodeError as error:
         raise BadInput(shown, "", f"TOML: {error}") from None
     except msgspec.ValidationError as error:
         place, expected = _explain(str(error), kind)
         raise BadInput(shown, place, expected) from None
+
+
+def _check_complete(table: dict[str, Any], shown: str, kind: type[msgspec.Struct]) -> None:
+    """Raise BadInput that names every key that is missing."""
+    absent = [field.name for field in msgspec.structs.fields(kind) if field.required and field.name not in table]
+    if not absent:
+        return
+    said = "them to be there, they are missing" if len(absent) > 1 else "it to be there, it is missing"
+    keys = f"key{'s' if len(absent) > 1 else ''} {', '.join(absent)}"
+    raise BadInput(shown, keys, f"{said} (`uavbatt validate --template DIR` shows all)")
 
 
 def _explain(message: str, kind: type[Any]) -> tuple[str, str]:

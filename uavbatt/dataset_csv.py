@@ -58,10 +58,13 @@ def _rows(text: str, shown: str) -> list[_Row]:
     header = [h.strip() for h in next(reader, [])]
     if not any(header):
         raise BadInput(shown, "line 1", f"the columns {','.join(COLUMNS)}, the file is empty")
-    for name in COLUMNS:
-        if name not in header:
-            near = get_close_matches(name, [h for h in header if h not in COLUMNS], 1)
-            raise BadInput(shown, "line 1", f"a column {name}" + (f", found {near[0]}" if near else ""))
+    absent = [name for name in COLUMNS if name not in header]
+    if absent:
+        near = get_close_matches(absent[0], [h for h in header if h not in COLUMNS], 1)
+        said = f"a column {' and one '.join(absent)}" + (f", found {near[0]}" if near else "")
+        mark = ";" if ";" in header[0] else "\t" if "\t" in header[0] else ""
+        said += " (commas between the columns, found semicolons or tabs)" if mark else ""
+        raise BadInput(shown, "line 1", f"{said}; all of them: {','.join(COLUMNS)}")
     extra = [h for h in header if h not in COLUMNS or header.count(h) > 1]
     if extra:
         said = f"only the columns {','.join(COLUMNS)}, found {extra[0] or 'an empty name'}"

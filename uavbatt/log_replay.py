@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt import output
 from uavbatt.battery import battery_file, statements, vehicle_file
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
+AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
+FORGOTTEN_S = 30.0
 FORECAST_PERIOD_S = 5.0
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
@@ -92,6 +95,22 @@ class Checkpoint:
 
 
 @dataclass(frozen=True, slots=True)
+class Landing:
+    """The forecast at the last row in the air: how much longer the aircraft could have flown.
+
+    time_s [s] is the row's; the forecasts [s] are NaN where none was given there. is_cut: the log ends in the air.
+    """
+
+    time_s: float
+    remaining_s: float
+    remaining_lo_s: float
+    remaining_hi_s: float
+    remaining_to_low_s: float
+    reason: str = ""
+    is_cut: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """One replay in figures."""
 
@@ -104,6 +123,7 @@ class Outcome:
     refused_in_air: float
     mean_nis: float
     checkpoints: tuple[Checkpoint, ...]
+    landing: Landing | None = None  # None: the log shows no flight
 
 
 def outcome(run: list[Step], cutoff_V: float) -> Outcome:
@@ -132,7 +152,30 @@ def outcome(run: list[Step], cutoff_V: float) -> Outcome:
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
         checkpoints=_checkpoints(run, time_s, take_off_s, end_s) if math.isfinite(end_s) else (),
+        landing=_landing(run, flying if np.isfinite(amps).any() else np.isfinite(volts)),
     )
+
+
+def _landing(run: list[Step], flying: NDArray[np.bool_]) -> Landing | None:
+    """Return the forecast at the last row in the air, or at the last one before it that was given one.
+
+    A refused number is not older than FORGOTTEN_S: an aircraft that comes down draws little, and a row there may have
+    none.
+    """
+    in_air = np.flatnonzero(flying)
+    if not in_air.size:
+        return None
+    last = int(in_air[-1])
+    end_s = run[last].estimate.time_s
+    is_cut = run[-1].estimate.time_s - end_s < AT_REST_S
+    for k in in_air[::-1]:
+        said = run[k].remaining
+        if end_s - said.time_s > FORGOTTEN_S:
+            break
+        if math.isfinite(said.remaining_s):
+            numbers = (said.remaining_s, said.remaining_lo_s, said.remaining_hi_s, said.remaining_to_low_s)
+            return Landing(said.time_s, *numbers, is_cut=is_cut)
+    return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut)
 
 
 def _loaded_A(amps: Array) -> float:

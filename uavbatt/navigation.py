@@ -77,7 +77,7 @@ class MissionItem:
     hold_s: float = 0.0
     turns: float = 0.0
     radius_m: float = 0.0
-    speed_ms: float = NAN
+    speed_ms: float = NAN  # of SPEED; NaN: the vehicle's own again
     speed_kind: SpeedKind = SpeedKind.GROUND
     jump_to: int = -1
     repeats: int = 0  # of a jump; -1 is without end
@@ -92,6 +92,7 @@ class Mission:
     items: tuple[MissionItem, ...]
     source: str = ""  # "link", "log" or the file's name
     reason: str = ""
+    has_home_item: bool = True  # ArduPilot: item 0 is home and is never flown to; PX4: item 0 is the first that is
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +118,10 @@ class ReturnSettings:
     land_ms: float = NAN
     land_slow_below_m: float = NAN
     accept_m: float = NAN
+    land_fast_ms: float = NAN  # from above home down to land_slow_below_m; NaN: descent_ms
+    return_climb_min_m: float = NAN  # climbs at least so much before it returns (RTL_CLIMB_MIN)
+    return_cone_slope: float = NAN  # climbs no higher than so many metres a metre of distance home; 0 or NaN: no cone
+    return_reason: str = ""  # why the way home is not straight, if it is not (rally points, a mission's landing)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,8 @@ of the model that made it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +22,9 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
 from uavbatt.files import atomic_write
 from uavbatt.records import Sample
+from uavbatt.simulate_route import PARAMETERS, RouteFlight
 from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
+from uavbatt.telemetry.formats.route_writer import dataflash_records, tlog_messages
 from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
 IDLE_S, AFTER_END_S = 20.0, 20.0
@@ -61,8 +65,17 @@ def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
     return pack._replace(cell=cell, installation=installation)
 
 
-def fly(pack: Pack, mission: Mission) -> list[Sample]:
-    """Idle on the ground, then flight at the mission's power until the pack is below its cut-off, and a little on."""
+def fly(
+    pack: Pack,
+    mission: Mission,
+    power_W: Callable[[float], float] | None = None,
+    lands_s: float = math.inf,
+) -> list[Sample]:
+    """Idle on the ground, then flight until it lands or the pack is below its cut-off, and a little on.
+
+    power_W : power asked [W] at a time [s], before gusts; without it the mission's mean power all the time
+    lands_s : when it lands [s], if ever
+    """
     random = np.random.default_rng(mission.seed)
     dt_s = 1.0 / mission.rate_Hz
     installation = pack.installation
@@ -74,19 +87,20 @@ def fly(pack: Pack, mission: Mission) -> list[Sample]:
     gust, drawn_Ah, low_since_s = 0.0, 0.0, np.inf
     for k in range(int(LONGEST_S * mission.rate_Hz)):
         time_s = k * dt_s
-        flying = time_s >= IDLE_S
+        flying = IDLE_S <= time_s < lands_s
+        asked_W = mission.power_W if power_W is None or not flying else power_W(time_s)
         kick = GUST_SD * np.sqrt(-np.expm1(-2.0 * dt_s / GUST_TAU_S)) * random.standard_normal()
         gust = float(eq.relax(gust, 0.0, dt_s, GUST_TAU_S)) + float(kick)
-        power_W = mission.power_W * (np.exp(gust) if flying else IDLE_SHARE) + installation.unmetered_W
+        total_W = asked_W * (np.exp(gust) if flying else IDLE_SHARE) + installation.unmetered_W
         resistance = model.resistance(cell, state.soc, state.core_C)
-        rate = model.rate_at_power(cell, model.electromotive_force(cell, state), resistance, power_W / size)
+        rate = model.rate_at_power(cell, model.electromotive_force(cell, state), resistance, total_W / size)
         current_A = float(rate[0] * installation.present_capacity_Ah)
         state = model.step(cell, state, rate, mission.ambient_C, dt_s)
         true_V = float(terminal_voltage(installation, cell, state, current_A)[0])
         drawn_Ah += max(_metered(installation, current_A, true_V), 0.0) * dt_s / 3600.0
         samples.append(_row(pack, time_s, true_V, current_A, float(state.sensor_C[0]), drawn_Ah, flying, random))
         low_since_s = min(low_since_s, time_s) if true_V < pack.cutoff_V else np.inf
-        if time_s - low_since_s > AFTER_END_S:
+        if time_s - low_since_s > AFTER_END_S or time_s - lands_s > AFTER_END_S:
             break
     return _delayed(samples, float(installation.delay_s))
 
@@ -130,9 +144,9 @@ def _row(
     )
 
 
-def write(path: Path, samples: list[Sample], pack: Pack) -> None:
+def write(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight | None = None) -> None:
     """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix; UsageError for another one."""
-    parameters = {
+    parameters = (PARAMETERS if route is not None else {}) | {
         "BATT_MONITOR": 4.0,
         "BATT_CAPACITY": round(float(pack.installation.capacity_Ah) * 1000.0),
         "BATT_LOW_VOLT": round(pack.low_V, 3) if np.isfinite(pack.low_V) else 0.0,
@@ -140,10 +154,13 @@ def write(path: Path, samples: list[Sample], pack: Pack) -> None:
         "BATT_OPTIONS": 0.0,
     }
     kind = path.suffix.lower()
-    if kind == ".tlog":
+    flown = route.flown(samples[-1].time_s) if route is not None else None
+    if kind == ".tlog" and flown is not None:
+        write_tlog(path, samples, parameters, route=tlog_messages(flown), mode_at=flown.mode_at)
+    elif kind == ".tlog":
         write_tlog(path, samples, parameters)
     elif kind == ".bin":
-        write_dataflash(path, samples, parameters)
+        write_dataflash(path, samples, parameters, route=list(dataflash_records(flown)) if flown is not None else ())
     elif kind == ".csv":
         with atomic_write(path) as stream:
             stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")

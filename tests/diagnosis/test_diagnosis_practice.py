@@ -80,3 +80,22 @@ def test_a_withheld_effect_is_undeclared_or_one_of_its_kin(
     confident = found.verdict == "effect_found" and len(found.classes) == 1 and len(found.classes[0].members) == 1
     assert not confident or found.classes[0].members[0] in kin
     assert all(math.isfinite(c.probability) for c in found.classes)
+
+
+@pytest.mark.parametrize(
+    ("case", "verdict", "wanted"),
+    [
+        ("k02", "no_missing_effect", []),
+        ("k13", "effect_found", ["current_delay"]),
+        ("k16", "undeclared_effect", []),  # a converter that drifts with temperature: no effect of ours
+        ("k22", "effect_found", ["resistance_growth", "capacity_fade"]),
+    ],
+)
+def test_labelled_cases_are_told_as_they_are(
+    shared_data: Path, battery: BatteryFile, case: str, verdict: str, wanted: list[str]
+) -> None:
+    found = diagnosed(battery, shared_data / "truth" / "cases" / case)
+    assert found.verdict == verdict
+    assert len(found.classes) == len(wanted)
+    for one, effect in zip(found.classes, wanted, strict=True):
+        assert effect in one.members

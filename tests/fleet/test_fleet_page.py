@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from xml.etree import ElementTree
 
 import pytest
 
 from uavbatt.fleet.row import Row
+from uavbatt.records import NAN
 from uavbatt.report.fleet import fleet_report
-from uavbatt.report.fleet_groups import Group, change, gathered
+from uavbatt.report.fleet_groups import Group, Verdict, change, gathered, verdict
 
 
 def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **more: object) -> list[Row]:
@@ -20,6 +22,9 @@ def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **
         Row(
             file=f"/logs/{aircraft}/{n}.tlog",
             aircraft=aircraft,
+            aircraft_from="--by",
+            cells=4,
+            capacity_Ah=5.0,
             certificate="fitted",
             start_utc=(start + timedelta(days=n)).strftime("%Y-%m-%dT%H:%M:%SZ") if dated else "",
             duration_s=900.0,
@@ -60,7 +65,8 @@ def test_dates_order_the_flights_and_their_absence_does_not_matter() -> None:
 
 def test_a_battery_with_a_serial_is_its_own_group_on_any_aircraft() -> None:
     found = gathered([*rows("a", 0.0, 4, battery_serial="77"), *rows("b", 0.0, 4, battery_serial="77")])
-    assert list(found.groups) == ["battery 77"] and found.groups["battery 77"].flights == 8
+    (one,) = found.groups.values()
+    assert one.name == "battery 77 (4S 5 Ah)" and one.flights == 8 and one.is_identified
 
 
 def test_the_page_is_well_formed_whatever_files_are_called() -> None:
@@ -81,3 +87,42 @@ def test_a_fleet_of_nothing_is_a_page_too() -> None:
     page = fleet_report(gathered([]), "x (generic)")
     ElementTree.fromstring(page.replace("<!DOCTYPE html>", ""))
     assert "no forecast can be checked" in page
+
+
+def test_a_folder_is_no_aircraft_and_gets_no_verdict() -> None:
+    loose = [replace(row, aircraft_from="folder") for row in rows("a", 0.4)]
+    judged = group(loose)
+    found = verdict(judged, change(judged, judged.resistance), change(judged, judged.capacity))
+    assert found.kind == "cannot tell" and "--by" in found.words
+    page = fleet_report(gathered(loose), "x (fitted)")
+    assert "Resistance has grown" not in page and "one folder is not one aircraft" in page
+
+
+def test_packs_of_another_size_are_never_one_group() -> None:
+    mixed = [*rows("a", 0.0, 4), *(replace(row, capacity_Ah=3.0) for row in rows("a", 0.4, 4))]
+    assert [g.flights for g in gathered(mixed).groups.values()] == [4, 4]
+
+
+def test_a_verdict_knows_what_it_could_have_seen() -> None:
+    def judged(values: list[tuple[float, float]]) -> Verdict:
+        one = Group("p", resistance=values, capacity=[(1.0, 0.01)] * len(values), start_s=[NAN] * len(values))
+        return verdict(one, change(one, one.resistance), change(one, one.capacity))
+
+    noisy = judged([(1.82, 0.9), (1.9, 0.9), (2.0, 0.9), (2.04, 0.9), (1.7, 0.9), (2.2, 0.9)])
+    assert noisy.kind == "cannot tell" and "not visible" in noisy.words
+    quiet = judged([(1.0, 0.02), (1.01, 0.02), (1.0, 0.02), (1.01, 0.02), (0.99, 0.02), (1.0, 0.02)])
+    assert quiet.kind == "steady" and "steady to within" in quiet.words
+    assert judged([(1.0, 0.02)] * 3 + [(1.4, 0.02)] * 3).kind == "grown"
+    assert judged([(1.0, 0.02)] * 3).words == "too few flights"
+
+
+def test_at_most_one_flight_in_five_is_to_be_looked_at_the_gravest_first() -> None:
+    made = [replace(row, look="flew on below the cut-off voltage") for row in rows("a", 0.0, 20)]
+    made[13] = replace(made[13], look="landed nearly empty: state of charge 0.01")
+    found = gathered(made)
+    assert len(found.look) == 4 and found.looked == 20 and found.look[0].file == made[13].file
+
+
+def test_a_fleet_of_failures_does_not_look_calm() -> None:
+    page = fleet_report(gathered([Row(file="a.BIN", status="bad", reason="no log")] * 3), "x (generic)")
+    assert "None of 3 logs could be flown" in page and 'class="answer bad"' in page and "0 need a look" not in page

@@ -7,6 +7,7 @@ else this one is asked; a test without its program is skipped with the reason.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -15,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.live.config import HttpSection
 from uavbatt.live.web import serve
 from uavbatt.records import Sample
+from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 PROGRAM = [sys.executable, "-c", "from uavbatt.cli import main; main()", "live"]
@@ -56,6 +59,9 @@ class Autopilot(threading.Thread):
         self.line.setblocking(False)
         self.to, self.is_over = ("127.0.0.1", port), False
         self.parameters = {"BATT_CAPACITY": 5200.0, "BATT_MONITOR": 4.0}
+        self.mission: list[Any] = [item(k, True) for k in range(len(MISSION))]
+        self._written: list[Any] = []  # of an upload
+        self._count = 0
         self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
         self._parser: Any = dialect.MAVLink(None)
 
@@ -89,13 +95,29 @@ class Autopilot(threading.Thread):
                     self.parameters[message.param_id] = message.param_value
                     names = [message.param_id]
                 elif kind == "MISSION_REQUEST_LIST":
-                    self.send(dialect.MAVLink_mission_count_message(255, 230, len(MISSION)))
+                    self.send(dialect.MAVLink_mission_count_message(255, 230, len(self.mission)))
                 elif kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
-                    self.send(item(message.seq, kind == "MISSION_REQUEST_INT"))
+                    self.send(as_asked(self.mission[message.seq], kind == "MISSION_REQUEST_INT"))
+                elif kind in ("MISSION_CLEAR_ALL", "MISSION_COUNT", "MISSION_ITEM_INT"):
+                    self.write(kind, message)
                 for name in names:
                     at, count = list(self.parameters).index(name), len(self.parameters)
                     value = self.parameters[name]
                     self.send(dialect.MAVLink_param_value_message(name.encode(), value, 9, count, at))
+
+    def write(self, kind: str, message: Any) -> None:
+        """A station writes a mission."""
+        if kind == "MISSION_COUNT":
+            self._count, self._written = message.count, []
+        elif kind == "MISSION_ITEM_INT" and message.seq == len(self._written):
+            self._written.append(message)
+        else:
+            self.mission = []
+        if kind != "MISSION_CLEAR_ALL" and len(self._written) < self._count:
+            self.send(dialect.MAVLink_mission_request_int_message(255, 230, len(self._written)))
+            return
+        self.mission = self._written or self.mission
+        self.send(dialect.MAVLink_mission_ack_message(255, 230, 0))
 
 
 def item(number: int, as_int: bool) -> Any:
@@ -105,6 +127,14 @@ def item(number: int, as_int: bool) -> Any:
     if as_int:
         return dialect.MAVLink_mission_item_int_message(*head, int(latitude * 1e7), int(longitude * 1e7), altitude)
     return dialect.MAVLink_mission_item_message(*head, latitude, longitude, altitude)
+
+
+def as_asked(held: Any, as_int: bool) -> Any:
+    """An item as it was asked for."""
+    head = (255, 230, held.seq, held.frame, held.command, 0, 1, 0, 0, 0, 0)
+    if as_int:
+        return dialect.MAVLink_mission_item_int_message(*head, held.x, held.y, held.z)
+    return dialect.MAVLink_mission_item_message(*head, held.x / 1e7, held.y / 1e7, held.z)
 
 
 @pytest.fixture
@@ -227,8 +257,54 @@ def test_chromium_shows_every_state_as_it_is(tmp_path: Path, state: str, width: 
     bench.now_s += 10.0 if state == "stale" else 0.1
     serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
     page = shown_in_chromium(f"http://127.0.0.1:{port}/", tmp_path, width)
-    assert f'class="state {state}"' in page
+    shown = {"refused": "waiting"}.get(state, state)  # on the ground nothing is wrong
+    assert f'class="state {shown}"' in page
     known = state in ("ok", "converging")
-    assert ("<small>min</small>" in page, 'class="time unknown"' in page) == (known, not known)
-    reasons = {"ok": "", "converging": "known only to", "refused": "on the ground", "stale": "no telemetry for 10 s"}
+    assert (re.search(r'class="time( low)?" data-k="time">\d+:\d\d<', page) is not None) == known
+    assert ('class="time last"' in page and "s ago</small>" in page) == (state == "stale")
+    assert ('class="time unknown"' in page) == (state == "refused")
+    reasons = {"ok": "probably between", "converging": "known only to", "refused": "waiting for take-off"}
+    reasons["stale"] = "no telemetry for 10 s"
     assert reasons[state] in page
+
+
+def test_a_mission_that_mavproxy_loads_passes_the_proxy_and_is_understood(
+    ports: tuple[int, int], tmp_path: Path
+) -> None:
+    """`wp load` and `wp list` behind the proxy, and what the estimator has recorded of it."""
+    needs("MAVProxy")
+    rows = ("0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t400\t1", "1\t0\t3\t22\t0\t0\t0\t0\t47.0\t8.0\t30\t1",
+            "2\t0\t3\t16\t0\t0\t0\t0\t47.5\t8.5\t87.0\t1")  # fmt: skip
+    (tmp_path / "route.txt").write_text("\n".join(("QGC WPL 110", *rows, "")))
+    recorded = tmp_path / "recorded"
+    companion = start(ports, tmp_path, "--feed", "proxy", "--record", str(recorded))
+    try:
+        steps = [("", "Received 2 parameters"), ("wp load route.txt", "ACCEPTED"), ("wp list", "87.0"), ("", "")]
+        said = console(ports[1], tmp_path, steps)
+    finally:
+        companion.terminate()
+        companion.wait(8.0)
+    assert "47.5" in said and "87.0" in said, said
+    (path,) = recorded.glob("*.tlog")
+    known = read_log(path).navigation[-1]
+    assert known.mission is not None and known.mission.reason == ""
+    assert [i.command for i in known.mission.items] == [16, 22, 16]
+    assert known.mission.items[2].alt_m == 87.0 and not known.transferring
+
+
+def test_the_page_answers_to_its_own_names_and_runs_its_own_scripts_only() -> None:
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
+
+    def answered(host: str) -> tuple[int, str]:
+        connection = HTTPConnection("127.0.0.1", port, timeout=5.0)
+        connection.request("GET", "/", headers={"Host": host})
+        response = connection.getresponse()
+        return response.status, response.headers.get("Content-Security-Policy", "")
+
+    for own in (f"127.0.0.1:{port}", f"localhost:{port}", "companion.local", "[::1]:80", "192.168.1.7:8080"):
+        assert answered(own)[0] == 200, own
+    assert answered("evil.example")[0] == answered(f"127.0.0.1.evil.example:{port}")[0] == 421
+    policy = answered("localhost")[1]
+    assert "default-src 'none'" in policy and "script-src 'sha256-" in policy and "unsafe-eval" not in policy

@@ -19,7 +19,7 @@ from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, st
 RESOLVED = PackSize("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
 NO_OUTCOME = Outcome(0, NAN, NAN, NAN, NAN, NAN, NAN, NAN, ())
 HOSTILE = "<script>alert(1)</script>\"'&\x00\u202e\ud800.BIN"
-REFUSAL = "on the ground or no load"
+REFUSAL = "not flying"
 
 
 def step(time_s: float, **changed: object) -> Step:

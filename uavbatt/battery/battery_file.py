@@ -36,6 +36,7 @@ from uavbatt.battery.sections import (
     EffectEntry,
     ParameterTable,
     Verdict,
+    Wander,
 )
 from uavbatt.errors import BadInput, Uncertified, misread
 from uavbatt.files import atomic_write
@@ -49,6 +50,7 @@ __all__ = [
     "EffectEntry",
     "ParameterTable",
     "Verdict",
+    "Wander",
     "content_hash",
     "packaged",
     "read",
@@ -67,6 +69,8 @@ def content_hash(file: BatteryFile) -> str:
     content: dict[str, Any] = msgspec.to_builtins(file)
     for key in ("content_sha256", "date", "tool_version"):
         del content["certificate"][key]
+    if file.discrepancy.wander is None:  # a key that older files do not know: their hashes stand
+        del content["discrepancy"]["wander"]
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -79,8 +83,12 @@ def sealed(file: BatteryFile) -> BatteryFile:
 
 
 def write(file: BatteryFile, path: Path) -> Path:
-    """Seal and write the file, whole or not at all; returns the path."""
+    """Seal and write the file, whole or not at all; returns the path.
+
+    Raises BadInput, and writes nothing, when `read` would refuse what is in it.
+    """
     content = _without_none(msgspec.to_builtins(sealed(file)))
+    _check_values(_decoded(tomli_w.dumps(content).encode(), str(path)), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as stream:
         tomli_w.dump(content, stream)
@@ -94,15 +102,19 @@ def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> Batter
     verdict is `fail`; `allow_uncertified` lets it through, and its status is `edited` then.
     """
     text, origin = _text(str(name_or_path))
-    try:
-        file = msgspec.toml.decode(text, type=BatteryFile)
-    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
-        raise misread(origin, error, "a battery file (see docs/formats.md)") from None
+    file = _decoded(text, origin)
     _check_values(file, origin)
     problem = _why_uncertified(file)
     if problem and not allow_uncertified:
         raise Uncertified(f"{origin}: {problem}; --allow-uncertified reads it all the same")
     return _let_through(file) if problem else file
+
+
+def _decoded(text: bytes, origin: str) -> BatteryFile:
+    try:
+        return msgspec.toml.decode(text, type=BatteryFile)
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
+        raise misread(origin, error, "a battery file (see docs/formats.md)") from None
 
 
 def _why_uncertified(file: BatteryFile) -> str:
@@ -176,6 +188,11 @@ def _check_values(file: BatteryFile, origin: str) -> None:
         if volts is not None and not LOWEST_CELL_V <= volts / file.battery.cells_series <= HIGHEST_CELL_V:
             limits = f"{LOWEST_CELL_V:g} to {HIGHEST_CELL_V:g} V for each of {file.battery.cells_series} cells"
             raise BadInput(origin, f"battery.{name}", f"{limits}, got {volts:g} V for the pack")
+    wander = file.discrepancy.wander
+    if wander is not None and (
+        len(wander.soc) != len(wander.voltage_sd_V) or any(b <= a for a, b in pairwise(wander.soc))
+    ):
+        raise BadInput(origin, "discrepancy.wander.soc", "ascending knots, as many as in voltage_sd_V")
     corridor = file.corridor
     if corridor is not None and not len(corridor.time_s) == len(corridor.mean_V) == len(corridor.limit_V):
         raise BadInput(origin, "corridor", "time_s, mean_V and limit_V of one length")

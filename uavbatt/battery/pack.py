@@ -62,11 +62,21 @@ def weak_soc(pack: Installation, soc: Number) -> Number:
     return 1.0 - (1.0 - soc) / (1.0 - pack.deficit)
 
 
+def weak_voltage(pack: Installation, p: Parameters, s: State, c_rate: Number) -> Number:
+    """Terminal voltage of the weakest cell [V] where the others are in state `s` under `c_rate` [1/h].
+
+    It is a smaller cell under the same current: its C-rate is higher, and with it every drop.
+    """
+    more = 1.0 / (1.0 - pack.deficit)
+    its = State(weak_soc(pack, s.soc), s.polarisation_V * more, s.diffusion_V * more, s.core_C, s.sensor_C)
+    return model.cell_voltage(p, its, c_rate * more)
+
+
 def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:
     """Return the mean of the cells less the others' `strong_V` [V], as the weakest cell pulls it; never positive."""
     if not eq.acts(pack.deficit):
         return 0.0
-    return (model.cell_voltage(p, s._replace(soc=weak_soc(pack, s.soc)), c_rate) - strong_V) / pack.cells
+    return (weak_voltage(pack, p, s, c_rate) - strong_V) / pack.cells
 
 
 def series_resistance(pack: Installation, r_ohmAh: Number) -> Number:

@@ -72,8 +72,28 @@ class EffectEntry(Record, frozen=True):
     standard_error: dict[str, AtLeastZero] = {}
 
 
+class Wander(Record, frozen=True):
+    """[discrepancy.wander]: how what the model leaves hangs together, learned from effect-free records.
+
+    Under load the voltage wanders by `voltage_sd_V` at the charges `soc`, forgetting itself in `voltage_time_s`, with
+    white noise on top; at rest before take-off it is off by `rest_sd_V` throughout. Volts are the pack's.
+    """
+
+    soc: SocKnots
+    voltage_sd_V: list[Error]
+    voltage_time_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+    voltage_noise_V: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+    rest_sd_V: Error
+    temperature_sd_K: Error
+    temperature_time_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
+    temperature_noise_K: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+
+
 class Discrepancy(Record, frozen=True):
-    """[discrepancy]: what the model leaves on effect-free data, per pack of `cells_series` cells."""
+    """[discrepancy]: what the model leaves on effect-free data, per pack of `cells_series` cells.
+
+    `wander` is missing in files of before it was known; what they say otherwise stands in for it.
+    """
 
     voltage_bias_V: Volts
     voltage_rmse_V: Error
@@ -81,6 +101,7 @@ class Discrepancy(Record, frozen=True):
     temperature_rmse_K: Error
     held_out: bool
     source: str = ""
+    wander: Wander | None = None
 
 
 class Corridor(Record, frozen=True):

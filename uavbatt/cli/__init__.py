@@ -5,6 +5,15 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from collections.abc import Collection
+from pathlib import Path
+
+
+def _completed(words: list[str], commands: Collection[str | None]) -> list[str]:
+    """The words of the command line; a log alone is to be replayed."""
+    if words and words[0] not in commands and Path(words[0]).is_file():
+        return ["replay", *words]
+    return words
 
 
 def main() -> None:
@@ -16,7 +25,7 @@ def main() -> None:
     from uavbatt.errors import UavbattError, terminal_line
 
     try:
-        app()
+        app(_completed(sys.argv[1:], {command.name for command in app.registered_commands}))
     except UavbattError as error:
         print(terminal_line(f"uavbatt: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)

@@ -7,13 +7,13 @@ from typing import Annotated
 import typer
 
 from uavbatt import __version__
-from uavbatt.cli import diagnose, fit, fleet, info, live, plan, replay, simulate, validate
+from uavbatt.cli import batteries, diagnose, fit, fleet, info, live, plan, replay, simulate, validate
 
 app = typer.Typer(
     name="uavbatt",
-    help="How long a drone can keep flying, how sure that number is, and why it can be trusted.",
+    help="How long a drone can keep flying, how sure that number is, and why it can be trusted. "
+    "`uavbatt LOG` replays a log.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -39,5 +39,6 @@ app.command("replay")(replay.replay)
 app.command("diagnose")(diagnose.diagnose)
 app.command("fleet")(fleet.fleet)
 app.command("info")(info.info)
+app.command("batteries")(batteries.batteries)
 app.command("simulate")(simulate.simulate)
 app.command("live")(live.live)

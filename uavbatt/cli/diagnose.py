@@ -206,6 +206,14 @@ def _lines(found: Diagnosis, closed: Closed) -> list[str]:
             lines.append(f"    {name} = {i.value:.4g} [{i.lo:.4g}, {i.hi:.4g}] {unit_words(i.unit)}".rstrip())
         lines.append(f"    check: {one.would_separate}")
     lines += [f"  doubt: {reason}" for reason in found.reasons]
+    if found.blocks:
+        told = ", ".join(f"{b.name} {b.saved:.0f}" for b in found.blocks)
+        lines.append(f"  evidence (chi-square saved): {told}")
+    if found.hidden:
+        lines.append("  no more than this could hide in these records (95 %):")
+        lines += [
+            f"    {h.name}: {h.quantity} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in found.hidden
+        ]
     if not found.problem.evidence.has_temperature:
         lines.append("  no temperature: effects that show in it only are not among the candidates")
     b, a = closed.before, closed.after
@@ -232,6 +240,8 @@ def _as_json(found: Diagnosis, closed: Closed, status: str, path: str | None) ->
         "after": asdict(closed.after),
         "held_out": list(closed.held_out),
         "left": asdict(found.left),
+        "evidence": {b.name: b.saved for b in found.blocks},
+        "hidden": [asdict(h) for h in found.hidden],
         "certificate_status": status,
         "battery_file": path,
     }

@@ -51,6 +51,10 @@ def fleet(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
     ] = None,
+    by: Annotated[
+        str,
+        typer.Option("--by", metavar="FIELD", help="Column that names the aircraft, as hardware."),
+    ] = "",
     aircraft: Annotated[
         str, typer.Option("--aircraft", metavar="REGEX", help="What of a log's path names the aircraft.")
     ] = "",
@@ -71,7 +75,7 @@ def fleet(
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     settings = Settings(reserve_soc=reserve_soc)
-    job = Job(read_battery(battery, allow_uncertified), options, settings, _pattern(aircraft))
+    job = Job(read_battery(battery, allow_uncertified), options, settings, _column(by), _pattern(aircraft))
     found = find(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
@@ -103,6 +107,14 @@ def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) ->
     say(f"{overview.looked} need a look; see {folder / PAGE}, {folder / CSV}, {folder / PARQUET}")
     if not overview.flights:
         raise UavbattError(f"none of {logs} logs could be flown, the reasons are in {folder / CSV}")
+
+
+def _column(name: str) -> str:
+    from uavbatt.fleet.row import IDENTITIES
+
+    if name and name not in IDENTITIES:
+        raise UsageError(f"--by {name}: expected one of {', '.join(IDENTITIES)}")
+    return name
 
 
 def _pattern(text: str) -> str:

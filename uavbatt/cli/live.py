@@ -33,9 +33,13 @@ def live(
     instance: Annotated[int | None, typer.Option("--instance", min=0, max=255, help="Only this battery.")] = None,
     vehicle: Annotated[str | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew.")] = None,
     load: Annotated[str | None, typer.Option("--load", help="learned, recent or watts.")] = None,
+    mission: Annotated[str | None, typer.Option("--mission", help="Mission file (.waypoints, .plan): wins.")] = None,
     record: Annotated[str | None, typer.Option("--record", metavar="DIR", help="Record into this folder.")] = None,
     state: Annotated[str | None, typer.Option("--state", metavar="FILE", help="State that survives a crash.")] = None,
     request: Annotated[bool | None, typer.Option("--request", help="Ask the autopilot for rate, parameters.")] = None,
+    request_mission: Annotated[
+        bool | None, typer.Option("--request-mission", help="Ask the autopilot for its mission.")
+    ] = None,
     system: Annotated[int | None, typer.Option("--system", min=1, max=255, help="Only this vehicle.")] = None,
     component: Annotated[int | None, typer.Option("--component", min=1, max=255, help="Only this part of it.")] = None,
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
@@ -45,10 +49,10 @@ def live(
 
     given: dict[str, dict[str, Any]] = {
         "link": {"endpoint": endpoint or None, "gcs": gcs or None, "request": request, "system": system}
-        | {"component": component},
+        | {"component": component, "request_mission": request_mission},
         "pack": {"battery": battery, "cells": cells, "capacity_Ah": capacity_ah, "cutoff_voltage_V": cutoff_voltage}
         | {"reserve_soc": reserve_soc, "allow_uncertified": allow_uncertified, "instance": instance}
-        | {"vehicle": vehicle, "load": load},
+        | {"vehicle": vehicle, "load": load, "mission": mission},
         "feed": {"kinds": feed or None},
         "http": {"listen": http},
         "record": {"folder": record},

@@ -71,7 +71,8 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 
     link, feed = config.link, config.feed
     control = feed.proxy_control or control_path(link.endpoint)
-    return ProxyClient(Settings(link.endpoint, link.gcs, control, link.request, feed.proxy_soc)), ()
+    asks = (link.request, link.request_mission)
+    return ProxyClient(Settings(link.endpoint, link.gcs, control, *asks, soc=feed.proxy_soc)), ()
 
 
 def stated(pack: PackSection) -> tuple[PackOptions, Settings]:

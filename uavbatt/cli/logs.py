@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,3 +29,20 @@ def asked_flight(log: Path, instance: int | None, join: str) -> Flight:
     if instance is not None:
         raise UsageError("--instance names one battery and --join takes them all: expected one of the two")
     return read_joined(log, Wiring(join))
+
+
+def distinct_names(logs: Sequence[Path]) -> list[str]:
+    """Return a name for each log, with as many of its folders before it as it takes to tell them apart.
+
+    Raises UsageError when a log is named twice.
+    """
+    twice = next((log for k, log in enumerate(logs) if log.resolve() in {other.resolve() for other in logs[:k]}), None)
+    if twice is not None:
+        raise UsageError(f"{twice}: expected each log once, it is named twice")
+    whole = [log.resolve() for log in logs]
+    is_alone = len({(log.parent, log.stem) for log in whole}) == len(logs)
+    parts = [(*log.parent.parts[1:], log.stem if is_alone else log.name) for log in whole]
+    count = 1
+    while len({of_one[-count:] for of_one in parts}) < len(logs):
+        count += 1
+    return ["_".join(of_one[-count:]) for of_one in parts]

@@ -17,6 +17,7 @@ from uavbatt.records import NAN
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
+    from uavbatt.navigation import Wind
 
 BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
 RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
@@ -28,8 +29,12 @@ CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pa
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+WindOption = Annotated[
+    str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="Wind [m/s] and where it comes from, as 6@270.")
+]
 STANDARD_OUTPUT = Path("-")
 DEFAULT_BATTERY = "lipo-generic"
+FASTEST_WIND_MS = 100.0
 
 
 def known(value: float | None, option: str) -> float:
@@ -39,6 +44,20 @@ def known(value: float | None, option: str) -> float:
     if not (math.isfinite(value) and value > 0.0):
         raise UsageError(f"{option} {value}: expected a positive number")
     return value
+
+
+def stated_wind(text: str) -> Wind:
+    """The wind of `SPEED@FROM_DEG` ([m/s], degrees from north, where it comes from); UsageError for anything else."""
+    from uavbatt.navigation import Wind
+
+    speed, at, bearing = text.partition("@")
+    try:
+        speed_ms, from_rad = float(speed), math.radians(float(bearing))
+    except ValueError:
+        speed_ms, from_rad = NAN, NAN
+    if not (at and 0.0 <= speed_ms <= FASTEST_WIND_MS and math.isfinite(from_rad)):
+        raise UsageError(f"--wind {text}: expected SPEED@FROM_DEG, as 6@270 (6 m/s from the west)")
+    return Wind(-speed_ms * math.cos(from_rad), -speed_ms * math.sin(from_rad))
 
 
 def stated_pack(

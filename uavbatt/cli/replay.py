@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight
+from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight, distinct_names
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     STANDARD_OUTPUT,
@@ -24,17 +24,16 @@ from uavbatt.cli.options import (
     check_apart,
     check_writable,
     read_battery,
+    remark,
     say,
     stated_pack,
 )
-from uavbatt.errors import UsageError, terminal_line
+from uavbatt.errors import UavbattError, UsageError, terminal_line
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.battery.sizing import PackOptions
     from uavbatt.battery.vehicle_file import VehicleFile
-    from uavbatt.log_replay import Outcome, Step
-    from uavbatt.records import Flight
 
 
 def replay(
@@ -56,15 +55,21 @@ def replay(
 ) -> None:
     """Replay flight logs: state of charge and remaining time at every row, and how good it was.
 
-    With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list.
+    With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list; a log that
+    cannot be replayed is told, the others are replayed, and the exit code is 1.
+
+    Example: uavbatt replay flight.BIN --report flight.html
     """
     from uavbatt.battery import vehicle_file
 
     several = len(logs) > 1
-    targets = [[_target(path, log, ending, several) for path, ending in _outputs(jsonl, csv, report)] for log in logs]
+    names = distinct_names(logs)
+    targets = [
+        [_target(path, name, ending, several) for path, ending in _outputs(jsonl, csv, report)] for name in names
+    ]
     outputs = [summary, *(target for of_one in targets for target in of_one)]
     if several:
-        _check_names(logs, jsonl, csv, report)
+        _check_folders(jsonl, csv, report)
         check_apart(outputs, reads=[*logs, vehicle])
         for folder in (jsonl, csv, report):
             if folder is not None:
@@ -73,13 +78,24 @@ def replay(
     content = read_battery(battery, allow_uncertified)
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    results = []
+    results, failed = list[dict[str, Any]](), False
     for log, of_one in zip(logs, targets, strict=True):
-        results.append(_one(log, content, (options, reserve_soc), (load, flown), (instance, join), (*of_one, summary)))
+        try:
+            results.append(
+                _one(log, content, (options, reserve_soc), (load, flown), (instance, join), (*of_one, summary))
+            )
+        except UavbattError as error:
+            if not several:
+                raise
+            failed = True
+            remark(f"uavbatt: {error}")
+            results.append({"log": str(log), "error": terminal_line(error)})
     if summary is not None:
         from uavbatt.files import write_json
 
         write_json(summary, results if several else results[0])
+    if failed:
+        raise typer.Exit(1)
 
 
 def _one(
@@ -97,6 +113,7 @@ def _one(
     from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps
     from uavbatt.prediction.forecaster import Settings
     from uavbatt.prediction.load_options import stated_load
+    from uavbatt.report import flight_text
     from uavbatt.telemetry.formats.recording import forecast_period_s
 
     jsonl, csv, report = outputs[:3]
@@ -123,9 +140,9 @@ def _one(
             from uavbatt.report.page import write_page
 
             write_page(report, flight_report(flight, run, resolved, found, content))
-    for line in _lines(flight, resolved, found, run):
+    for line in flight_text.lines(flight, resolved, found, run):
         say(line, *outputs)
-    return _summary(flight, resolved, found, run, content)
+    return flight_text.summary(flight, resolved, found, run, content)
 
 
 def _with_progress(rows: Any, total: int, name: str) -> Any:
@@ -138,104 +155,15 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
-def _lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) -> list[str]:
-    """The summary for a person."""
-    status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
-    lines = [
-        f"{flight.source}: {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
-        f"  battery    {resolved.battery} ({status}); {resolved.words}",
-        f"  at the end {found.end_voltage_V:.2f} V, state of charge {_number(found.end_soc, '.3f')} "
-        f"± {_number(found.end_soc_sd, '.3f')}; {_given(found.refused_in_air)}",
-    ]
-    warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
-    lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
-    if flight.skipped_bytes:
-        lines.append(f"  warning    {flight.skipped_bytes} bytes of the log were unreadable and skipped")
-    if math.isfinite(found.end_of_flight_s):
-        lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
-        for c in found.checkpoints:
-            if math.isfinite(c.remaining_s):
-                verdict = "inside" if c.inside else "outside"
-                lines.append(
-                    f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
-                    f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
-                )
-            else:
-                lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
-    else:
-        last = run[-1].remaining
-        between = f"{_clock(last.remaining_lo_s)} to {_clock(last.remaining_hi_s)}"
-        left = f"{_clock(last.remaining_s)} min left at the last row ({between})"
-        said = left if math.isfinite(last.remaining_s) else f"no forecast at the last row: {last.reason}"
-        lines.append(f"  the flight ended before its battery did; {said}")
-    return lines
-
-
-def _given(refused_in_air: float) -> str:
-    """Say how often a forecast was given while the aircraft flew."""
-    if not math.isfinite(refused_in_air):
-        return "not seen in the air for more than a minute"
-    if refused_in_air == 0.0:
-        return "a forecast at all times in the air"
-    return f"no forecast at {refused_in_air:.1%} of the rows in the air"
-
-
-def _clock(seconds: float) -> str:
-    """Minutes and seconds, `16:22`."""
-    if not math.isfinite(seconds):
-        return "unknown"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
-
-
-def _summary(
-    flight: Flight, resolved: PackSize, found: Outcome, run: list[Step], content: BatteryFile
-) -> dict[str, Any]:
-    """The summary for a program (DESIGN §5)."""
-    from dataclasses import asdict
-
-    scores = [
-        {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
-        for c in found.checkpoints
-    ]
-    return {
-        "log": flight.source,
-        "kind": flight.kind,
-        "instance": flight.instance,
-        "battery": resolved.battery,
-        "certificate_status": resolved.status,
-        "content_sha256": content.certificate.content_sha256,
-        "cells": resolved.cells,
-        "cells_from": resolved.cells_from,
-        "capacity_Ah": resolved.capacity_Ah,
-        "capacity_from": resolved.capacity_from,
-        "cutoff_V": resolved.cutoff_V,
-        "cutoff_from": resolved.cutoff_from,
-        "low_V": resolved.low_V,
-        "low_from": resolved.low_from,
-        "skipped_bytes": flight.skipped_bytes,
-        "notes": list(flight.notes),
-        "warnings": list(dict.fromkeys(w for s in run for w in s.estimate.warnings)),
-        **{k: v for k, v in asdict(found).items() if k != "checkpoints"},
-        "scores": scores,
-    }
-
-
-def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "unknown"
-
-
 def _outputs(jsonl: Path | None, csv: Path | None, report: Path | None) -> list[tuple[Path | None, str]]:
     return [(jsonl, ".jsonl"), (csv, ".csv"), (report, ".html")]
 
 
-def _target(path: Path | None, log: Path, ending: str, several: bool) -> Path | None:
-    return path / (log.stem + ending) if path is not None and several else path
+def _target(path: Path | None, name: str, ending: str, several: bool) -> Path | None:
+    return path / (name + ending) if path is not None and several else path
 
 
-def _check_names(logs: list[Path], *folders: Path | None) -> None:
-    if len({log.stem for log in logs}) < len(logs) and any(folders):
-        raise UsageError("several logs of one name: expected different names, one output file is written for each")
+def _check_folders(*folders: Path | None) -> None:
     for folder in folders:
         if folder is None:
             continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,18 +15,30 @@ from uavbatt.cli.options import (
     CellsOption,
     CutoffOption,
     UncertifiedOption,
+    WindOption,
     check_writable,
     known,
     read_battery,
     remark,
+    stated_wind,
 )
 from uavbatt.errors import UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.battery.scaling import Pack
+    from uavbatt.records import Sample
+    from uavbatt.simulate import Mission
+    from uavbatt.simulate_route import RouteFlight
 
 
 def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="FILE.tlog, FILE.BIN or FILE.csv")],
     battery: BatteryOption = DEFAULT_BATTERY,
-    power_w: Annotated[float, typer.Option("--power-w", min=1.0, help="Mean power of the flight [W].")] = 200.0,
+    power_w: Annotated[
+        float, typer.Option("--power-w", min=1.0, help="Mean power of the flight, with --mission of the hover [W].")
+    ] = 200.0,
+    mission: Annotated[Path | None, typer.Option("--mission", help="Fly this: a .waypoints or .plan file.")] = None,
+    wind: WindOption = None,
     ambient_c: AmbientOption = 20.0,
     start_soc: Annotated[
         float, typer.Option("--start-soc", min=0.05, max=1.0, help="State of charge at take-off, 0..1.")
@@ -39,12 +51,15 @@ def simulate(
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
 ) -> None:
-    """Simulate a flight of a battery file's own model until the pack is empty, and write it as a log."""
+    """Simulate a flight of a battery file's own model until the pack is empty or a mission is flown, as a log."""
     from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
     from uavbatt.simulate import Mission, fly, with_effects, write
 
-    check_writable(output)
+    check_writable(output, reads=[mission])
+    if wind is not None and mission is None:
+        raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
+    route = _route(mission, wind) if mission is not None else None
     content = read_battery(battery, allow_uncertified)
     series = cells or content.battery.cells_series
     share = series / content.battery.cells_series
@@ -54,9 +69,32 @@ def simulate(
     low_V = (content.battery.low_V or float("nan")) * share
     pack = pack_of(content, series, given_Ah, cutoff_V, low_V)
     pack = with_effects(pack, dict(_effect(text) for text in effect or []))
-    samples = fly(pack, Mission(power_w, ambient_c, start_soc, rate_hz, seed))
-    write(output, samples, pack)
+    flight = Mission(power_w, ambient_c, start_soc, rate_hz, seed)
+    samples = fly(pack, flight) if route is None else _along(route, pack, flight)
+    write(output, samples, pack, route)
     remark(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s")
+
+
+def _route(mission: Path, wind: str | None) -> RouteFlight:
+    """The flight of a mission file; UsageError for one that does not say where it begins, or has no end."""
+    from uavbatt.navigation import Wind
+    from uavbatt.simulate import IDLE_S
+    from uavbatt.simulate_route import route_flight
+    from uavbatt.telemetry.formats.mission_file import read_mission
+
+    planned = read_mission(mission)
+    if planned.home is None:
+        raise UsageError(f"--mission {mission}: expected the place of home in it")
+    return route_flight(planned.mission, planned.home, stated_wind(wind) if wind else Wind(0.0, 0.0), IDLE_S)
+
+
+def _along(route: RouteFlight, pack: Pack, flight: Mission) -> list[Sample]:
+    """The rows of a flight along a route."""
+    from uavbatt.simulate import fly
+    from uavbatt.simulate_route import watts_of
+
+    watts = watts_of(flight.power_W)
+    return fly(pack, flight, lambda time_s: route.power_W(time_s, watts), route.lands_s)
 
 
 def _effect(text: str) -> tuple[str, float]:

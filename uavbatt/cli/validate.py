@@ -14,6 +14,7 @@ from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.dataset import DataSet
+    from uavbatt.validation.gating.gate import Limits
     from uavbatt.validation.study.paper import PaperReplay
     from uavbatt.validation.validate import Validation
 
@@ -31,8 +32,16 @@ def validate(
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Every number as JSON.")] = None,
     method: Annotated[Method, typer.Option("--method", help="iso gates; paper = the study as printed.")] = Method.ISO,
-    limit_v: Annotated[float, typer.Option("--limit-v", min=0.001, help="Limit in volts for a 3S pack.")] = 0.15,
-    limit_s: Annotated[float, typer.Option("--limit-s", min=0.1, help="Limit in seconds at 10.0 V.")] = 10.0,
+    template: Annotated[
+        Path | None, typer.Option("--template", metavar="DIR", help="Write a data set to fill in, and nothing else.")
+    ] = None,
+    limit_v: Annotated[
+        float | None, typer.Option("--limit-v", min=0.001, help="Limit of the voltage of this pack [V]; 0.05 a cell.")
+    ] = None,
+    limit_s: Annotated[float, typer.Option("--limit-s", min=0.1, help="Limit of the crossing time [s].")] = 10.0,
+    crossing_v: Annotated[
+        float | None, typer.Option("--crossing-v", min=0.1, help="Voltage of this pack whose crossing is timed [V].")
+    ] = None,
 ) -> None:
     """Judge the tests by ISO 5725, build the corridor of permissible dispersion, and gate the battery model.
 
@@ -40,6 +49,10 @@ def validate(
     """
     from uavbatt import dataset as data
 
+    if template is not None:
+        data.write_template(template)
+        say(f"written: {', '.join(str(template / name) for name in data.TEMPLATE_FILES)}")
+        return
     check_writable(report, json_file, makes=ship)
     if ship is not None and ship.exists() and not ship.is_dir():
         raise UsageError(f"--ship {ship}: expected a folder")
@@ -51,12 +64,11 @@ def validate(
         return
     from uavbatt.files import write_json
     from uavbatt.validation.as_json import to_builtins
-    from uavbatt.validation.gating.gate import Limits
     from uavbatt.validation.validate import validate as judge
 
     remark(f"fitting {tests.name}, one occasion left out at a time ...")
     with progress_bar(tests.name) as progress:
-        result = judge(tests, Limits(voltage_V=limit_v, time_s=limit_s), progress)
+        result = judge(tests, _limits(tests.cells_series, limit_v, limit_s, crossing_v), progress)
     printed = _printed(tests)
     for line in _lines(result):
         say(line, report, json_file)
@@ -78,6 +90,18 @@ def validate(
     elif ship is not None:
         remark("nothing shipped: the verdict is not pass")
     raise typer.Exit({"pass": 0, "fail": 1, "not enough data": 4}[result.verdict])
+
+
+def _limits(cells: int, limit_V: float | None, limit_s: float, crossing_V: float | None) -> Limits:
+    """The declared limits as the gate takes them, for three cells, of what was stated of this pack."""
+    from uavbatt.validation.gating.gate import Limits
+
+    usual, share = Limits(), 3.0 / cells
+    return Limits(
+        voltage_V=usual.voltage_V if limit_V is None else limit_V * share,
+        time_s=limit_s,
+        crossing_V=usual.crossing_V if crossing_V is None else crossing_V * share,
+    )
 
 
 def _lines(result: Validation) -> list[str]:

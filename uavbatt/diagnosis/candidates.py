@@ -22,7 +22,8 @@ from uavbatt.battery.pack import Installation
 QUANTITIES = tuple(q for effect in EFFECTS.values() for q in effect.quantities)
 INDEX = {q.name: i for i, q in enumerate(QUANTITIES)}
 UNITS = {q.name: q.unit for q in QUANTITIES}
-ALWAYS = ("temperature_lag", "polarisation", "slow_diffusion", "temperature_resistance")
+ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion", "temperature_resistance")
+PACKS_OWN = ("temperature_lag", "charge_transfer")  # how the sensor is mounted, how the pack has aged: news, if changed
 ONE_WAY = ("fade", "growth")  # packs age in one direction
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
@@ -59,23 +60,42 @@ class Freed:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One or several effects refitted together; `free_start` gives every record its own starting charge."""
+    """One or several effects refitted together: for each its name and how many of the freed quantities are its own.
+
+    `free_start` lets the records start with charges of their own around a shift that they share.
+    """
 
     names: tuple[str, ...]
     freed: tuple[Freed, ...]
+    sizes: tuple[int, ...] = ()
     free_start: bool = False
-    last: int = 0  # quantities of the effect that was added last
-    resized: bool = False  # the effect added last is in the battery file already, with another size
+    resized: tuple[str, ...] = ()  # effects that the battery file has already, with another size
 
     @property
     def name(self) -> str:
         """The effect that was added last."""
         return self.names[-1] if self.names else "none"
 
+    @property
+    def last(self) -> int:
+        """Quantities of the effect that was added last."""
+        return self.sizes[-1] if self.sizes else 0
+
+    def places(self, name: str) -> slice:
+        """Where the quantities of an effect stand among the freed."""
+        k = self.names.index(name)
+        first = sum(self.sizes[:k])
+        return slice(first, first + self.sizes[k])
+
     def plus(self, other: Candidate) -> Candidate:
         """Both together."""
-        free_start = self.free_start or other.free_start
-        return Candidate(self.names + other.names, self.freed + other.freed, free_start, other.last, other.resized)
+        return Candidate(
+            self.names + other.names,
+            self.freed + other.freed,
+            self.sizes + other.sizes,
+            self.free_start or other.free_start,
+            self.resized + other.resized,
+        )
 
 
 NOTHING = Candidate((), ())
@@ -85,6 +105,7 @@ NOTHING = Candidate((), ())
 # records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
+STATED = ("sensor_lag_s", "activation_K")  # as the file states them; errors of the others go with the resistance's
 
 
 def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
@@ -98,6 +119,12 @@ def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
         _nuisance("fade", capacity_sd),
         _nuisance("growth", resistance_sd),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
+        *(
+            _nuisance(name, sd)
+            for entry in file.effects
+            for name in STATED
+            if (sd := entry.standard_error.get(name, 0.0)) > 0.0
+        ),
     )
 
 
@@ -125,16 +152,14 @@ def candidates(
             continue
         if effect.name in NEEDS_TEMPERATURE and not has_temperature:
             continue
-        if effect.name == "initial_charge":  # each flight was charged by itself
-            found.append(Candidate((effect.name,), (), free_start=True))
-            continue
         free = [q for q in effect.quantities if q.prior_sd > 0.0]
         free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
-        resized = effect.name in listed and effect.name != "temperature_lag"
-        found.append(Candidate((effect.name,), freed, last=len(freed), resized=resized))
+        resized = (effect.name,) if effect.name in listed and effect.name not in PACKS_OWN else ()
+        own_start = effect.name == "initial_charge"  # each flight was charged by itself
+        found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
     return found
 
 

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavbatt.diagnosis import attribute
-from uavbatt.diagnosis.attribute import Finding
 from uavbatt.diagnosis.candidates import QUANTITIES, UNITS
 from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.rivals import LARGEST_CLASS
+from uavbatt.diagnosis.search import Finding, Trial
 from uavbatt.diagnosis.words import separating
 
 COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
 SLOWEST_POLARISATION_S = 30.0
+NEVER_SURE, DOUBTED = 0.97, 0.4  # share of the candidates' probability that is kept: the cause may be none of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +42,41 @@ def class_of(problem: Problem, finding: Finding, doubted: bool) -> EffectClass:
     members = _named(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
-        parameters.update(intervals(problem, fit))
-    outside = next((f.candidate.name for f in finding.fits if f.candidate.name not in members), None)
-    sure = finding.probability * (0.5 if doubted else 0.97)
-    return EffectClass(members, round(sure, 3), parameters, separating(members, outside))
+        parameters.update(intervals(fit))
+    outside = [name for name in finding.outside if name not in members]
+    sure = finding.probability * (DOUBTED if doubted else NEVER_SURE)
+    return EffectClass(members, round(sure, 3), parameters, separating(members, next(iter(outside), None)))
+
+
+def start_class(problem: Problem, nothing: Refit) -> EffectClass:
+    """The start of charge of records that rested well below full."""
+    evidence = problem.evidence
+    starts = evidence.start_soc + evidence.start_sd * nothing.v[:, 0]
+    shift = starts[evidence.charged_in_part] - 1.0
+    mean, half = float(np.mean(shift)), float(np.hypot(0.01, 2.0 * np.std(shift) / np.sqrt(len(shift))))
+    name = "initial_charge"
+    return EffectClass((name,), NEVER_SURE, {"start_soc_shift": Interval(mean, mean - half, mean + half, "1")},
+                       separating((name,), None))  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """How much of an effect could be there without being seen: its first quantity's 95 % interval."""
+
+    name: str
+    quantity: str
+    lo: float
+    hi: float
+    unit: str
+
+
+def hidden(tried: Trial) -> tuple[Hidden, ...]:
+    """The bounds that the trial of single effects sets."""
+    out = []
+    for fit in tried.fits:
+        name, one = next(iter(intervals(fit).items()))
+        out.append(Hidden(fit.candidate.name, name, one.lo, one.hi, one.unit))
+    return tuple(sorted(out, key=lambda h: h.name))
 
 
 def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
@@ -58,21 +90,16 @@ def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
     twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion"}
     if slow:
         twins["polarisation"] = "slow_diffusion"
-    for name, twin in twins.items():
-        if name in members and twin not in members:
-            members = (*members, twin)
-    return members[: attribute.LARGEST_CLASS]
+    first, others = members[0], members[1:]
+    named = (first, twins.get(first, first), *others, *(twins.get(name, name) for name in others))
+    return tuple(dict.fromkeys(named))[:LARGEST_CLASS]
 
 
-def intervals(problem: Problem, fit: Refit) -> dict[str, Interval]:
+def intervals(fit: Refit) -> dict[str, Interval]:
     """Values of the effect that was added last, with 95 % intervals that allow for errors of the battery file."""
-    if not fit.candidate.last:
-        shift = fit.v[:, 0] * np.maximum(problem.evidence.start_sd, 0.2)
-        mean, half = float(np.mean(shift)), float(0.01 + 2.0 * np.std(shift) / np.sqrt(len(shift)))
-        return {"start_soc_shift": Interval(mean, mean - half, mean + half, "1")}
     out = {}
     values, errors = fit.values()[0], fit.errors()
-    for k in range(len(fit.candidate.freed) - fit.candidate.last, len(fit.candidate.freed)):
+    for k in range(len(fit.candidate.freed))[fit.candidate.places(fit.candidate.name)]:
         freed = fit.candidate.freed[k]
         name = QUANTITIES[freed.index].name
         value, half = float(values[k]), COVERAGE * float(errors[k])

@@ -23,8 +23,9 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.candidates import QUANTITIES
 from uavbatt.diagnosis.diagnosis import Diagnosis
-from uavbatt.diagnosis.heldout import left_out, open_loop
+from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.problem import Refit
+from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.fitting.assemble import rounded
 from uavbatt.log_replay import steps
@@ -56,10 +57,10 @@ class Closed:
 
 
 def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
-    """Effect -> quantity -> value for values [freed] of a refit."""
+    """Effect -> quantity -> value for values [freed] of a refit; none for a start, which each flight has of its own."""
     known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
     return {
-        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known}
+        name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known and name != "initial_charge"}
         for name in fit.candidate.names
     }
 
@@ -180,7 +181,7 @@ def judge(
 ) -> Closed:
     """Judge the error before and after on every record, each left out in turn; `engine` replays the flights."""
     problem, fit = found.problem, found.after
-    values = left_out(problem, fit)
+    values = left_out_values(problem, fit)
     by_name = dict(zip(problem.evidence.names, values, strict=True))
     pairs: dict[str, tuple[list[float], list[bool]]] = {"before": ([], []), "after": ([], [])}
     for flight in flights:

@@ -1,16 +1,17 @@
 """From records and a battery file to a verdict: is an effect missing, which, how large, how sure.
 
-One effect at a time. A further one is sought only while the residual is larger than what the battery's model leaves on
-effect-free data; then the pairs are weighed as pairs, since two effects together can look like a third. What
-still stands above that floor, or a value that differs from record to record, ends as `undeclared_effect`; such a
-value is named as a suspect and does not enter the model.
+Everything is decided in one unit, the chi-square of records left out against the whitened error of the battery's own
+model, errors that the file states allowed for (`worth`). The start of charge is settled first; then single effects
+and pairs are searched. What is left is doubted when it is more than the file's model leaves, also with every error of
+the file at its most probable value; then, or when a value differs from record to record, the verdict is
+`undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same in all records.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -18,23 +19,20 @@ from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis import attribute, residual
-from uavbatt.diagnosis.attribute import Finding
-from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
-from uavbatt.diagnosis.classes import EffectClass, class_of
-from uavbatt.diagnosis.evidence import IDLE_NOISE_A, NOT_HELD_OUT, idle_A, prepare
-from uavbatt.diagnosis.heldout import helps
+from uavbatt.diagnosis import residual
+from uavbatt.diagnosis.blocks import Block, evidence_by_block
+from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, base_values, candidates, nuisances
+from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
+from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
+from uavbatt.diagnosis.search import Finding, Trial, search
 from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
-ABOVE_FLOOR = 1.35  # size of a residual against the discrepancy of the file
-STRUCTURED = 1.12  # see residual.structure; effect-free flights show 0.96 to 1.07
-LEAST_FLOOR_K = 0.4
-MOST_EFFECTS = 3
+LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 
@@ -51,9 +49,10 @@ class Diagnosis:
     residual_before: list[Residual]
     residual_after: list[Residual]
     floor_V: float
-    floor_K: float
     left: Shape
-    findings: tuple[Finding, ...] = field(default=())
+    findings: tuple[Finding, ...] = ()
+    blocks: tuple[Block, ...] = ()  # where in the records the evidence lies
+    hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
 
 def problem_of(
@@ -90,28 +89,22 @@ def diagnose(
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
     problem = problem_of(records, file, pack, engine.states)
-    options = candidates(
-        file,
-        problem.base,
-        has_temperature=problem.evidence.has_temperature,
-        idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
-        without=without,
-    )
-    nothing = refit(problem, [NOTHING])[0]
-    floor_V, floor_K = floors(file, problem)
-    best, findings = _search(problem, options, nothing, (floor_V, floor_K), tell)
+    searched = _searched(problem, file, without, tell)
+    if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
+        full = replace(problem, evidence=problem.evidence.believed_full)
+        searched = min(searched, _searched(full, file, without, tell), key=lambda s: s.best.total)
+    problem, nothing, best, findings, singles = searched
     tell("residual")
-    useless = bool(best.candidate.names) and not helps(problem, nothing, best)
-    if useless:
-        best = nothing
-    after = residual.residuals(problem.evidence, at_best(problem, best))
-    left = residual.shape(after)
-    hangs = residual.structure(problem.evidence, best.residual)
-    reasons = _doubts(findings, after, (floor_V, floor_K), (left, hangs), {e.name for e in file.effects})
-    if useless:
-        reasons += ("what was found does not help to predict a record that was left out: the battery file stays",)
+    steady = all(f.steady for f in findings)
+    left = left_per_number(problem, best)
+    reasons = _doubts(problem, findings, best, left, {e.name for e in file.effects})
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
+    if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
+        found = (start_class(problem, nothing), *found)
+    if not steady:  # a value that differs from record to record makes a suspect, and cannot stand in a battery file
+        best = nothing
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
+    after = residual.residuals(problem.evidence, at_best(problem, best))
     return Diagnosis(
         verdict=verdict,
         classes=found,
@@ -121,125 +114,92 @@ def diagnose(
         after=best,
         residual_before=residual.residuals(problem.evidence, at_best(problem, nothing)),
         residual_after=after,
-        floor_V=floor_V,
-        floor_K=floor_K,
-        left=left,
+        floor_V=floor_V(file, problem),
+        left=residual.shape(after),
         findings=tuple(findings),
+        blocks=evidence_by_block(problem, nothing, best) if best is not nothing else (),
+        hidden=hidden(singles) if not findings else (),
     )
 
 
-def floors(file: BatteryFile, problem: Problem) -> tuple[float, float]:
-    """Size of residual that the battery's own model leaves: voltage of this pack [V], temperature [K]."""
-    left = file.discrepancy
-    strict = 1.0 if left.held_out else NOT_HELD_OUT
+class _Searched(NamedTuple):
+    problem: Problem
+    nothing: Refit
+    best: Refit
+    findings: list[Finding]
+    singles: Trial
+
+
+def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
+    """The search on records whose starts are settled; what cannot be, or is known already, is no candidate."""
+    known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
+    alone = ("weak_cell",) if problem.pack.installation.cells == 1 else ()
+    options = candidates(
+        file,
+        problem.base,
+        has_temperature=problem.evidence.has_temperature,
+        idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
+        without=(*without, *known, *alone),
+    )
+    nothing = refit(problem, [NOTHING])[0]
+    return _Searched(problem, nothing, *search(problem, options, nothing, tell))
+
+
+def floor_V(file: BatteryFile, problem: Problem) -> float:
+    """Size of residual that the battery's own model leaves on this pack [V]."""
     share = problem.pack.installation.cells / file.battery.cells_series
-    least_V = 0.005 * problem.pack.installation.cells
-    return max(left.voltage_rmse_V * share, least_V), max(left.temperature_rmse_K * strict, LEAST_FLOOR_K)
+    return float(file.discrepancy.voltage_rmse_V * share)
 
 
-def _search(
-    problem: Problem,
-    options: list[Candidate],
-    nothing: Refit,
-    floor: tuple[float, float],
-    tell: Callable[[str], None],
-) -> tuple[Refit, list[Finding]]:
-    """Add effects while the residual stands above the floor and each earns its place."""
-    tell(f"{len(options)} candidate effects")
-    explains = _explaining(problem, floor)
-    step = attribute.find(problem, [nothing], options, explains)
-    if step is None:
-        return nothing, []
-    alone = step.constancy is None or step.constancy.steady
-    resized = all(m.candidate.resized for m in step.members)
-    if (resized or not alone) and explains(nothing):  # no more is left than the file says: nothing to be explained
-        return nothing, []
-    findings = [step]
-    best = step.members[0]
-    while len(findings) < MOST_EFFECTS and not explains(best):
-        tell(f"a further effect beside {', '.join(best.candidate.names)}")
-        further = attribute.find(problem, _rivals(findings[-1]), options, explains)
-        explained = nothing.total - best.total
-        if further is None or further.gain < max(attribute.FURTHER_GAIN, attribute.FURTHER_SHARE * explained):
-            break
-        if further.constancy is not None and not further.constancy.steady:
-            break
-        best, alone = further.members[0], True
-        findings = _reweighed(problem, best, options, explains) or [further]
-    # a value that differs from record to record makes a suspect, and cannot stand in a battery file
-    return (best, findings) if alone else (nothing, [step])
+class Left(NamedTuple):
+    """Chi-square per number that a model leaves."""
+
+    voltage: float
+    temperature: float  # NaN: not measured
 
 
-def _rivals(finding: Finding) -> list[Refit]:
-    """The best models of the round, beyond the class: with a second effect a worse first may turn out better."""
-    kept: list[Refit] = []
-    for fit in finding.fits:
-        if not any(attribute.related(fit.candidate.names[-1:], k.candidate.names[-1:]) for k in kept):
-            kept.append(fit)
-    return kept[: attribute.RIVALS]
+def left_per_number(problem: Problem, best: Refit) -> Left:
+    """What is left of voltage and temperature once the file's stated errors are at their most probable.
+
+    What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
+    """
+    fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
+    left = per_number(problem, fit)
+    numbers = sum(v.rows.size for v in problem.evidence.volts)
+    return left._replace(voltage=left.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
 
 
-def _reweighed(
-    problem: Problem, best: Refit, options: list[Candidate], explains: Callable[[Refit], bool]
-) -> list[Finding]:
-    """For every effect of the model: which others could stand in its place, the rest kept; most evidence first."""
-    by_name = {o.name: o for o in options}
-    found = []
-    for name in best.candidate.names:
-        others = NOTHING
-        for kept in best.candidate.names:
-            if kept != name:
-                others = others.plus(by_name[kept])
-        rest = refit(problem, [others])[0]
-        again = attribute.find(problem, [rest], options, explains)
-        if again is not None:
-            found.append(again)
-    return sorted(found, key=lambda f: -f.gain)
+def per_number(problem: Problem, fit: Refit) -> Left:
+    """Chi-square per number of voltage and of temperature."""
+    squares, numbers = np.zeros(2), np.zeros(2)
+    for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
+        first, size = volts.rows.size, temps.rows.size if temps is not None else 0
+        squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
+        numbers += [first, size]
+    return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def _explaining(problem: Problem, floor: tuple[float, float]) -> Callable[[Refit], bool]:
-    """The test whether a model leaves no more than the floor: size of voltage and temperature, and their shape."""
-
-    def explains(fit: Refit) -> bool:
-        if residual.structure(problem.evidence, fit.residual) > STRUCTURED:
-            return False
-        left = residual.residuals(problem.evidence, at_best(problem, fit))
-        small_V = residual.size_V(left) <= ABOVE_FLOOR * floor[0]
-        return small_V and not residual.size_K(left) > ABOVE_FLOOR * floor[1]  # NaN: not measured
-
-    return explains
-
-
-def _doubts(
-    findings: list[Finding],
-    after: list[Residual],
-    floor: tuple[float, float],
-    shape: tuple[Shape, float],
-    listed: set[str],
-) -> tuple[str, ...]:
+def _doubts(problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str]) -> tuple[str, ...]:
     """Why the model after all is not believed to be complete; empty when it is."""
     doubts = []
-    (floor_V, floor_K), (left, hangs) = floor, shape
-    size_V, size_K = residual.size_V(after), residual.size_K(after)
-    if size_V > ABOVE_FLOOR * floor_V:
+    if left.voltage > LEFT:
+        after = residual.residuals(problem.evidence, at_best(problem, best))
+        shape = residual.shape(after)
         doubts.append(
-            f"the voltage residual is still {1000 * size_V:.0f} mV where the battery's model leaves "
-            f"{1000 * floor_V:.0f} mV; it goes with {left.variable} ({left.share:.0%} of it) and lasts about "
-            f"{left.time_scale_s:.0f} s"
+            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {left.voltage:.1f} times what this "
+            f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
+            f"about {shape.time_scale_s:.0f} s"
         )
-    elif hangs > STRUCTURED:
+    if left.temperature > LEFT:
+        after = residual.residuals(problem.evidence, at_best(problem, best))
         doubts.append(
-            f"the voltage residual of {1000 * size_V:.0f} mV still hangs together from row to row ({hangs:.2f}, 1 is "
-            f"chance); it goes with {left.variable} and lasts about {left.time_scale_s:.0f} s"
+            f"the temperature residual is still {residual.size_K(after):.1f} K, {left.temperature:.1f} times what this "
+            "battery's model leaves (chi-square)"
         )
-    if size_K > ABOVE_FLOOR * floor_K:
-        doubts.append(f"the temperature residual is still {size_K:.1f} K where the model leaves {floor_K:.1f} K")
     for finding in findings:
-        steady = finding.constancy
-        if steady is not None and not steady.steady:
-            name = finding.members[0].candidate.name
-            doubts.append(f"{name} is not the same in all records (they differ by {steady.spread:.0%} of it)")
-        if {m.candidate.name for m in finding.members} <= listed - {"temperature_lag"}:
-            name = finding.members[0].candidate.name
-            doubts.append(f"no new effect explains it, only another size of {name}, which the file already has")
+        its = finding.worth.constancy
+        if its is not None and not finding.steady:
+            doubts.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
+        if {m.candidate.name for m in finding.members} <= listed - set(PACKS_OWN):
+            doubts.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
     return tuple(doubts)

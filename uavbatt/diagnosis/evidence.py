@@ -1,38 +1,39 @@
 """Flights and bench tests, made ready to be held against the model.
 
-What the best model of a battery leaves is no white noise: it wanders for a minute or more. So the misfit of a record
-is judged by the covariance
+What the best model of a battery leaves is no white noise: it wanders for a minute or more, most at both ends of the
+charge. So the misfit of a record is judged by the covariance
 
-    K(t, t') = sd(t) sd(t') exp(-|t - t'|/tau) + white²
+    K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)²
 
-with sd and tau from the battery file's [discrepancy] (Rasmussen & Williams, Gaussian Processes, 2006, section 4.2.1,
-for the exponential kernel). Its inverse Cholesky factor turns a residual into independent numbers of unit variance:
-their sum of squares is the chi-square that all decisions rest on. The rest before take-off is a block of its own.
+as the battery file's `[discrepancy.wander]` learned it from effect-free records (`fitting.wander`; Rasmussen &
+Williams, Gaussian Processes, 2006, section 4.2.1, for the exponential kernel). Its inverse Cholesky factor turns a
+residual into independent numbers of unit variance: their sum of squares is the chi-square that all decisions rest on.
+The rest before take-off is a block of its own, off by one constant.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile, Wander
+from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting import observed
+from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import Observed, Stack
 
-LEAST_CELL_SD_V, REST_CELL_SD_V, WHITE_CELL_SD_V = 0.007, 0.004, 0.003
-TIMING_SD_S = 6.0
-LEAST_TAU_S = 60.0
-NOT_HELD_OUT = 1.25  # a discrepancy seen by the fit itself is too small
-LEAST_TEMP_SD_K, TEMP_TAU_S, WHITE_K = 0.5, 400.0, 0.15
+FLATNESS_S = 6.0  # rows of a residual count by how flat the voltage is there, in the sizes that are shown
 SHORTEST_S, LEAST_DRAWN = 240.0, 0.15
 LEAST_RECORDS = 2
 LEAST_CHANGE = 0.04  # of the current, relative, over the records
+CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
+FULL_SD = 0.008
 IDLE_NOISE_A = 0.15
 FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
@@ -43,9 +44,11 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """Rows of one record that count, and the inverse factor of their covariance."""
+    """Rows of one record that count, which of them are at rest before take-off, and the inverse factor of their
+    covariance."""
 
     rows: Rows
+    rest: NDArray[np.bool_]
     inverse: Array
 
 
@@ -60,12 +63,23 @@ class Evidence:
     known_ambient: Array
     start_soc: Array
     start_sd: Array
-    independent: float
+    charged_in_part: NDArray[np.bool_]  # rested well below full: the start is known to be another than believed
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the records."""
         return self.stack.names
+
+    @property
+    def believed_full(self) -> Evidence:
+        """The same records, the rested ones believed to have started full whatever their voltage says."""
+        full = self.charged_in_part
+        return replace(
+            self,
+            start_soc=np.where(full, 1.0, self.start_soc),
+            start_sd=np.where(full, FULL_SD, self.start_sd),
+            charged_in_part=np.zeros_like(full),
+        )
 
     @property
     def has_temperature(self) -> bool:
@@ -121,29 +135,43 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
     """Check, bin and whiten the records. ocv_soc: (soc, OCV) of the battery file, ascending."""
     check(records)
     records = sorted((r for r in records if _long_enough(r)), key=_content)
-    left = file.discrepancy
-    cells = float(records[0].cells)
-    strict = 1.0 if left.held_out else NOT_HELD_OUT
-    cell_sd_V = max(left.voltage_rmse_V / file.battery.cells_series * strict, LEAST_CELL_SD_V)
-    tau_s = max(left.voltage_autocorrelation_s, LEAST_TAU_S)
-    ohm = float(np.mean(file.parameters.resistance_ohmAh)) * cells / records[0].capacity_Ah
-    temp_sd_K = max(left.temperature_rmse_K * strict, LEAST_TEMP_SD_K)
-    stack = observed.stack(records, voltage_sd_V=cell_sd_V, timing_sd_s=TIMING_SD_S)
+    known = _wander(file, float(records[0].cells))
+    ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
+    stack = observed.stack(records, timing_sd_s=FLATNESS_S)
     numbers = range(len(records))
-    start_soc, start_sd = _starts(stack, ocv_soc)
-    duration_s = sum(float(r.time_s[-1] - r.time_s[0]) for r in records)
+    start_soc, start_sd, in_part = _starts(stack, ocv_soc)
     return Evidence(
         stack=stack,
-        volts=tuple(
-            _voltage_whitener(stack, j, tau_s, max(WHITE_CELL_SD_V * cells, noise_V(r, ohm)))
-            for j, r in enumerate(records)
-        ),
-        temps=tuple(_temperature_whitener(stack, j, temp_sd_K) for j in numbers),
+        volts=tuple(_voltage_whitener(stack, j, start_soc[j], known, noise_V(r, ohm)) for j, r in enumerate(records)),
+        temps=tuple(_temperature_whitener(stack, j, known) for j in numbers),
         shifted_A=_shifted(records, stack),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
         start_soc=start_soc,
         start_sd=start_sd,
-        independent=max(duration_s / (2.0 * tau_s), 10.0),
+        charged_in_part=in_part,
+    )
+
+
+def _wander(file: BatteryFile, cells: float) -> Wander:
+    """The file's wander for a pack of `cells`; in a file without one, its RMSE is the same at every charge."""
+    left, share = file.discrepancy, cells / file.battery.cells_series
+    known = left.wander
+    if known is None:
+        known = Wander(
+            soc=[0.0, 1.0],
+            voltage_sd_V=[max(left.voltage_rmse_V, wander.USUAL_CELL_V * file.battery.cells_series)] * 2,
+            voltage_time_s=max(left.voltage_autocorrelation_s, wander.USUAL_TIME_S),
+            voltage_noise_V=wander.USUAL_NOISE_CELL_V * file.battery.cells_series,
+            rest_sd_V=wander.USUAL_REST_CELL_V * file.battery.cells_series,
+            temperature_sd_K=max(left.temperature_rmse_K, wander.USUAL_K),
+            temperature_time_s=wander.USUAL_TIME_K_S,
+            temperature_noise_K=wander.USUAL_NOISE_K,
+        )
+    return msgspec.structs.replace(
+        known,
+        voltage_sd_V=[share * v for v in known.voltage_sd_V],
+        voltage_noise_V=share * known.voltage_noise_V,
+        rest_sd_V=share * known.rest_sd_V,
     )
 
 
@@ -152,51 +180,59 @@ def _content(record: Observed) -> tuple[float, ...]:
     return (float(np.sum(record.voltage_V)), float(np.sum(record.current_A)), float(record.time_s[-1]))
 
 
-def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Start of charge and its sd: full when rested near full, else by the rested voltage, else a guess."""
+def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Start of charge, its sd, and whether a rested record was clearly not full.
+
+    Rested near full is full; rested lower is what the voltage says; under load a guess.
+    """
     volts = stack.voltage_V[0] / stack.cells
     drop = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 0.05)
-    guess = np.interp(volts + drop, ocv_soc[1], ocv_soc[0])
-    full = stack.rested & (guess > 0.85)
-    centre = np.where(full, 1.0, np.clip(guess, 0.05, 1.0))
-    return centre, np.where(full, 0.008, np.where(stack.rested, 0.03, 0.06))
+    guess = np.clip(np.interp(volts + drop, ocv_soc[1], ocv_soc[0]), 0.05, 1.0)
+    full = stack.rested & (guess > CLEARLY_NOT_FULL)
+    centre = np.where(full, 1.0, guess)
+    return centre, np.where(full, FULL_SD, np.where(stack.rested, 0.03, 0.06)), stack.rested & ~full
 
 
 def noise_V(record: Observed, ohm: float) -> float:
     """Noise of both sensors that a mean over BIN_S keeps [V]; 0 where rows are too slow to tell it from the load.
 
-    From second differences, which a load that moves over many rows hardly has. The current's, through the pack's
-    resistance, is a voltage that the model says and the pack does not show: without it, resistances come out too small.
+    From second differences of the voltage that the load's drop has been added to: what the load does to both cancels,
+    what one sensor says and the other does not is left, and that is what the model cannot follow.
     """
     spacing_s = float(np.median(np.diff(record.time_s)))
     if spacing_s > FAST_ROW_S:
         return 0.0
-    bent = [np.median(np.abs(np.diff(column, 2))) for column in (record.voltage_V, ohm * record.current_A)]
-    return float(1.4826 * np.hypot(*bent) / np.sqrt(6.0 * observed.BIN_S / spacing_s))
+    bent_V = np.median(np.abs(np.diff(record.voltage_V + ohm * record.current_A, 2)))
+    return float(1.4826 * bent_V / np.sqrt(6.0 * observed.BIN_S / spacing_s))
 
 
-def _voltage_whitener(stack: Stack, j: int, tau_s: float, white_V: float) -> Whitener:
+def _voltage_whitener(stack: Stack, j: int, start_soc: float, known: Wander, noise_sd_V: float) -> Whitener:
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
-    sd = np.where(loaded, stack.sigma_V[rows, j], REST_CELL_SD_V * stack.cells[j])
-    kernel = np.exp(-np.abs(time_s[:, None] - time_s) / tau_s) * sd[:, None] * sd
+    drawn = np.cumsum(stack.current_A[:, j] * stack.dt_s[:, j])[rows] / SECONDS_PER_HOUR / stack.capacity_Ah[j]
+    # Learned on packs that took off full, what stands at a full charge may be of the charge or of the take-off.
+    log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
+    wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
+    sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), known.rest_sd_V)
+    kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.voltage_time_s)
+    kernel = np.where(loaded[:, None] & loaded, kept, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
-    return _whitener(rows, kernel, white_V)
+    return _whitener(rows, ~loaded, kernel, max(known.voltage_noise_V, noise_sd_V))
 
 
-def _temperature_whitener(stack: Stack, j: int, sd_K: float) -> Whitener | None:
+def _temperature_whitener(stack: Stack, j: int, known: Wander) -> Whitener | None:
     rows = np.flatnonzero(stack.compare[:, j] & np.isfinite(stack.temp_C[:, j]))
     if rows.size < 5:
         return None
     time_s = stack.time_s[rows, j]
-    kernel = sd_K**2 * np.exp(-np.abs(time_s[:, None] - time_s) / TEMP_TAU_S)
-    return _whitener(rows, kernel, WHITE_K)
+    kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.temperature_time_s)
+    return _whitener(rows, np.zeros(rows.size, dtype=bool), known.temperature_sd_K**2 * kept, known.temperature_noise_K)
 
 
-def _whitener(rows: Rows, kernel: Array, white: float) -> Whitener:
-    factor = cholesky(kernel + white**2 * np.eye(len(kernel)), lower=True)
-    return Whitener(rows, solve_triangular(factor, np.eye(len(kernel)), lower=True))
+def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) -> Whitener:
+    factor = cholesky(kernel + noise**2 * np.eye(len(kernel)), lower=True)
+    return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True))
 
 
 def _shifted(records: list[Observed], stack: Stack) -> Array:

@@ -12,7 +12,7 @@ from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, resistance
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import Candidate, Freed
-from uavbatt.diagnosis.evidence import Evidence
+from uavbatt.diagnosis.evidence import Evidence, Rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +73,7 @@ class Refit:
     chi2: Array  # per record, priors of the nuisances included
     moves: NDArray[np.bool_]  # which of columns and knots the fit moves
     information: Array  # [records, columns and knots, same], nuisances eliminated
+    score: Array  # [records, columns and knots]: half the descent of each record's chi-square
     residual: Array  # whitened, [records, numbers]
 
     @property
@@ -86,23 +87,32 @@ class Refit:
         columns = [f.value(self.u[:, first + k]) for k, f in enumerate(self.candidate.freed)]
         return np.stack(columns, axis=-1) if columns else np.zeros((len(self.u), 0))
 
-    def errors(self, *, own: bool = False, considered: bool = True) -> Array:
-        """Standard errors of `values`: [freed], or [records, freed] when each record has its own.
+    @property
+    def quantities(self) -> Rows:
+        """Places of the candidate's quantities among the columns."""
+        return np.arange(len(self.columns) - len(self.candidate.freed), len(self.columns))
+
+    def covariance_u(self, *, considered: bool) -> Array:
+        """Covariance of the candidate's quantities in u.
 
         considered : add what the file's own errors n (unit sd, never estimated here) do to the estimate,
         cov = A^-1 + A^-1 A_n A_n' A^-1 (Schmidt's consider covariance; Jazwinski 1970, section 8.4).
         """
-        information = self.information if own else np.sum(self.information, axis=0)
+        information = np.sum(self.information, axis=0)
         moved = np.flatnonzero(self.moves)
-        a = information[..., moved[:, None], moved] + 1e-9 * np.eye(moved.size)
-        inverse = np.linalg.inv(a)
+        inverse = np.linalg.inv(information[moved[:, None], moved] + 1e-9 * np.eye(moved.size))
         covariance = inverse
         if considered:
-            shift = inverse @ information[..., moved[:, None], np.flatnonzero(~self.moves)]
-            covariance = inverse + shift @ np.swapaxes(shift, -1, -2)
-        sd_u = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        kept = len(self.candidate.freed)
+            shift = inverse @ information[moved[:, None], np.flatnonzero(~self.moves)]
+            covariance = inverse + shift @ shift.T
+        kept = np.searchsorted(moved, self.quantities)
+        out: Array = covariance[kept[:, None], kept]
+        return out
+
+    def errors(self) -> Array:
+        """Standard errors of `values` [freed], those of the file considered."""
+        sd_u = np.sqrt(np.diagonal(self.covariance_u(considered=True)))
         scale = np.array([f.scale for f in self.candidate.freed])
         factor = np.where([f.log for f in self.candidate.freed], self.values(), 1.0)
-        out: Array = sd_u[..., moved.size - kept :] * scale * (factor if own else np.mean(factor, axis=0))
+        out: Array = sd_u * scale * np.mean(factor, axis=0)
         return out

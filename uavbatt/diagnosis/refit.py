@@ -1,8 +1,8 @@
 """Nonlinear refit of many candidates at once: Levenberg-Marquardt, all simulations of an iteration in one pass.
 
-Per candidate the unknowns are its quantities u, shared by all records (or each record's own, for the test of
-constancy), and per record three nuisances v in units of their prior sd: starting charge, starting temperature,
-ambient. A nuisance touches its own record only, so one nudge serves all records, and the normal equations
+Per candidate the unknowns are its quantities u, shared by all records, and per record three nuisances v in units of
+their prior sd: starting charge, starting temperature, ambient. A nuisance touches its own record only, so one nudge
+serves all records, and the normal equations
 
     [sum_r A_uu   A_uv ] [du]   [g_u]
     [A_vu         A_vv ] [dv] = [g_v]
@@ -12,7 +12,6 @@ are solved by eliminating v record by record (Schur complement).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +25,7 @@ from uavbatt.diagnosis.simulation import Own, Shown, simulate
 NUDGE = 2e-3
 NUISANCES = 3
 START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
-FREE_START_SD = 0.2
+FREE_START_SD = 0.02  # of a record around the shift that all share
 ITERATIONS = 12
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
 HELD = 1e4
@@ -54,7 +53,6 @@ class _Batch:
                 self.low[i, k], self.high[i, k] = f.bounds_u()
                 self.shared[i, k] = f.nuisance and f.estimated
                 self.stiffness[i, k] = HELD if f.nuisance and not f.estimated else 0.0
-        self.centre = np.zeros((len(candidates), self.records, self.size))
         self.lengths = [
             w.rows.size + (t.rows.size if t is not None else 0)
             for w, t in zip(evidence.volts, evidence.temps, strict=True)
@@ -63,16 +61,13 @@ class _Batch:
             [[max(s, FREE_START_SD) if c.free_start else s for s in evidence.start_sd] for c in candidates]
         )
 
-    def hold(self, centre: Array, weight: float, earlier: bool = False) -> None:
-        """Priors of the shared errors that are estimated: where, and how strong a record; the rest stays at zero.
+    def release(self) -> None:
+        """Estimate every error of the file, each with its prior."""
+        self.shared = self.shared | (self.stiffness == HELD)
 
-        earlier : the same for the effects that were there before the last.
-        """
-        held = self.shared.copy()
-        for i, columns in enumerate(self.columns if earlier else ()):
-            held[i, len(columns) - len(self.candidates[i].freed) : len(columns) - self.candidates[i].last] = True
-        self.centre = np.where(held[:, None], centre, 0.0)
-        self.stiffness = np.where(held, weight, self.stiffness)
+    def hold(self) -> None:
+        """The priors of the shared errors that are estimated, one share a record: an error has one prior."""
+        self.stiffness = np.where(self.shared, 1.0 / self.records, self.stiffness)
 
     def place(self, u: Array, given: Refit) -> None:
         """Start from an earlier refit with the same leading quantities: u [records, size] is filled."""
@@ -159,40 +154,37 @@ def refit(
     problem: Problem,
     candidates: list[Candidate],
     *,
-    own: bool = False,
-    last_only: bool = False,
     start: list[Refit] | None = None,
-    progress: Callable[[int], None] | None = None,
     iterations: int = ITERATIONS,
+    file_errors: bool = False,
 ) -> list[Refit]:
-    """Refit every candidate; `own` gives each record its own values of the quantities, or of the last effect's only."""
+    """Refit every candidate, from `start` on; with `file_errors` the errors that the battery file states move, too."""
     batch = _Batch(problem, candidates)
+    if file_errors:
+        batch.release()
+    batch.hold()
     count, records = len(candidates), batch.records
     u = np.zeros((count, records, batch.size))
     v = np.zeros((count, records, NUISANCES))
     for i, given in enumerate(start or []):
         batch.place(u[i], given)
         v[i] = given.v
-    damping = np.full((count, records) if own else (count, 1), 1e-2)
-    held = HELD if own else 1.0 / records  # a shared error has one prior; in the test of constancy it stays put
-    batch.hold(u if own else np.zeros_like(u), held, earlier=last_only)
-    if not own:
+    damping = np.full((count, 1), 1e-2)
+    if not file_errors:
         u = _scanned(batch, u, v)
     state = _linearised(batch, u, v)
     for _ in range(iterations):
-        du, dv = _step(state, u, v, damping, own)
+        du = _step(state, u, v, damping)
         trial_u = np.clip(u + du, batch.low[:, None], batch.high[:, None])
         dv = _given(state, v, trial_u - u, damping)
         trial = _linearised(batch, trial_u, v + dv)
-        gain = state.chi2 - trial.chi2 if own else np.sum(state.chi2 - trial.chi2, axis=1, keepdims=True)
+        gain = np.sum(state.chi2 - trial.chi2, axis=1, keepdims=True)
         better = gain > 0.0
         take = np.broadcast_to(better, (count, records))
         u = np.where(take[..., None], trial_u, u)
         v = np.where(take[..., None], v + dv, v)
         state = _merged(take, trial, state)
         damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-6, 1e6)
-        if progress is not None:
-            progress(1)
         if np.all((np.abs(gain) < CONVERGED) | (damping > 1e4)):
             break
     return [_refit_of(batch, state, u, v, i) for i in range(count)]
@@ -234,12 +226,11 @@ def _linearised(batch: _Batch, u: Array, v: Array) -> _Linearised:
     ju = np.concatenate([ju, slopes], axis=-1)
     jv = np.moveaxis(values[1 + freed :] - values[0], 0, -1) / -NUDGE
     r = values[0] + (slopes @ u[..., freed:, None])[..., 0]
-    away = u - batch.centre
     stiffness = np.broadcast_to(batch.stiffness[:, None], u.shape)
-    chi2 = np.sum(r**2, axis=-1) + np.sum(v**2, axis=-1) + np.sum(stiffness * away**2, axis=-1)
+    chi2 = np.sum(r**2, axis=-1) + np.sum(v**2, axis=-1) + np.sum(stiffness * u**2, axis=-1)
     columns = np.concatenate([ju, jv, r[..., None]], axis=-1)
     gram = np.swapaxes(columns, -1, -2) @ columns
-    return _Linearised(r, chi2, gram, -stiffness * away, stiffness)
+    return _Linearised(r, chi2, gram, -stiffness * u, stiffness)
 
 
 def _blocks(s: _Linearised, v: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -251,7 +242,7 @@ def _blocks(s: _Linearised, v: Array) -> tuple[Array, Array, Array, Array, Array
     return a_uu, gram[..., :size, own], gram[..., own, own] + np.eye(NUISANCES), g_u, g_v
 
 
-def _step(s: _Linearised, u: Array, v: Array, damping: Array, own: bool) -> tuple[Array, Array]:
+def _step(s: _Linearised, u: Array, v: Array, damping: Array) -> Array:
     a_uu, a_uv, a_vv, g_u, g_v = _blocks(s, v)
     hold = damping[..., None, None]
     a_vv = a_vv * (1.0 + hold * np.eye(NUISANCES))
@@ -259,10 +250,9 @@ def _step(s: _Linearised, u: Array, v: Array, damping: Array, own: bool) -> tupl
     solved = np.linalg.solve(a_vv, np.concatenate([np.swapaxes(a_uv, -1, -2), g_v[..., None]], axis=-1))
     schur = a_uu * (1.0 + hold * np.eye(freed)) - a_uv @ solved[..., :freed]
     right = g_u - (a_uv @ solved[..., freed:])[..., 0]
-    if not own:
-        schur, right = np.sum(schur, axis=1, keepdims=True), np.sum(right, axis=1, keepdims=True)
+    schur, right = np.sum(schur, axis=1, keepdims=True), np.sum(right, axis=1, keepdims=True)
     du = np.linalg.solve(schur + 1e-6 * np.eye(freed), right[..., None])[..., 0]
-    return np.broadcast_to(np.clip(du, -3.0, 3.0), u.shape), np.zeros_like(v)
+    return np.broadcast_to(np.clip(du, -3.0, 3.0), u.shape)
 
 
 def _given(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:
@@ -282,8 +272,10 @@ def _merged(take: Array, new: _Linearised, old: _Linearised) -> _Linearised:
 
 
 def _refit_of(batch: _Batch, state: _Linearised, u: Array, v: Array, i: int) -> Refit:
-    a_uu, a_uv, a_vv, _, _ = (block[i] for block in _blocks(state, v))
-    information = a_uu - a_uv @ np.linalg.solve(a_vv, np.swapaxes(a_uv, -1, -2))
+    a_uu, a_uv, a_vv, g_u, g_v = (block[i] for block in _blocks(state, v))
+    solved = np.linalg.solve(a_vv, np.concatenate([np.swapaxes(a_uv, -1, -2), g_v[..., None]], axis=-1))
+    information = a_uu - a_uv @ solved[..., :-1]
+    score = g_u - (a_uv @ solved[..., -1:])[..., 0]
     kept = len(batch.columns[i])
     order = [*range(kept), *range(batch.freed, batch.size)]
     return Refit(
@@ -295,5 +287,6 @@ def _refit_of(batch: _Batch, state: _Linearised, u: Array, v: Array, i: int) -> 
         chi2=state.chi2[i].copy(),
         moves=batch.stiffness[i, order] < HELD,
         information=information[:, order][:, :, order],
+        score=score[:, order],
         residual=state.r[i].copy(),
     )

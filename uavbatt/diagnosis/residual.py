@@ -82,20 +82,6 @@ def size_K(found: list[Residual]) -> float:
     return float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else float("nan")
 
 
-def structure(evidence: Evidence, whitened: Array) -> float:
-    """How much of the whitened voltage residual [records, numbers] hangs together from row to row.
-
-    Mean square over half the mean squared successive difference (the inverse of von Neumann's ratio, 1941): 1 for
-    what is independent whatever its size, more where the model follows the wrong shape.
-    """
-    squares, steps = 0.0, 0.0
-    for volts, row in zip(evidence.volts, whitened, strict=True):
-        numbers = row[: volts.rows.size]
-        squares += float(np.mean(numbers**2))
-        steps += float(np.mean(np.diff(numbers) ** 2)) / 2.0
-    return squares / max(steps, 1e-12)
-
-
 @dataclass(frozen=True, slots=True)
 class Shape:
     """Where the residual lives: shares of its variance that one variable explains, and how long it lasts."""

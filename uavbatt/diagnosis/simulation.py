@@ -109,8 +109,8 @@ def _voltages(cell: Parameters, installation: Installation, states: State, rate:
         columns = {k: v for k, v in cell._asdict().items() if k not in TABLES and np.ndim(v) == 1}
         part = cell._replace(**{k: v[weak] for k, v in columns.items()})
         few = State(*(column[:, weak] for column in states))
-        low = 1.0 - (1.0 - few.soc) / (1.0 - np.asarray(installation.deficit)[weak])
-        out[:, weak] += model.cell_voltage(part, few._replace(soc=low), rate[:, weak]) - strong[:, weak]
+        its = installation._replace(deficit=np.asarray(installation.deficit)[weak])
+        out[:, weak] += pack.weak_voltage(its, part, few, rate[:, weak]) - strong[:, weak]
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
@@ -12,10 +13,10 @@ from uavbatt.battery.sizing import PackOptions, PackSize, believed, size_of_pack
 from uavbatt.battery.statements import first_seen
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
-from uavbatt.fitting import assemble, observed, solve
+from uavbatt.fitting import assemble, observed, prior, solve, wander
 from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.observed import Stack
-from uavbatt.fitting.solve import Fit
+from uavbatt.fitting.solve import Fit, OwnPrior
 from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
 from uavbatt.records import Flight, PackFacts
 
@@ -61,14 +62,15 @@ def fit_battery(
     if not bench and not flown:
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
     stack = observed.stack(bench + flown)
-    own_prior = solve.OwnPrior() if bench else solve.FLEET
-    found = solve.fit(stack, own_prior=own_prior, progress=progress, evaluations=60)
+    effects, own_prior = _freedom(len(bench), len(flown))
+    found = solve.fit(stack, effects, own_prior=own_prior, progress=progress, evaluations=60)
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
-    left = assemble.discrepancy(
-        stack, solve.replay(stack, found), held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights"
-    )
+    shown = solve.replay(stack, found)
+    left = assemble.discrepancy(stack, shown, held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights")
+    typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
+    left = msgspec.structs.replace(left, wander=wander.learned(stack, shown, list(typical)))
     file = BatteryFile(
         battery=Battery(
             name=size.name,
@@ -86,6 +88,17 @@ def fit_battery(
         certificate=Certificate(status="fitted", data_sha256=datasets[0].sha256 if len(datasets) == 1 else ""),
     )
     return Fitted(file, _known(found), _unknown(found, stack, bool(bench)))
+
+
+def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
+    """The effects to fit, and what each record may have of its own: bench tests come first.
+
+    Only a slow, even load beside a load that changes tells the reaction at the electrodes from the other resistances;
+    there it earns its place on flights that were left out (docs/diagnosis.md).
+    """
+    if tests and flights:
+        return (*prior.BASE_EFFECTS, "charge_transfer"), [solve.SAMPLES] * tests + [OwnPrior()] * flights
+    return prior.BASE_EFFECTS, [OwnPrior() if tests else solve.FLEET] * (tests + flights)
 
 
 def size_of(

@@ -41,7 +41,7 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Records side by side, [rows, records]; `compare` marks real rows, sigma is per pack."""
+    """Records side by side, [rows, records]; `compare` marks real rows, sigma and slope are per pack."""
 
     names: tuple[str, ...]
     cells: Array
@@ -53,6 +53,7 @@ class Stack:
     temp_C: Array
     compare: NDArray[np.bool_]
     sigma_V: Array
+    slope_Vps: Array
     weight: Array
     start_temp_C: Array
     ambient_C: Array
@@ -160,7 +161,7 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
     weight[0] = np.where(resting[0], 1.0, weight[0])  # one rested voltage tells the OCV where it starts
     real = np.stack([np.pad(f["real"], (0, rows - len(f["real"]))) for f in fine], axis=1) > 0.5
     cells = np.array([float(r.cells) for r in records])
-    slope = padded("slope")
+    slope = np.where(resting, 0.0, padded("slope"))
     capacity = np.array([r.capacity_Ah for r in records])
     start_temp = np.array([_start_temp(r) for r in records])
     ambient = np.array([r.ambient_C for r in records])
@@ -174,7 +175,8 @@ def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: 
         voltage_V=padded("voltage_V"),
         temp_C=padded("temp_C"),
         compare=real,
-        sigma_V=np.hypot(voltage_sd_V * cells, np.where(resting, 0.0, timing_sd_s * slope)),
+        sigma_V=np.hypot(voltage_sd_V * cells, timing_sd_s * slope),
+        slope_Vps=slope,
         weight=weight,
         start_temp_C=start_temp,
         ambient_C=np.where(np.isfinite(ambient), ambient, start_temp),

@@ -1,7 +1,8 @@
 """Prior of a LiPo cell before any data: it keeps a fit physical.
 
 The fit's unknowns are `Slot`s. In the optimiser's space every slot is a standard normal number u; its value is
-prior + sd·u, or prior·exp(sd·u) for what is positive. So the penalty of the prior is |u|² and no bound is needed.
+prior + sd·u, or prior·exp(sd·u) for what is positive, held within the bounds that a battery file has for it. So the
+penalty of the prior is |u|².
 """
 
 from __future__ import annotations
@@ -34,12 +35,14 @@ BASE_EFFECTS = ("polarisation", "slow_diffusion", "temperature_resistance", "sel
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One unknown of a fit with its prior; `log` slots are positive and their sd is relative."""
+    """One unknown of a fit with its prior and its bounds; `log` slots are positive and their sd is relative."""
 
     name: str
     prior: float
     sd: float
     log: bool = False
+    low: float = -np.inf
+    high: float = np.inf
 
 
 def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS) -> tuple[Slot, ...]:
@@ -48,7 +51,7 @@ def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS) -> tuple[Slot, ...]:
     shape = [Slot(f"r0_{z:g}", 1.0, RESISTANCE_SHAPE_SD, log=True) for z in RESISTANCE_SOC]
     level = Slot("r0_ohmAh", RESISTANCE_OHMAH, 0.8, log=True)
     quantities = [
-        Slot(q.name, q.prior, q.prior_sd, q.log)
+        Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # what a battery file may hold
         for name in effects
         for q in EFFECTS[name].quantities
         if q.prior_sd > 0.0
@@ -61,7 +64,8 @@ def values(slots: tuple[Slot, ...], u: Array) -> Array:
     prior = np.array([s.prior for s in slots])
     shift = u * np.array([s.sd for s in slots])
     log = np.array([s.log for s in slots])
-    return np.where(log, prior * np.exp(np.where(log, np.clip(shift, -8.0, 8.0), 0.0)), prior + shift)
+    raw = np.where(log, prior * np.exp(np.where(log, np.clip(shift, -8.0, 8.0), 0.0)), prior + shift)
+    return np.clip(raw, [s.low for s in slots], [s.high for s in slots])
 
 
 def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ nudged at once gives the whole block of the Jacobian.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +38,7 @@ class OwnPrior:
 
 
 FLEET = OwnPrior(rested_soc=0.03, loaded_soc=0.05, log_resistance=0.04, log_capacity=0.02)
+SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside flights: not the packs that fly
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,18 +84,23 @@ def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
 def fit(
     stack: Stack,
     effects: tuple[str, ...] = prior.BASE_EFFECTS,
-    own_prior: OwnPrior | None = None,
+    own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
     start_u: Array | None = None,
     progress: Callable[[int], None] | None = None,
     evaluations: int = 40,
 ) -> Fit:
-    """The most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma)."""
+    """The most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
+
+    own_prior : one for all records, or each record's own.
+    """
     slots = prior.cell_slots(effects)
-    given = own_prior or OwnPrior()
+    given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
     own_mean = np.column_stack([start_guess(stack), np.zeros((len(stack.names), 2))])
-    soc_sd = np.where(stack.rested, given.rested_soc, given.loaded_soc)
-    own_sd = np.column_stack(
-        [soc_sd, np.full(len(soc_sd), given.log_resistance), np.full(len(soc_sd), given.log_capacity)]
+    own_sd = np.array(
+        [
+            (p.rested_soc if rested else p.loaded_soc, p.log_resistance, p.log_capacity)
+            for p, rested in zip(given, stack.rested, strict=True)
+        ]
     )
     shared, records = len(slots), len(stack.names)
 

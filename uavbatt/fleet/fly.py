@@ -37,6 +37,7 @@ class Job:
     battery: BatteryFile
     options: PackOptions
     settings: Settings = Settings()
+    by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
 
@@ -111,8 +112,16 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
         warnings="; ".join(_warnings(flight, run)),
         size_bytes=log.size,
     )
-    row = _scored(row, found)
+    row = _scored(_identified(row, job), found)
     return replace(row, look="; ".join(_reasons(row, info.reasons)))
+
+
+def _identified(row: Row, job: Job) -> Row:
+    """The row with the name of its aircraft, and who gave it."""
+    named = str(getattr(row, job.by) or "") if job.by else ""
+    if named:
+        return replace(row, aircraft=named, aircraft_from="--by")
+    return replace(row, aircraft_from="--aircraft" if job.aircraft_pattern else "folder")
 
 
 def _energy(flight: Flight, limit_s: float) -> tuple[float, float]:

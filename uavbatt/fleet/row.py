@@ -20,6 +20,7 @@ OK, BAD = "ok", "bad"
 LOST = "lost"  # bytes not to be had, or a worker that died: not the log's own fault, tried again by the next run
 START_FORMAT = "%Y-%m-%dT%H:%M:%SZ"
 LARGEST_INT = 2**63 - 1
+IDENTITIES = ("battery_serial", "hardware", "system", "firmware", "kind")  # columns that may name an aircraft
 CHECKPOINTS = ("half", "360", "240", "120", "60")
 
 
@@ -33,6 +34,7 @@ class Row:
     look: str = ""
     kind: str = ""
     aircraft: str = ""
+    aircraft_from: str = ""  # --by, --aircraft or folder: a folder is no identity
     system: int | None = None
     hardware: str = ""
     firmware: str = ""

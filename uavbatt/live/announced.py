@@ -56,7 +56,7 @@ REASONS: dict[str, str] = {
     "no voltage": "no voltage reading",
     "time went backwards": "time went backwards",
     "state of charge known only": "charge is uncertain",
-    "on the ground or no load": "no load seen",
+    "not flying": "no load seen",
     "the end lies beyond": "load is no flight's",
     "no belief": "no estimate yet",
     "two senders": "two senders disagree",

@@ -23,10 +23,11 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
-from uavbatt.prediction.forecaster import Settings
-from uavbatt.records import Estimate, PackFacts, Remaining, Status
+from uavbatt.prediction.forecaster import NOT_FLYING, Settings
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, Row
 from uavbatt.telemetry.parameters import BATTERY_NAMES
+from uavbatt.telemetry.route.settings import NAMES
 
 NOTE_S = 60.0
 
@@ -91,6 +92,8 @@ class Batteries:
             battery=self._battery.battery.name,
             certificate=self._battery.status,
         )
+        since_s = before.flying_since_s if before is not None and math.isfinite(before.flying_since_s) else now_s
+        report = replace(report, flying_since_s=NAN if report.remaining.reason == NOT_FLYING else since_s)
         self.reports[instance] = report
         return report
 
@@ -113,7 +116,7 @@ class Batteries:
             battery_sha256=self._battery.certificate.content_sha256,
             link=self._config.link.endpoint,
             vehicle=self._vehicle,
-            parameters={n: v for n, v in known if n.startswith(BATTERY_NAMES) and math.isfinite(v)},
+            parameters={n: v for n, v in known if _is_worth_keeping(n) and math.isfinite(v)},
             batteries=batteries,
         )
         try:
@@ -155,6 +158,11 @@ class Batteries:
             facts = self._reader.facts(instance)
             self._facts[instance] = (self._reader.version, facts)
         return facts
+
+
+def _is_worth_keeping(parameter: str) -> bool:
+    """Whether a parameter says what pack this is, or how the vehicle flies and returns."""
+    return parameter.startswith(BATTERY_NAMES) or parameter in NAMES
 
 
 def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:

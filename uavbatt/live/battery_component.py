@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from uavbatt.live.report import Report
+from uavbatt.live.report import Report, Shown
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.records import NAN, Status
 
 HIGHEST_ID = 8
+# MAV_BATTERY_CHARGE_STATE: undefined, ok, and low, critical, emergency below a time left [s].
+UNDEFINED, GOOD = 0, 1
+CHARGE_STATES = ((20.0, 4), (60.0, 3), (120.0, 2))
 LISTEN_S = 3.0  # the autopilot names its batteries in turn
 
 
@@ -67,4 +70,17 @@ def _frame(report: Report, now_s: float, battery_id: int, out: Outgoing) -> byte
         temp_C=NAN if stale else row.temp_C,
         soc=shown.soc,
         remaining_s=shown.remaining_s,
+        charge_state=charge_state(shown),
     )
+
+
+def charge_state(shown: Shown) -> int:
+    """Return MAV_BATTERY_CHARGE_STATE by the time that the alarm goes by: a ground station colours its battery by it.
+
+    UNDEFINED where no time is known. It goes to ground stations only: what PX4 or ArduPilot does when a battery is
+    critical stays with their own monitors.
+    """
+    left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
+    if not math.isfinite(left_s):
+        return UNDEFINED
+    return next((state for below_s, state in CHARGE_STATES if left_s <= below_s), GOOD)

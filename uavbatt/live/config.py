@@ -40,6 +40,7 @@ class LinkSection(Section, frozen=True):
     own_component: Component = 193
     request: bool = False
     request_rate_Hz: Rate = 10.0
+    request_mission: bool = False
     signing_key_file: str = ""
 
 
@@ -55,6 +56,7 @@ class PackSection(Section, frozen=True):
     ambient_C: Annotated[float, msgspec.Meta(ge=AMBIENT_C[0], le=AMBIENT_C[1])] | None = None
     vehicle: str = ""
     load: str = "learned"
+    mission: str = ""
     forecast_period_s: Annotated[float, msgspec.Meta(ge=0.1)] = 1.0
     allow_uncertified: bool = False
 

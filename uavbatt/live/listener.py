@@ -15,6 +15,7 @@ from uavbatt.live.config import Config
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.signing import Verifier
+from uavbatt.telemetry.formats.mission_file import read_mission
 from uavbatt.telemetry.live import LiveReader, checksum
 
 MOST_SENDERS = 32
@@ -34,7 +35,9 @@ class Listener:
 
     def __init__(self, config: Config, key: bytes | None) -> None:
         self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
-        self.reader = LiveReader(config.link.system, config.link.component)
+        self.reader = LiveReader(config.link.system, config.link.component, config.link.own_component)
+        if config.pack.mission:
+            self.reader.planned = read_mission(config.pack.mission)
         self._is_good = checksum()
         self._verifier = Verifier(key) if key is not None else None
         self._frames: dict[object, framing.Frames] = {}

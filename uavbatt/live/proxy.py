@@ -3,7 +3,8 @@
     autopilot <-> proxy <-> ground stations          every byte as it came, in both directions, but:
                     ^                                BATTERY_STATUS of a battery whose time is known gets the time
                     | control socket (unix stream)
-                estimator                            hears every byte of the autopilot, says what is left
+                estimator                            hears every byte of the autopilot and the missions that are
+                                                     written to it, says what is left
 
 Rewritten: unsigned MAVLink 2 frames of message 147 with a good checksum, of a system, component and battery id that
 the estimator named less than 3 s ago (its time less its age, at least 1 s; an autopilot's own time only while ours
@@ -29,15 +30,17 @@ from typing import NamedTuple
 from uavbatt.errors import UavbattError, terminal_line
 from uavbatt.live.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
-from uavbatt.mavlink.framing import Splitter, header
+from uavbatt.mavlink.framing import Frames, Splitter, header
 from uavbatt.mavlink.links import open_autopilot, open_link
+from uavbatt.mavlink.originated import may_reach_autopilot
 from uavbatt.mavlink.pipe import Pipe, takes_bytes, wait
 
 HOLD_S = 0.020
 LOG_PERIOD_S = 10.0
 HELLO, ESTIMATE, TO_GCS, TO_AUTOPILOT, QUIT = b"H", b"E", b"G", b"A", b"Q"
-TELEMETRY, STATS, FROM = b"T", b"P", b"F"
-ORIGINATED = frozenset((0, 20, 76))  # HEARTBEAT, PARAM_REQUEST_READ, COMMAND_LONG
+TELEMETRY, STATS, FROM, STATION = b"T", b"P", b"F", b"S"
+WRITES_MISSION = frozenset((38, 39, 44, 45, 73))  # MISSION_ WRITE_PARTIAL_LIST, ITEM, COUNT, CLEAR_ALL, ITEM_INT
+MOST_STATIONS = 16  # whose frames are put together at a time
 LONGEST_BODY = 60_000
 
 
@@ -47,7 +50,8 @@ class Settings(NamedTuple):
     autopilot: str
     gcs: list[str]
     control: str
-    request: bool = False  # whether the estimator may send towards the autopilot
+    request: bool = False  # whether the estimator may ask the autopilot for rates and parameters
+    request_mission: bool = False  # ... and for its mission
     soc: bool = False  # rewrite battery_remaining as well
 
 
@@ -140,6 +144,7 @@ class Proxy:
         self.stations: list[Link] = [open_link(text) for text in settings.gcs]
         self.control = Control(settings.control)
         self._splitters: dict[object, tuple[Splitter, float]] = {}
+        self._written: dict[object, Frames] = {}
         self._log_s = float("-inf")
         self._from = ""  # whose telemetry the estimator was given last
         self._first_stream: object = None
@@ -156,8 +161,9 @@ class Proxy:
         for kind, body in self.control.read():
             self._told(kind, body, now_s)
         for station in self.stations:
-            for data, _ in station.read(now_s):
+            for data, sender in station.read(now_s):
                 self.autopilot.write(data, now_s)
+                self._missions_to_estimator(data, (id(station), sender))
         for data, sender in self.autopilot.read(now_s):
             if self.autopilot.is_stream:
                 self._stream(data, sender, now_s)
@@ -216,6 +222,14 @@ class Proxy:
             self.control.write(FROM, place.encode())
         self.control.write(TELEMETRY, data)
 
+    def _missions_to_estimator(self, data: bytes, sender: object) -> None:
+        """Frames by which a ground station writes a mission: the estimator shall know the route."""
+        if sender not in self._written and len(self._written) >= MOST_STATIONS:
+            self._written.pop(next(iter(self._written)))
+        for frame in self._written.setdefault(sender, Frames()).feed(data):
+            if header(frame).message_id in WRITES_MISSION:
+                self.control.write(STATION, frame)
+
     def _to_stations(self, data: bytes, now_s: float) -> None:
         for station in self.stations:
             station.write(data, now_s)
@@ -225,7 +239,7 @@ class Proxy:
             self.rewriter.take(body)
         elif kind == TO_GCS:
             self._to_stations(body, now_s)
-        elif kind == TO_AUTOPILOT and self._settings.request and header(body).message_id in ORIGINATED:
+        elif kind == TO_AUTOPILOT and self._may_ask(header(body).message_id):
             self.autopilot.write(body, now_s)
         elif kind == HELLO:
             self._from = ""  # it may be another estimator
@@ -233,6 +247,10 @@ class Proxy:
             self.control.write(STATS, json.dumps(stats).encode())
         elif kind == QUIT:
             self.is_asked_to_quit = True
+
+    def _may_ask(self, message_id: int) -> bool:
+        asks, reads = self._settings.request, self._settings.request_mission
+        return (asks or reads) and may_reach_autopilot(message_id, asks, reads)
 
 
 def main() -> int:

@@ -82,13 +82,15 @@ class ProxyClient:
                         found.append((body, self._from))
                     elif kind == proxy.FROM:
                         self._from = body.decode("ascii", "replace")
+                    elif kind == proxy.STATION:
+                        found.append((body, proxy.STATION))
                     elif kind == proxy.STATS:
                         self._stats(body)
         return found
 
     def write(self, data: bytes, now_s: float) -> None:
         """A frame for the autopilot; the proxy sends it only if it was started for that."""
-        if self._settings.request:
+        if self._settings.request or self._settings.request_mission:
             self._tell(proxy.TO_AUTOPILOT, data)
 
     def to_gcs(self, data: bytes) -> None:

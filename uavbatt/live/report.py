@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from uavbatt.output import Line, line, rounded
+from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Status
 
 STALE_AFTER_S = 3.0
@@ -45,10 +46,16 @@ class Report:
     cells: int = 0
     battery: str = ""
     certificate: str = ""
+    flying_since_s: float = NAN  # on the monotonic clock; NaN on the ground
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the row was received."""
         return max(now_s - self.received_s, 0.0)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Return True on the ground, where no number is missing: the take-off is waited for."""
+        return self.remaining.reason == NOT_FLYING and self.estimate.status is not Status.REFUSED
 
     def at(self, now_s: float) -> Shown:
         """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
@@ -90,6 +97,8 @@ class Report:
         return made | {
             "instance": self.instance,
             "age_s": rounded(self.age_s(now_s), 2),
+            "waiting": self.is_waiting and not stale,
+            "flight_s": rounded(now_s - self.flying_since_s, 1),
             "cells": self.cells or None,
             "cell_voltage_V": round(volts / self.cells, 3) if known and isinstance(volts, float) else None,
             "battery": self.battery,

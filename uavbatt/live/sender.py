@@ -1,7 +1,7 @@
 """Sender: everything that the companion process sends, and to whom.
 
-Towards the autopilot: HEARTBEAT, and with `--request` SET_MESSAGE_INTERVAL and PARAM_REQUEST_READ; behind the proxy
-none of them without `--request`. Everything else goes to the ground-station endpoints only.
+Towards the autopilot goes what `mavlink.originated` lists; behind the proxy a heartbeat only with something to ask.
+Everything else goes to the ground-station endpoints only.
 """
 
 from __future__ import annotations
@@ -12,11 +12,14 @@ from collections.abc import Mapping, Sequence
 from uavbatt.live.announced import Announcer
 from uavbatt.live.battery_component import BatteryFeed
 from uavbatt.live.config import Config
+from uavbatt.live.mission_request import MissionRequest
 from uavbatt.live.named import NamedFeed
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.report import Report
 from uavbatt.live.requests import Requests, parameter_names
 from uavbatt.mavlink.endpoint import Link
+from uavbatt.mavlink.framing import header
+from uavbatt.mavlink.originated import may_reach_autopilot
 from uavbatt.mavlink.outgoing import BATTERY, Outgoing
 from uavbatt.telemetry.live import LiveReader
 
@@ -32,6 +35,7 @@ class Sender:
         self._named = NamedFeed(config.feed.named_rate_Hz)
         self._component = BatteryFeed(config.feed.battery_rate_Hz)
         self.requests = Requests(config.link.request_rate_Hz)
+        self._mission = MissionRequest()
         self._key = key
         self._outs: dict[tuple[int, int], Outgoing] = {}
         self._announcers: dict[int, Announcer] = {}
@@ -40,7 +44,7 @@ class Sender:
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
         """All that is due at `now_s` on the monotonic clock [s]."""
-        kinds, asks = self._config.feed.kinds, self._config.link.request
+        kinds, asks, reads = self._config.feed.kinds, self._config.link.request, self._config.link.request_mission
         system = reader.system or 1
         own = self._out(system, self._config.link.own_component)
         to_gcs: list[bytes] = []
@@ -49,7 +53,7 @@ class Sender:
             self._beat_s = now_s + 1.0
             if "named" in kinds:
                 to_gcs.append(own.heartbeat())
-            if asks or not isinstance(self._link, ProxyClient):
+            if asks or reads or not isinstance(self._link, ProxyClient):
                 to_autopilot.append(own.heartbeat())
         if reader.is_found:
             texts = self._announced(now_s, reports, reader.armed)
@@ -63,8 +67,12 @@ class Sender:
                 component = reader.component or 1
                 to_autopilot += self.requests.again(now_s, component, reader.doubted, own)
                 to_autopilot += self.requests.frames(now_s, component, reader.parameters, names, own)
+            if reads and reader.followed is not None and reader.planned is None:
+                route, component = reader.followed.route, reader.component or 1
+                to_autopilot += self._mission.frames(now_s, reader.now_s, route, component, own)
         for frame in to_autopilot:
-            self._link.write(frame, now_s)
+            if may_reach_autopilot(header(frame).message_id, asks, reads):
+                self._link.write(frame, now_s)
         for frame in to_gcs:
             self._to_gcs(frame, now_s)
 
@@ -72,6 +80,7 @@ class Sender:
         """Another vehicle is followed: nothing that was asked or said of the last one holds."""
         self._announcers.clear()
         self.requests.begin_again()
+        self._mission = MissionRequest()
 
     def _announced(self, now_s: float, reports: Sequence[Report], is_armed: bool | None) -> list[tuple[int, str]]:
         """Return the announcements that are due now."""

@@ -9,9 +9,13 @@ every path but /healthz wants `?token=` or `Authorization: Bearer`.
 from __future__ import annotations
 
 import asyncio
+import base64
+import hashlib
 import hmac
+import ipaddress
 import json
 import math
+import re
 import socket
 import sys
 import threading
@@ -28,6 +32,7 @@ from uavbatt.records import Status
 EVENT_PERIOD_S = 0.25
 SAID_S = 120.0  # what was said aloud stands on the page as long
 PAGE = Path(__file__).with_name("page.html")
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # the page's own; its data are no script
 
 
 ReadBoard = Callable[[], Board]
@@ -93,6 +98,33 @@ def filled(page: str, board: Board, now_s: float) -> str:
     return page.replace('id="first">null<', 'id="first">' + first.replace("<", "\\u003c") + "<", 1)
 
 
+def security_policy(page: str) -> str:
+    """Return the page's content security policy: its own script and style, its own events, and nothing else."""
+    scripts = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in _SCRIPT.findall(page))
+    allowed = " ".join(f"'sha256-{digest}'" for digest in scripts)
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
+def is_own_name(asked: str, listens: str) -> bool:
+    """Return True if a request asks for this machine by a name that no stranger's page can have made it.
+
+    asked : the request's Host header; listens : the host of `--http`. A name that a foreign site lets point to this
+    address (DNS rebinding) would let that site read the feed.
+    """
+    name = asked.rsplit(":", 1)[0] if asked.count(":") == 1 or "]" in asked else asked
+    name = name.strip("[]").lower()
+    if name in ("", "localhost", listens.lower(), socket.gethostname().lower()) or name.endswith(".local"):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
 def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
@@ -108,6 +140,8 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
     except ImportError:
         raise MissingExtra("web", "--http") from None
 
+    host, _ = address(settings.listen)
+
     def is_allowed(request: Request) -> bool:
         if not settings.token:
             return True
@@ -117,6 +151,8 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
 
     def guarded(answer: Callable[[Request], Response]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
+            if not is_own_name(request.headers.get("host", ""), host):
+                return PlainTextResponse("ask for this page by its address, localhost or NAME.local\n", 421)
             return answer(request) if is_allowed(request) else PlainTextResponse("token wanted\n", 401)
 
         return endpoint
@@ -132,12 +168,13 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
         return PlainTextResponse("ok\n" if fresh else "stale\n", 200 if fresh else 503)
 
     page = PAGE.read_text(encoding="utf-8")
+    policy = {"Content-Security-Policy": security_policy(page), "X-Content-Type-Options": "nosniff"}
     about = {"name": "uavbatt", "description": "Remaining flight time", "icon": "mdi-battery-clock", "webpage": "/"}
     about |= {"company": "uavbatt", "version": __version__, "api": ""}
     prometheus = "text/plain; version=0.0.4; charset=utf-8"
     return Starlette(
         routes=[
-            Route("/", guarded(lambda r: HTMLResponse(filled(page, board(), clock_s())))),
+            Route("/", guarded(lambda r: HTMLResponse(filled(page, board(), clock_s()), headers=policy))),
             Route("/now.json", guarded(lambda r: JSONResponse(content(board(), clock_s())))),
             Route("/metrics", guarded(lambda r: Response(metrics(board(), clock_s()), media_type=prometheus))),
             Route("/events", guarded(lambda r: EventSourceResponse(stream()))),

@@ -2,7 +2,7 @@
 
 Components of the vehicle's system: ONBOARD (193 unless configured) is the companion, BATTERY (180) a battery of its
 own. Signed when a key is given, at the time of the wall clock: a receiver refuses a stream that begins a minute late.
-Towards the autopilot only `heartbeat`, `interval_request` and `parameter_request` may travel (`MAY_REACH_AUTOPILOT`).
+What of them may travel towards the autopilot stands in `originated`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 ONBOARD, BATTERY = 193, 180
 SET_MESSAGE_INTERVAL = 511
-HEARTBEAT_ID, PARAM_REQUEST_READ_ID, COMMAND_LONG_ID = 0, 20, 76
-MAY_REACH_AUTOPILOT = frozenset((HEARTBEAT_ID, PARAM_REQUEST_READ_ID, COMMAND_LONG_ID))
 SEVERITY_CRITICAL, SEVERITY_WARNING, SEVERITY_NOTICE = 2, 4, 5
 UINT16_MAX, INT16_MAX = 65535, 32767
 LONGEST_TEXT, LONGEST_NAME = 50, 10
@@ -74,6 +72,19 @@ class Outgoing:
             dialect.MAVLink_param_request_read_message(self.system, component, name.encode("ascii")[:16], -1)
         )
 
+    def mission_list_request(self, component: int) -> bytes:
+        """MISSION_REQUEST_LIST: how many items are there?"""
+        return self.pack(dialect.MAVLink_mission_request_list_message(self.system, component))
+
+    def mission_item_request(self, component: int, seq: int) -> bytes:
+        """MISSION_REQUEST_INT: item `seq`, please."""
+        return self.pack(dialect.MAVLink_mission_request_int_message(self.system, component, seq))
+
+    def mission_acknowledgement(self, component: int, is_whole: bool) -> bytes:
+        """MISSION_ACK that ends our reading: the mission is whole, or we break off."""
+        result = dialect.MAV_MISSION_ACCEPTED if is_whole else dialect.MAV_MISSION_OPERATION_CANCELLED
+        return self.pack(dialect.MAVLink_mission_ack_message(self.system, component, result))
+
     def parameter(self, name: str, value: float) -> bytes:
         """PARAM_VALUE of our own; only a recording holds one."""
         real = dialect.MAV_PARAM_TYPE_REAL32
@@ -98,8 +109,9 @@ class Outgoing:
         temp_C: float,
         soc: float,
         remaining_s: float,
+        charge_state: int = dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
     ) -> bytes:
-        """BATTERY_STATUS of a battery of our own: function and charge state unknown, NaN at the field's sentinel."""
+        """BATTERY_STATUS of a battery of our own: its function is unknown, NaN is sent as the field's sentinel."""
         return self.pack(
             dialect.MAVLink_battery_status_message(
                 battery_id,
@@ -112,7 +124,7 @@ class Outgoing:
                 -1,
                 _bounded(soc * 100.0, -1, 0, 100),
                 seconds(remaining_s),
-                dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
+                charge_state,
             )
         )
 

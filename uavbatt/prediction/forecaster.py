@@ -28,6 +28,7 @@ from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
+NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
 SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
@@ -285,7 +286,7 @@ class Forecaster:
         if isinstance(self.settings.load, ConstantLoad):
             return ""
         if not math.isfinite(self._flying_since_s):
-            return "on the ground or no load: nothing tells the load to come"
+            return NOT_FLYING
         if sample.time_s - self._flying_since_s < SETTLED_S:
             return "the load has just come"
         return ""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.effects import unit_words
+from uavbatt.diagnosis.blocks import Block
 from uavbatt.diagnosis.classes import EffectClass
 from uavbatt.diagnosis.close import Closed
 from uavbatt.diagnosis.diagnosis import Diagnosis
@@ -61,6 +62,7 @@ def diagnosis_report(found: Diagnosis, closed: Closed, old: BatteryFile, new: Ba
         "uavbatt diagnose",
         element("div", paragraph(strong(answer)), *map(_suspect, found.classes), css=f"answer {mood}"),
         *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
+        *([section("Where the evidence lies", evidence_figure(found.blocks))] if found.blocks else []),
         section("Error before and after", _errors(closed, found.floor_V)),
         section("Residuals, measured minus modelled", *_residuals(found)),
         section("Change of the battery file", *_changes(found, difference(old, new))),
@@ -75,6 +77,9 @@ def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
         notes.append("No temperature was measured: effects that show in it only are not among the candidates.")
     if old.status == "edited":
         notes.append(f"The {old.caveat}.")
+    if found.hidden:
+        bounds = (f"{h.name} {h.lo:.3g} to {h.hi:.3g} {unit_words(h.unit)}".rstrip() for h in found.hidden)
+        notes.append(f"No more than this could hide in these records (95 %): {'; '.join(bounds)}.")
     return notes
 
 
@@ -98,6 +103,21 @@ def _suspect(one: EffectClass) -> Html:
         bullets(f"{CHECK[m][0].upper()}{CHECK[m][1:]} ({m})." for m in one.members),
         table(("if it is so", "quantity", "value", "95 % interval", "unit"), rows, text_columns=(0, 1, 4)),
     )
+
+
+def evidence_figure(blocks: tuple[Block, ...]) -> Html:
+    """Bars of chi-square saved in each part of the flights; below zero the data of that part speak against it."""
+    names, saved = [b.name for b in blocks], np.array([b.saved for b in blocks])
+
+    def draw(axes: Axes) -> None:
+        colours = [plot.BLUE if value >= 0.0 else plot.RED for value in saved]
+        axes.barh(range(len(names)), saved, color=colours, height=0.6)
+        axes.set_yticks(range(len(names)), names)
+        axes.invert_yaxis()
+        axes.axvline(0.0, color=plot.INK, linewidth=0.7)
+
+    told = ", ".join(f"{b.name} {b.saved:.0f}" for b in blocks)
+    return figure(plot.panel(draw, f"Evidence by part of the flights: {told}", x="chi-square saved", y=""), "Evidence")
 
 
 def _decimals(value: float) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uavbatt import __version__
 from uavbatt.report.fleet_figures import errors_figure, scale_figure
-from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change
+from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change, verdict
 from uavbatt.report.page import (
     DASH,
     Html,
@@ -62,7 +62,7 @@ def _ranked(groups: Iterable[Group]) -> list[Ranked]:
     def concern(one: Ranked) -> tuple[bool, float, int]:
         grown = one[1]
         return (
-            not _is_grown(grown),
+            not (one[0].is_identified and _is_grown(grown)),
             -(grown.difference if grown is not None else -math.inf),
             -one[0].flights,
         )
@@ -75,15 +75,14 @@ def _is_grown(found: Change | None) -> bool:
 
 
 def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
-    hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
     failed = sum(found.failures.values())
+    if failed and not found.flights:
+        nothing = f"None of {counted(failed, 'log')} could be flown: this fleet is not known. The reasons are below."
+        return element("div", paragraph(nothing), css="answer bad")
+    hours = sum(g.flown_s for g in found.groups.values()) / 3600.0
     lost = f"; {counted(failed, 'log')} could not be flown" if failed else ""
     first = f"{counted(found.flights, 'flight')} in {number(hours, 1)} h; {found.looked} need a look{lost}."
-    grown = [g.name for g, resistance, _ in ranked if _is_grown(resistance)]
-    health = "No ageing found: no pack with enough flights shows a resistance that has certainly grown."
-    if grown:
-        health = f"Resistance has grown in: {', '.join(grown[:5])}" + (", …" if len(grown) > 5 else ".")
-    said = [paragraph(first), paragraph(health)]
+    said = [paragraph(first), paragraph(_health_words(ranked))]
     errors, inside = np.array(found.errors["120"]), found.inside["120"]
     if len(errors):
         judged = len(errors) + found.refused["120"]
@@ -98,6 +97,17 @@ def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
     return element("div", *said, css="answer")
 
 
+def _health_words(ranked: Sequence[Ranked]) -> str:
+    """Say which packs have aged, how many certainly have not, and how many nobody can tell of."""
+    judged = [(group.name, verdict(group, resistance, capacity)) for group, resistance, capacity in ranked]
+    grown = [name for name, found in judged if found.kind == "grown"]
+    steady, untold = (sum(found.kind == kind for _, found in judged) for kind in ("steady", "cannot tell"))
+    rest = f"{steady} steady, of {untold} it cannot be told (see the table)."
+    if grown:
+        return f"Resistance has grown in: {', '.join(grown[:5])}{', …' if len(grown) > 5 else ''}; {rest}"
+    return f"No ageing found: {rest}"
+
+
 def _health(ranked: Sequence[Ranked]) -> list[Html]:
     if not ranked:
         return [paragraph("No flight, no health.", css="quiet")]
@@ -108,7 +118,7 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
     rows = [
         (
             g.name, str(g.flights), number(g.flown_s / 3600.0, 1), number(g.energy_Wh / g.flights, 0), *_dates(g),
-            _changed(resistance, g.resistance), _changed(capacity, g.capacity), _verdict(resistance, capacity),
+            _changed(resistance, g.resistance), _changed(capacity, g.capacity), _verdict(g, resistance, capacity),
         )
         for g, resistance, capacity in ranked
     ]  # fmt: skip
@@ -134,14 +144,9 @@ def _changed(found: Change | None, values: Sequence[tuple[float, float]]) -> str
     return f"{number(found.early, 2)} → {number(found.late, 2)} (± {number(2.0 * found.difference_sd, 2)})"
 
 
-def _verdict(resistance: Change | None, capacity: Change | None) -> Html:
-    if resistance is None or capacity is None:
-        return badge("not enough data", "too few flights")
-    if _is_grown(resistance):
-        return badge("fail", "ohms grown")
-    if capacity.is_certain and capacity.difference < 0.0:
-        return badge("fail", "capacity lost")
-    return badge("pass", "steady")
+def _verdict(group: Group, resistance: Change | None, capacity: Change | None) -> Html:
+    found = verdict(group, resistance, capacity)
+    return badge({"steady": "pass", "cannot tell": "not enough data"}.get(found.kind, "fail"), found.words)
 
 
 def _dates(group: Group) -> tuple[str, str]:
@@ -157,14 +162,15 @@ def _look(found: Overview) -> list[Html]:
         return [paragraph("None.", css="quiet")]
     rows = [
         (PurePath(row.file).name, row.aircraft, row.start_utc[:10] or DASH, number(row.end_soc, 2), row.look)
-        for row in found.look
+        for row in found.look[:MOST_LISTED]
     ]
-    more = found.looked - len(rows)
+    more = found.looked - len(found.look)
     by_count = sorted(found.reasons.items(), key=lambda one: -one[1])
     said = [bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
     said.append(table(("log", "aircraft", "date", "charge at end", "why"), rows, text_columns=(0, 1, 2, 4)))
     if more > 0:
-        said.append(paragraph(f"The first {MOST_LISTED}; {more} more in flights.csv, column `look`.", css="quiet"))
+        words = f"The {len(found.look)} that ask for it most; {more} more in flights.csv, column `look`."
+        said.append(paragraph(words, css="quiet"))
     return said
 
 

@@ -1,7 +1,9 @@
 """Flights of a fleet gathered in one pass: each pack or aircraft over its life, and the errors of the forecasts.
 
-A group is a battery with a serial number, else an aircraft. Only numbers are kept of a flight, so that a page about
-very many flights stays small in memory.
+A group is a battery with a serial number, else an aircraft by its flight controller's serial or by what the caller
+names (`--by`, `--aircraft`), always of one count of cells and one capacity. What only lies in one folder is shown
+together and never judged: a folder holds whatever somebody put into it. Only numbers are kept of a flight, so that a
+page about very many flights stays small in memory.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,8 @@ from uavbatt.fleet.row import Row
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
+STEADY = 0.2  # a pack is called steady only if a larger growth is excluded
+LISTED_SHARE = 0.2  # of the flights at most stand on the list of those to look at
 MOST_LISTED = 100
 _FIGURE = re.compile(r"\d+(\.\d+)?")
 
@@ -37,12 +42,45 @@ class Change:
         """True for a change of more than twice its own standard deviation that is big enough to matter."""
         return abs(self.difference) > max(2.0 * self.difference_sd, 0.05)
 
+    @property
+    def at_most(self) -> float:
+        """The largest change that the flights leave possible, relative to the early ones (two standard deviations)."""
+        return (abs(self.difference) + 2.0 * self.difference_sd) / max(self.early, 1e-3)
+
+    @property
+    def visible(self) -> float:
+        """The smallest change that these flights could have shown, relative to the early ones."""
+        return max(2.0 * self.difference_sd, 0.05) / max(self.early, 1e-3)
+
+
+class Verdict(NamedTuple):
+    """A judgement about one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
+
+    kind: str
+    words: str
+
+
+def verdict(group: Group, resistance: Change | None, capacity: Change | None) -> Verdict:
+    """Judge the health of a group; a change that could not have been seen is not called steady."""
+    if not group.is_identified:
+        return Verdict("cannot tell", "one folder is not one aircraft: give --by or --aircraft")
+    if resistance is None or capacity is None:
+        return Verdict("cannot tell", "too few flights")
+    if resistance.is_certain and resistance.difference > 0.0:
+        return Verdict("grown", f"ohms grown by {resistance.difference / resistance.early:.0%}")
+    if capacity.is_certain and capacity.difference < 0.0:
+        return Verdict("lost", f"capacity lost: {-capacity.difference / capacity.early:.0%}")
+    if resistance.at_most <= STEADY:
+        return Verdict("steady", f"steady to within {resistance.at_most:.0%}")
+    return Verdict("cannot tell", f"cannot tell: growth below {resistance.visible:.0%} is not visible")
+
 
 @dataclass(slots=True)
 class Group:
     """Flights of one pack or aircraft, in the order of the table; filled while the rows go by."""
 
     name: str
+    is_identified: bool = True  # by a serial or by the caller, not by a folder alone
     start_s: list[float] = field(default_factory=list)
     resistance: list[tuple[float, float]] = field(default_factory=list)  # scale and its standard deviation
     capacity: list[tuple[float, float]] = field(default_factory=list)
@@ -126,17 +164,48 @@ def gathered(rows: Iterable[Row]) -> Overview:
             files = found.failed.setdefault(row.reason, [])
             files += [row.file] if len(files) < 3 else []
             continue
-        name = f"battery {row.battery_serial}" if row.battery_serial else row.aircraft or "unknown aircraft"
-        found.groups.setdefault(name, Group(name)).add(row)
+        name, is_identified = _whose(row)
+        found.groups.setdefault(name, Group(name, is_identified)).add(row)
         found.certificates.add(row.certificate)
         if row.look:
             found.looked += 1
-            found.look += [row] if len(found.look) < MOST_LISTED else []
+            found.look = _most_severe([*found.look, row], MOST_LISTED)
             for reason in row.look.split("; "):
                 kind = _FIGURE.sub("…", reason)
                 found.reasons[kind] = found.reasons.get(kind, 0) + 1
         _score(found, row)
+    found.look = _most_severe(found.look, max(math.ceil(LISTED_SHARE * found.flights), 1))
     return found
+
+
+def _most_severe(rows: Sequence[Row], count: int) -> list[Row]:
+    return sorted(rows, key=severity, reverse=True)[:count]
+
+
+def _whose(row: Row) -> tuple[str, bool]:
+    """The name of the pack or aircraft of a flight, and whether it is known to be one."""
+    size = f"{row.cells or '?'}S {row.capacity_Ah:g} Ah" if math.isfinite(row.capacity_Ah) else f"{row.cells or '?'}S"
+    if row.battery_serial:
+        return f"battery {row.battery_serial} ({size})", True
+    if row.aircraft_from in ("--by", "--aircraft") and row.aircraft:
+        return f"{row.aircraft} ({size})", True
+    if row.hardware:
+        return f"aircraft {row.hardware} ({size})", True
+    return f"folder {row.aircraft or '?'} ({size})", False
+
+
+def severity(row: Row) -> float:
+    """Return how much a flight asks for a look; a battery that was emptied comes before a forecast that was off."""
+    weights = {
+        "landed nearly empty": 5.0,
+        "resistance": 4.0,
+        "too long": 4.0,
+        "not to be trusted": 3.0,
+        "explains it badly": 2.0,
+        "refused": 2.0,
+        "flew on below": 1.0,
+    }
+    return sum(weight for words, weight in weights.items() if words in row.look)
 
 
 def _score(found: Overview, row: Row) -> None:

@@ -11,6 +11,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay import Checkpoint, Outcome, Step
 from uavbatt.records import Flight, Status
+from uavbatt.report.flight_answer import answer
 from uavbatt.report.flight_figures import figures
 from uavbatt.report.page import (
     DASH,
@@ -65,7 +66,8 @@ def flight_report(
 
 def _answer(flight: Flight, outcome: Outcome, resolved: PackSize, found: Sequence[Stretch]) -> Html:
     """The headline: what the pilot came for."""
-    sentences = [paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
+    first = answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
+    sentences = [paragraph(first), paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
     if outcome.checkpoints:
         sentences.append(
             paragraph("; ".join(_error_words(c) for c in (*outcome.checkpoints[:1], *_late(outcome))) + ".")

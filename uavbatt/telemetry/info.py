@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from statistics import median
 
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
 from uavbatt.telemetry.trust import Findings, verdict
@@ -46,6 +47,7 @@ class LogInfo:
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     identity: Identity
+    route: str  # what the log tells of it, in words
 
 
 def describe(flight: Flight) -> LogInfo:
@@ -93,6 +95,7 @@ def describe(flight: Flight) -> LogInfo:
         reasons=reasons,
         notes=flight.notes,
         identity=flight.identity,
+        route=_route(flight.navigation),
     )
 
 
@@ -149,6 +152,7 @@ def lines(info: LogInfo) -> list[str]:
         f"charge       {_number(info.drawn_Ah, 'Ah')} from the current,"
         f" {_number(info.counter_Ah, 'Ah')} by the autopilot's counter",
         f"pack         {_facts(info.facts)}",
+        f"route        {info.route}",
         f"missing      {', '.join(info.missing) or 'nothing'}",
         f"gaps         {_gaps(info.gaps)}",
     ]
@@ -189,6 +193,20 @@ def _span(span: Range, unit: str) -> str:
 def _temperature(info: LogInfo) -> str:
     span = _span(info.temp_range_C, "°C")
     return span if info.temperature == "absent" else f"{span}, {info.temperature}"
+
+
+def _route(navigation: Sequence[Navigation]) -> str:
+    """What a log tells of route and place, in words."""
+    last = navigation[-1] if navigation else NOWHERE
+    mission = last.mission
+    said = [
+        "" if mission is None else f"mission of {len(mission.items)} items" if not mission.reason else mission.reason,
+        "home" if last.home is not None else "",
+        "positions" if last.position is not None else "",
+        "progress" if last.current is not None else "",
+        "wind" if last.wind is not None else "",
+    ]
+    return ", ".join(s for s in said if s) or "the log says nothing of it"
 
 
 def _facts(facts: PackFacts) -> str:

@@ -12,18 +12,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import PackFacts
+from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
+from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 from uavbatt.telemetry.vehicle import BATTERY_IDS, Row, Vehicle, battery_fields
 
 __all__ = ["LiveReader", "Row", "Taken", "checksum"]
 
 SILENT_S = 10.0
 MOST_VEHICLES = 16
-WANTED = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
+_TOLD_BY = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
+WANTED = _TOLD_BY | OF_AUTOPILOT | OF_OTHERS
 AUTOPILOT_COMPONENT = 1
 
 
@@ -58,13 +63,16 @@ def checksum() -> Callable[[bytes], bool]:
 class LiveReader:
     """Frames in order of reception; follows one vehicle, and says whom it heard."""
 
-    def __init__(self, system: int | None = None, component: int | None = None) -> None:
-        self._asked = (system, component)
+    def __init__(
+        self, system: int | None = None, component: int | None = None, own_component: int | None = None
+    ) -> None:
+        self._asked, self._own_component = (system, component), own_component
         self._decode = decoder()
         self._vehicles: dict[tuple[int, int], Vehicle] = {}
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
         self._resumed: Mapping[str, float] = {}
         self.followed: Vehicle | None = None
+        self.planned: PlannedFlight | None = None
         self.changes = 0  # grows when another vehicle is followed
         self.rejected = 0
         self._now_s = -math.inf
@@ -100,6 +108,15 @@ class LiveReader:
         return self.followed is not None and self.followed.is_px4
 
     @property
+    def navigation(self) -> Navigation:
+        """What is known of the vehicle's route and place; a mission that a file plans wins over what passes."""
+        known = self.followed.route.now if self.followed is not None else NOWHERE
+        if self.planned is None:
+            return known
+        home = known.home or self.planned.home
+        return replace(known, mission=self.planned.mission, home=home, transferring=False)
+
+    @property
     def battery_ids(self) -> set[int]:
         """Batteries of which BATTERY_STATUS speaks."""
         return self.followed.battery_ids if self.followed is not None else set()
@@ -131,7 +148,7 @@ class LiveReader:
         Before a vehicle is followed they wait for it. What the vehicle itself says goes before.
         """
         if self.followed is not None:
-            self.followed.parameters.resume(parameters)
+            self.followed.resume(parameters)
         else:
             self._resumed = dict(parameters)
 
@@ -167,10 +184,11 @@ class LiveReader:
             if not message:
                 self.rejected += 1
                 return NOTHING
-            self._hear(header, message)
+            if header.message_id in _TOLD_BY:
+                self._hear(header, message)
         vehicle = self._vehicles.get((header.system, header.component))
         if vehicle is None:
-            return self._of_a_part(header, stamp_s)
+            return self._of_a_part(header, stamp_s, message, frame)
         time_s = vehicle.passes(stamp_s)
         battery = battery_fields(header.message_id, message) if header.message_id in BATTERY_IDS else None
         if battery is not None:
@@ -181,16 +199,21 @@ class LiveReader:
         if battery is not None or self.followed is None:
             self._follow(vehicle, stamp_s)
         vehicle.heard_s = stamp_s
-        return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s)
+        return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
 
     @property
     def _wanted(self) -> str:
         parts = zip(("system", "component"), self._asked, strict=True)
         return " ".join(f"{what} {number}" for what, number in parts if number is not None)
 
-    def _of_a_part(self, header: framing.Header, stamp_s: float) -> Taken:
-        """A frame that makes no row: of a part of the followed vehicle, or of nobody."""
-        if self.followed is None or header.system != self.followed.system:
+    def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> Taken:
+        """A frame that makes no row: of a part of the followed vehicle, of a station writing a mission, or of none."""
+        if self.followed is None:
+            return NOTHING
+        is_to_us = message is not None and header.message_id in OF_OTHERS
+        if is_to_us and self.followed.take_other(header.message_id, message, frame):
+            return Taken([], True)
+        if header.system != self.followed.system:
             return NOTHING
         self.followed.passes(stamp_s)
         return Taken([], True)
@@ -211,7 +234,7 @@ class LiveReader:
         if len(self._vehicles) >= MOST_VEHICLES:
             others = [s for s, vehicle in self._vehicles.items() if vehicle is not self.followed]
             del self._vehicles[min(others, key=lambda s: self._vehicles[s].heard_s)]
-        self._vehicles[source] = Vehicle(*source)
+        self._vehicles[source] = Vehicle(*source, self._own_component)
 
     def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
         """Follow this vehicle if it is the first, or if the one that is followed gives way to it."""
@@ -223,6 +246,6 @@ class LiveReader:
                 return
             if old.speaks:
                 self._resumed = {}  # they were another's
-        vehicle.parameters.resume(self._resumed)
+        vehicle.resume(self._resumed)
         self.followed = vehicle
         self.changes += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path, PurePath
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.records import Flight
 from uavbatt.telemetry.builder import LogBuilder, default_instance
+from uavbatt.telemetry.formats.packed import is_packed, unpacked
 from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 Content = bytes | memoryview  # of a file
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
+STANDARD_INPUT = "-"
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
@@ -34,9 +37,10 @@ def read_log(path: str | Path, instance: int | None = None) -> Flight:
 
     instance: the battery to read (ArduPilot's instances, MAVLink's ids: from 0). By default the
     first in the log that reports a current; if none does, the first with a voltage.
+    path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
     """
-    return read_bytes(str(path), _content(Path(path)), instance)
+    return read_bytes(*_content(Path(path)), instance)
 
 
 def read_bytes(source: str, data: Content, instance: int | None = None) -> Flight:
@@ -54,6 +58,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None) -> Fligh
         skipped_bytes=log.skipped_bytes,
         notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
         identity=completed(log.identity, log.parameters, chosen),
+        navigation=log.navigation,
     )
 
 
@@ -61,17 +66,23 @@ def read_columns(path: str | Path, instance: int | None = None) -> Rows:
     """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _read(str(path), _content(Path(path)))
+    _, log = _read(*_content(Path(path)))
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
 
-def _content(path: Path) -> Content:
+def _content(path: Path) -> tuple[str, Content]:
+    """The name of a log, and its bytes."""
+    if str(path) == STANDARD_INPUT:
+        return "standard input", sys.stdin.buffer.read()
     if path.is_dir():
         raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
         with path.open("rb") as file:
-            return file.read() if _is_text(file.peek()) else _binary(file)
+            head = file.peek()
+            if is_packed(head):
+                return unpacked(str(path), file.read())
+            return str(path), file.read() if _is_text(head) else _binary(file)
     except FileNotFoundError:
         raise BadInput(path, "", f"{KNOWN_KINDS}, found no such file") from None
     except (OSError, ValueError) as error:

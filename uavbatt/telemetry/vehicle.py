@@ -3,6 +3,7 @@
     HEARTBEAT: armed, PX4 or not        PARAM_VALUE: PackFacts of each battery (`HeardParameters`: which of them count)
     AUTOPILOT_VERSION: serial number
     BATTERY_STATUS / SYS_STATUS / BATTERY2: a Sample
+    route and place: `NavigationListener`
 
 SYS_STATUS speaks for battery 0 (BATTERY2 for 1) only where no BATTERY_STATUS does: such rows are held for
 FALLBACK_AFTER_S and then released. The first row of a battery waits for its second: one damaged frame of 65 536 has a
@@ -12,18 +13,29 @@ good checksum, and shall not make a battery that nobody has.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
+from uavbatt.telemetry.route.messages import (
+    HOME_POSITION,
+    MISSION_ACK,
+    OF_AUTOPILOT,
+    OF_OTHERS,
+    NavigationListener,
+)
+from uavbatt.telemetry.route.settings import NAMES
 from uavbatt.telemetry.senders import Senders
 
 FALLBACK_AFTER_S = 5.0
 CONFIRMED_WITHIN_S = 60.0
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
+MOST_TRANSFER_WORDS = 6000
+_MISSION_WORDS = b"mission "
 BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 
 
@@ -44,11 +56,13 @@ def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
 class Vehicle:
     """Frames of one autopilot in order of reception; holds what a row needs from earlier frames."""
 
-    def __init__(self, system: int, component: int) -> None:
+    def __init__(self, system: int, component: int, own_component: int | None = None) -> None:
         self.system, self.component = system, component
+        self.route = NavigationListener(own=None if own_component is None else (system, own_component))
+        self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
         self.senders = Senders()
         self.parameters = HeardParameters()
-        self.words: dict[bytes, bytes] = {}  # its heartbeat and battery parameters: frames that a recording begins with
+        self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
         self.battery_ids: set[int] = set()
         self.is_px4 = False
         self.hardware = ""  # serial number of the autopilot
@@ -79,6 +93,31 @@ class Vehicle:
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.known.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
 
+    def resume(self, earlier: Mapping[str, float]) -> None:
+        """Take over parameters that an earlier process heard of this vehicle; what it says itself goes before."""
+        self.parameters.resume(earlier)
+        self.route.builder.settings(self.now_s, self.parameters.known)
+
+    def take_other(self, message_id: int, message: Any, frame: bytes) -> bool:
+        """Take what another station says to the autopilot; return whether it is of its mission."""
+        if (message.target_system, message.target_component) not in ((self.system, self.component), (self.system, 0)):
+            return False
+        self._in_transfer(frame, lambda: self.route.take_other(self.now_s, message_id, message))
+        return True
+
+    def _in_transfer(self, frame: bytes, take: Callable[[], None]) -> None:
+        """Take a frame of a mission transfer: those of the last whole one are the mission's words."""
+        if len(self._transfer_words) < MOST_TRANSFER_WORDS:
+            self._transfer_words.append(frame)
+        before = self.route.builder.held
+        take()
+        if self.route.builder.held is not before:
+            for key in [key for key in self.words if key.startswith(_MISSION_WORDS)]:
+                del self.words[key]
+            self.words |= {_MISSION_WORDS + b"%d" % k: kept for k, kept in enumerate(self._transfer_words)}
+        if not self.route.transfer.is_open:
+            self._transfer_words = []
+
     def take(
         self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
     ) -> list[Row]:
@@ -86,6 +125,7 @@ class Vehicle:
         if message_id == fields.HEARTBEAT:
             self._log.armed = fields.is_armed(message)
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
+            self.route.take(time_s, message_id, message)
             self.words[b"heartbeat"] = frame
             return self._released(time_s)
         if message_id == fields.PARAM_VALUE:
@@ -94,11 +134,22 @@ class Vehicle:
         if message_id == fields.AUTOPILOT_VERSION:
             self.hardware = self.hardware or fields.hardware(message.uid)
             return []
+        if message_id in OF_AUTOPILOT:
+            self._take_of_route(message_id, message, frame, time_s)
+            return []
         assert battery is not None
         if message_id == fields.BATTERY_STATUS:
             row = self._row(time_s, battery)
             return [] if row is None else self._confirmed(row)
         return self._fallback(message_id, battery, time_s)
+
+    def _take_of_route(self, message_id: int, message: Any, frame: bytes, time_s: float) -> None:
+        if message_id in OF_OTHERS or message_id == MISSION_ACK:
+            self._in_transfer(frame, lambda: self.route.take(time_s, message_id, message))
+            return
+        self.route.take(time_s, message_id, message)
+        if message_id == HOME_POSITION:
+            self.words[b"home"] = frame
 
     def _hear(self, message: Any, frame: bytes) -> None:
         name, value = fields.parameter(message, self.is_px4)
@@ -106,7 +157,9 @@ class Vehicle:
             return
         value = value if math.isfinite(value) else math.nan
         counts = self.parameters.counts(name, value, framing.sequence(frame), self._log.armed is True)
-        if counts and name.startswith(BATTERY_NAMES):
+        if counts:
+            self.route.builder.parameter(self.now_s, name, value)
+        if counts and (name.startswith(BATTERY_NAMES) or name in NAMES):
             self.words[name.encode("latin-1")] = frame
 
     def _confirmed(self, row: Row) -> list[Row]:

@@ -2,7 +2,9 @@
 
 A table is made by hand or by a script, so it is held to its word: what cannot be a slip of a sensor
 (text, a missing voltage, time that runs back, millivolts, percent) is refused with row and column.
-An empty cell or `nan` means "not measured" outside time and voltage.
+An empty cell or `nan` means "not measured" outside time and voltage. `time_s` may be seconds or ISO 8601.
+
+A table as `ulog2csv` writes it of PX4's battery_status (`timestamp` in microseconds, `voltage_v`, ...) is read as well.
 """
 
 from __future__ import annotations
@@ -11,8 +13,10 @@ import csv
 import difflib
 import io
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from statistics import median
 
@@ -23,8 +27,18 @@ from uavbatt.telemetry.builder import MAX_VOLTAGE_V, LogBuilder
 
 REQUIRED = ("time_s", "voltage_V")
 OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc", "armed")
+# ulog2csv's columns of battery_status, the first that is there for each of ours, with the factor to our unit.
+ULOG2CSV: dict[str, tuple[tuple[str, ...], float]] = {
+    "time_s": (("timestamp",), 1e-6),
+    "voltage_V": (("voltage_v", "voltage_filtered_v"), 1.0),
+    "current_A": (("current_a", "current_filtered_a"), 1.0),
+    "temp_C": (("temperature",), 1.0),
+    "consumed_Ah": (("discharged_mah",), 1e-3),
+    "reported_soc": (("remaining",), 1.0),
+}
 _MISSPELT_RATIO = 0.6
 _SEVERAL_STEPS = 5
+_ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _ARMED = {"1": True, "true": True, "0": False, "false": False, "": None, "nan": None}
 
 
@@ -33,7 +47,9 @@ def read(source: str, data: bytes) -> LogBuilder:
     text = data.decode("utf-8-sig", errors="replace")
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
     log = LogBuilder()
-    columns = _columns(source, _cells(lines[0][1]) if lines else [], log)
+    header = _cells(lines[0][1]) if lines else []
+    factors = _ulog2csv(header)
+    columns = header if factors else _columns(source, header, log)
     start_s: float | None = None
     before_s = -math.inf
     for row, (line_number, line) in enumerate(lines[1:], start=1):
@@ -45,13 +61,44 @@ def read(source: str, data: bytes) -> LogBuilder:
         place = f"row {row} (line {line_number})"
         if len(cells) != len(columns):
             raise BadInput(source, place, f"{len(columns)} cells, found {len(cells)}")
-        sample = _sample(source, place, dict(zip(columns, cells, strict=True)), before_s)
+        named = dict(zip(columns, cells, strict=True))
+        if factors:
+            named = {ours: _scaled(named[theirs], factor) for ours, (theirs, factor) in factors.items()}
+        sample = _sample(source, place, named, before_s)
         before_s = sample.time_s
         start_s = before_s if start_s is None else start_s
         log.now_s = before_s - start_s  # a table states its time: no jump in it is taken for a reboot
         log.add(0, replace(sample, time_s=log.now_s))
     _check_unit_of_time(source, log.rows.get(0, []))
     return log
+
+
+def _ulog2csv(header: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Return our columns with PX4's name of each and the factor to our unit; empty for a table of another kind."""
+    if "timestamp" not in header or "time_s" in header:
+        return {}
+    there = {ours: (next((n for n in names if n in header), ""), factor) for ours, (names, factor) in ULOG2CSV.items()}
+    found = {ours: named for ours, named in there.items() if named[0]}
+    return found if "voltage_V" in found else {}
+
+
+def _scaled(cell: str, factor: float) -> str:
+    """A cell in our unit; what is no number stays as it is, to be refused with its place."""
+    try:
+        return repr(float(cell) * factor) if factor != 1.0 else cell
+    except ValueError:
+        return cell
+
+
+def _seconds(cell: str) -> str:
+    """A time in ISO 8601 as seconds; any other cell as it is."""
+    if not _ISO.match(cell):
+        return cell
+    try:
+        when = datetime.fromisoformat(cell)
+    except ValueError:
+        return cell
+    return repr((when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp())
 
 
 def _check_unit_of_time(source: str, rows: Sequence[Sample]) -> None:
@@ -102,6 +149,7 @@ def _sample(source: str, place: str, cells: dict[str, str], before_s: float) -> 
     def number(column: str, needed: bool = False) -> float:
         return _number(cells.get(column, ""), needed, lambda e: BadInput(source, f"{place}, column {column}", e))
 
+    cells = {**cells, "time_s": _seconds(cells.get("time_s", ""))}
     time_s, voltage_V = number("time_s", needed=True), number("voltage_V", needed=True)
     if time_s < before_s:
         raise BadInput(source, f"{place}, column time_s", f"time not before {before_s:g} s, found {time_s:g}")

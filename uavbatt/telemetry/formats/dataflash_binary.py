@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.formats.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, places_where, windows
 from uavbatt.telemetry.formats.dataflash_identity import TELLING, identity
+from uavbatt.telemetry.formats.dataflash_route import OF_ROUTE, navigation
 from uavbatt.telemetry.formats.dataflash_rows import USED, WANTED, Layout, Moment, Table, fold
 
 HEADER = b"\xa3\x95"
@@ -27,6 +28,7 @@ FMT_TYPE = 128
 _FMT = struct.Struct("<BB4s16s64s")
 _FMT_LENGTH = 3 + _FMT.size
 _UNKNOWN = -1
+_READ = (WANTED, TELLING, OF_ROUTE)
 _WINDOW = 1 << 19  # bytes; the index of its records is small enough for the allocator to keep from window to window
 
 # Format character -> (numpy's code, divisor). Divided, as pymavlink does: 2533 / 100 is 25.33, 2533 * 0.01 is not.
@@ -82,7 +84,8 @@ def read(data: bytes | memoryview) -> LogBuilder:
     records = _Records(np.frombuffer(data, np.uint8))
     log.skipped_bytes = records.skipped_bytes
     log.identity = identity(records.tables(TELLING), records.first)
-    fold(records.tables(WANTED), records.first, records.last, log)
+    clock = fold(records.tables(WANTED), records.first, records.last, log)
+    log.navigation = navigation(records.tables(OF_ROUTE), clock, log.identity.firmware, log.parameters)
     return log
 
 
@@ -142,7 +145,7 @@ class _Records:
         timed = np.array([layout is not None and layout.ticks_per_s > 0 for layout in layouts])
         for index in np.flatnonzero(np.bincount(which)).tolist():
             layout = layouts[index]
-            if layout is not None and (WANTED.match(layout.name) or TELLING.match(layout.name)):
+            if layout is not None and any(names.match(layout.name) for names in _READ):
                 self._places.setdefault(index, []).append(where[which == index])
         with_time = timed[which]
         if with_time.any():

@@ -26,9 +26,10 @@ from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, distinct, la
 from uavbatt.telemetry.parameters import VOLTAGE_ONLY, monitor_parameter
 
 WANTED = re.compile(r"(CURR|CUR\d|BAT\d?|BCL\d?|PARM|ARM|EV)$")
-# Labels that are read of any record, by this module and `dataflash_identity`.
+# Labels that are read of any record, by this module, `dataflash_identity` and `dataflash_route`.
 USED = re.compile(
-    r"(Time[UM]S|Volt|Curr|CurrTot|Temp|RemPct|Inst|Instance|V\d+|Name|Value|ArmState|Id|G?Wk|Week|GMS|Message)$"
+    r"(Time[UM]S|Volt|Curr|CurrTot|Temp|RemPct|Inst|Instance|V\d+|Name|Value|ArmState|Id|G?Wk|Week|GMS|Message"
+    r"|CTot|CNum|CId|Prm\d|Lat|Lng|Alt|Frame|Mode|ModeNum|Type|RelHomeAlt|RelAlt|Status|Spd|GCrs|VZ|VWN|VWE|C)$"
 )
 _BATTERY = re.compile(r"(CURR|CUR\d|BAT\d?)$")
 _CELL = re.compile(r"V\d+$")
@@ -79,6 +80,25 @@ class Moment(NamedTuple):
     raw_s: float
 
 
+class Clock(NamedTuple):
+    """Records by which the log's time is told: their places, what the log's own clock says [s], the time [s]."""
+
+    order: Order
+    raw_s: Column
+    time_s: Column
+
+    def times_s(self, table: Table) -> Column:
+        """Times of a table's records [s]; without a stamp of their own that of the clock's record before each."""
+        if not len(self.order):
+            return np.zeros(len(table.order))
+        last = np.maximum(latest_before(table.order, self.order), 0)
+        if not table.layout.ticks_per_s:
+            return self.time_s[last]
+        raw_s = table.column(table.layout.labels[0]) / table.layout.ticks_per_s
+        own_s: Column = np.fmax(self.time_s[last] + raw_s - self.raw_s[last], 0.0)
+        return np.round(own_s, 6)
+
+
 class _Timed(NamedTuple):
     """A table with the time of each record [s]."""
 
@@ -97,17 +117,17 @@ class _Change(NamedTuple):
         return np.append(self.value, before)[latest_before(order, self.order)]
 
 
-def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> None:
-    """Push every battery row, parameter and arming change of `tables` into `log`, in order.
+def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> Clock:
+    """Push every battery row, parameter and arming change of `tables` into `log`, in order; return the log's clock.
 
     first, last: of the records of any kind, wanted or not, that carry a time.
     """
-    timed = _with_times(tables, first, last, log)
+    clock, timed = _with_times(tables, first, last, log)
     parameters = _named(timed, "PARM")
     _add_parameters(parameters, log)
     batteries = [t for t in timed if _BATTERY.match(t.table.layout.name)]
     if not batteries:
-        return
+        return clock
     merged = _merged([(b.table.order, b.time_s, _instance(b.table), *_said(b.table)) for b in batteries])
     is_known = merged[2] != NO_INSTANCE
     if not is_known.all():
@@ -128,6 +148,7 @@ def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log
     add_rows(log, instance, rows)
     if any(not b.table.layout.ticks_per_s for b in batteries):
         log.notes.append("battery records carry no time: one second a record assumed")
+    return clock
 
 
 def _named(timed: Sequence[_Timed], start: str) -> list[_Timed]:
@@ -146,14 +167,19 @@ def _change(parts: Sequence[tuple[Order, NDArray[Any]]]) -> _Change:
     return _Change(*_merged([(np.zeros(0, np.int64), np.zeros(0)), *parts]))
 
 
-def _with_times(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> list[_Timed]:
+def _with_times(
+    tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder
+) -> tuple[Clock, list[_Timed]]:
     """Every table with its times; what carries no time is as late as the latest record before it."""
     moments = [(np.array([m.order]), np.array([m.raw_s])) for m in (first, last) if m is not None]
     clocks = [(t.order, t.column(t.layout.labels[0]) / t.layout.ticks_per_s) for t in tables if t.layout.ticks_per_s]
     told = _change(moments + clocks)
-    told = told._replace(value=times_s(log, told.value))
+    clock = Clock(told.order, told.value, times_s(log, told.value))
+    told = told._replace(value=clock.time_s)
     counted = _counted([t for t in tables if _BATTERY.match(t.layout.name) and not t.layout.ticks_per_s])
     log.now_s = max(log.now_s, float(counted.value.max(initial=0.0)))
+    if not len(told.order):
+        clock = Clock(*counted, np.maximum.accumulate(counted.value))
     both = _change([told, counted])
     now = both._replace(value=np.maximum.accumulate(both.value))
 
@@ -163,7 +189,7 @@ def _with_times(tables: Sequence[Table], first: Moment | None, last: Moment | No
         own = told if table.layout.ticks_per_s else counted
         return own.value[own.order.searchsorted(table.order)]
 
-    return [_Timed(t, times(t)) for t in tables]
+    return clock, [_Timed(t, times(t)) for t in tables]
 
 
 def _counted(tables: Sequence[Table]) -> _Change:

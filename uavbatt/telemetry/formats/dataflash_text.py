@@ -12,9 +12,10 @@ import numpy as np
 from uavbatt.records import NAN
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.formats.dataflash_identity import TELLING, identity
+from uavbatt.telemetry.formats.dataflash_route import OF_ROUTE, navigation
 from uavbatt.telemetry.formats.dataflash_rows import WANTED, Layout, Moment, Table, fold
 
-_TEXT_CHARS = "nNZ"
+_TEXT_CHARS = "nNZM"  # a mode is printed by its name
 
 Value = float | str
 
@@ -38,6 +39,7 @@ def read(data: bytes) -> LogBuilder:
     layouts: dict[str, Layout] = {}
     wanted: dict[Layout, _Lines] = {}
     telling: dict[Layout, _Lines] = {}
+    of_route: dict[Layout, _Lines] = {}
     head: list[str] = []
     first: Moment | None = None
     last: Moment | None = None
@@ -62,11 +64,16 @@ def read(data: bytes) -> LogBuilder:
             values = _values(layout, [*cells[1 : len(layout.labels)], ", ".join(cells[len(layout.labels) :])], True)
             if values is not None:
                 telling.setdefault(layout, _Lines()).add(place, values)
+        if OF_ROUTE.match(layout.name):
+            values = _values(layout, cells[1:], whole=line.endswith((b"\n", b"\r")))
+            if values is not None:
+                of_route.setdefault(layout, _Lines()).add(place, values)
         if layout.ticks_per_s > 0 and len(cells) > 1:
             last = Moment(place, _number(cells[1]) / layout.ticks_per_s)
             first = first or last
     log.identity = identity(_tables(telling), first, head)
-    fold(_tables(wanted), first, last, log)
+    clock = fold(_tables(wanted), first, last, log)
+    log.navigation = navigation(_tables(of_route), clock, log.identity.firmware, log.parameters)
     return log
 
 

@@ -20,47 +20,18 @@ Source: ArduPilot AP_Logger/LogStructure.h, AP_BattMonitor/LogStructure.h; check
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from heapq import merge
 from pathlib import Path
 
 from uavbatt.files import atomic_write
 from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.formats.dataflash_layouts import ARM, BAT, EV, FMT, HEAD, LAYOUTS, PARM, ROUTE_LAYOUTS, Layout
 from uavbatt.telemetry.formats.tlog_writer import ascending_us
 
-HEAD = b"\xa3\x95"
-STRUCT_OF = {"B": "B", "Q": "Q", "I": "I", "f": "f", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
 EVENT_ARMED, EVENT_DISARMED = 10, 11
 NO_SENSOR_C = 0.0
 UNKNOWN_PERCENT = 255
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """One record type: its number, name, format letters and column names."""
-
-    type: int
-    name: str
-    format: str
-    columns: str
-
-    @property
-    def body(self) -> struct.Struct:
-        """The packed body after the three header bytes."""
-        return struct.Struct("<" + "".join(STRUCT_OF[letter] for letter in self.format))
-
-    def record(self, *values: bytes | float) -> bytes:
-        """One whole record: header and `values` in the order of the columns."""
-        return HEAD + bytes([self.type]) + self.body.pack(*values)
-
-
-FMT = Layout(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
-PARM = Layout(129, "PARM", "QNf", "TimeUS,Name,Value")
-ARM = Layout(130, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
-EV = Layout(131, "EV", "QB", "TimeUS,Id")
-BAT = Layout(132, "BAT", "QBfffffcfB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct")
-LAYOUTS = (FMT, PARM, ARM, EV, BAT)
 
 
 def write_dataflash(
@@ -69,30 +40,32 @@ def write_dataflash(
     parameters: Mapping[str, float] | None = None,
     *,
     instance: int = 0,
+    route: Sequence[tuple[float, bytes]] = (),
 ) -> None:
     """Write `samples` and the vehicle's `parameters` (at time 0) to `path` as a binary DataFlash log.
 
     instance : number of the battery in BAT.Inst; `battery_id` of the tlog writer
+    route : records of route and place with their times [s], ascending (`route_writer`)
     """
     with atomic_write(path, "wb") as file:
-        for layout in LAYOUTS:
+        for layout in (*LAYOUTS, *(ROUTE_LAYOUTS if route else ())):
             file.write(format_record(layout))
         for name, value in (parameters or {}).items():
             file.write(parameter_record(0, name, value))
-        for record in _sample_records(samples, instance):
+        for _, record in merge(route, _sample_records(samples, instance), key=lambda told: told[0]):
             file.write(record)
 
 
-def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[bytes]:
-    """BAT for every sample, ARM and EV where arming becomes known or changes."""
+def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[tuple[float, bytes]]:
+    """BAT for every sample, ARM and EV where arming becomes known or changes, with their times [s]."""
     last_us, armed = 0, None
     for sample in samples:
         last_us = ascending_us(sample.time_s, last_us)
         if sample.armed is not None and sample.armed != armed:
             armed = sample.armed
-            yield ARM.record(last_us, int(armed), 0, 0, 0)
-            yield EV.record(last_us, EVENT_ARMED if armed else EVENT_DISARMED)
-        yield battery_record(last_us, sample, instance)
+            yield sample.time_s, ARM.record(last_us, int(armed), 0, 0, 0)
+            yield sample.time_s, EV.record(last_us, EVENT_ARMED if armed else EVENT_DISARMED)
+        yield sample.time_s, battery_record(last_us, sample, instance)
 
 
 def format_record(layout: Layout) -> bytes:

@@ -23,6 +23,7 @@ from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import is_recording
 from uavbatt.telemetry.formats.tlog_frames import Frames, frames
+from uavbatt.telemetry.formats.tlog_route import LAYOUTS, Clock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
 
@@ -48,7 +49,9 @@ def read(data: bytes | memoryview) -> LogBuilder:
     if math.isnan(found.first_s):
         return log
     source = _autopilot(found, log)
-    own = found.at(found.source == source)
+    of_source = found.at(found.source == source)
+    # the clock goes by the frames of the battery: one more message that is read shall move no row
+    own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
     if source != _NOBODY:
         log.identity = _identity(own, source, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
@@ -56,6 +59,9 @@ def read(data: bytes | memoryview) -> LogBuilder:
     beats = _beats(own)
     _add_parameters(own, time_s, beats, log)
     _add_rows(own, time_s, beats, log)
+    if source != _NOBODY:
+        clock = Clock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
+        log.navigation = navigation(found, of_source, source, clock, log.parameters)
     return log
 
 

@@ -26,6 +26,9 @@ from uavbatt.telemetry.formats.checksum import checksums
 SEEDS = {
     fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
     fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178,
+    # route and place: GLOBAL_POSITION_INT, VFR_HUD, WIND, WIND_COV, HOME_POSITION, EXTENDED_SYS_STATE, MISSION_...
+    33: 104, 74: 20, 168: 1, 231: 105, 242: 104, 245: 130,
+    38: 9, 39: 254, 42: 28, 44: 221, 45: 232, 46: 11, 47: 153, 73: 38,
 }  # fmt: skip
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED = 0x01

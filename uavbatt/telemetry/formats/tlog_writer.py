@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from heapq import merge
 from pathlib import Path
 from typing import Any
 
@@ -62,12 +63,16 @@ def write_tlog(
     battery_id: int = 0,
     system_id: int = 1,
     epoch_us: int = EPOCH_US,
+    route: Iterable[tuple[float, Any]] = (),
+    mode_at: Callable[[float], int] = lambda time_s: 0,
 ) -> None:
     """Write `samples` and the vehicle's `parameters` to `path` as a tlog.
 
     battery_id : BATTERY_STATUS.id, 0..8 for ground stations
     system_id : source system of every frame; the source component is 1 (the autopilot)
     epoch_us : wall time of time_s = 0 [us since 1970]
+    route : messages of route and place with their times [s], ascending (`route_writer`)
+    mode_at : number of ArduCopter's mode at a time [s]
     """
     encoder: Any = common.MAVLink(None, srcSystem=system_id, srcComponent=1)
     with atomic_write(path, "wb") as file:
@@ -79,21 +84,25 @@ def write_tlog(
 
         for message in _parameter_frames(parameters or {}):
             put(message, 0)
-        _put_samples(samples, battery_id, put)
+        told = _sample_messages(samples, battery_id, mode_at)
+        for time_s, message in merge(route, told, key=lambda one: one[0]):
+            put(message, round(time_s * 1e6))
 
 
-def _put_samples(samples: Iterable[Sample], battery_id: int, put: Callable[[Any, int], None]) -> None:
-    """The frames of every sample in order, heartbeats between them."""
+def _sample_messages(
+    samples: Iterable[Sample], battery_id: int, mode_at: Callable[[float], int]
+) -> Iterator[tuple[float, Any]]:
+    """The messages of every sample in order with their times [s], heartbeats between them."""
     last_us, beat_us, armed = 0, -math.inf, None
     for sample in samples:
         last_us = ascending_us(sample.time_s, last_us)
         changed = sample.armed is not None and sample.armed != armed
         armed = sample.armed if sample.armed is not None else armed
         if changed or (armed is not None and last_us - beat_us >= HEARTBEAT_PERIOD_S * 1e6):
-            put(heartbeat(bool(armed)), last_us)
+            yield sample.time_s, heartbeat(bool(armed), mode_at(sample.time_s))
             beat_us = last_us
-        put(sys_status(sample), last_us)
-        put(battery_status(sample, battery_id), last_us)
+        yield sample.time_s, sys_status(sample)
+        yield sample.time_s, battery_status(sample, battery_id)
 
 
 def _parameter_frames(parameters: Mapping[str, float]) -> Iterator[Any]:
@@ -103,13 +112,13 @@ def _parameter_frames(parameters: Mapping[str, float]) -> Iterator[Any]:
         )
 
 
-def heartbeat(armed: bool) -> Any:
-    """HEARTBEAT of an ArduPilot multicopter; base_mode carries only the armed bit."""
+def heartbeat(armed: bool, mode: int = 0) -> Any:
+    """HEARTBEAT of an ArduPilot multicopter in a mode of this number; base_mode carries only the armed bit."""
     return common.MAVLink_heartbeat_message(
         common.MAV_TYPE_QUADROTOR,
         common.MAV_AUTOPILOT_ARDUPILOTMEGA,
         common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0,
-        0,
+        mode,
         common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY,
         3,
     )

@@ -14,9 +14,10 @@ from typing import Any
 from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, known
+from uavbatt.telemetry.formats.ulog_route import OF_ROUTE, navigation
 from uavbatt.telemetry.identity import utc_s, version
 
-_TOPICS = ["battery_status", "vehicle_status", "vehicle_gps_position"]
+_TOPICS = ["battery_status", "vehicle_status", "vehicle_gps_position", *OF_ROUTE]
 _ARMED_STATE = 2  # vehicle_status.arming_state
 _US = 1e6
 
@@ -42,6 +43,7 @@ def read(source: str, data: bytes) -> LogBuilder:
             log.add(instance, _sample(row, time_s, log.armed))
     log.time_s(ulog.last_timestamp / _US)
     log.identity = _identity(ulog)
+    log.navigation = navigation(ulog, log.parameters)
     if ulog.file_corruption:
         log.notes.append("the file is damaged: what pyulog could read is used")
     if ulog.dropouts:

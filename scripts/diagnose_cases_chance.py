@@ -1,0 +1,97 @@
+#!/usr/bin/env python3
+"""What chance gives: the constants of the diagnosis that decide, held against records in which nothing is wrong.
+
+Run: .venv/bin/python scripts/diagnose_cases_chance.py BATTERY.battery.toml
+Effect-free are r0, p1, b3, k01 and k02, and the flights of cases whose sensor is known to be wrong and by how much: the
+reading is put right. Printed: chi-square per number (noise that is sized right gives 0.9 to 1.1), the most that any
+candidate is worth (EARNED stands above it), and what is left once the file's errors are at their most probable (LEFT).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.candidates import NOTHING, candidates
+from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, problem_of
+from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
+from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.search import EARNED, FIRST_TURNS, trial
+from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.telemetry import read_log
+
+TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
+CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
+Right = Callable[[Observed], Observed]
+
+
+def gain(size: float) -> Right:
+    """A current that was read `size` times too large."""
+    return lambda r: replace(r, current_A=r.current_A / size)
+
+
+def offset(size_A: float) -> Right:
+    """A current with a constant added."""
+    return lambda r: replace(r, current_A=r.current_A - size_A)
+
+
+def load(size_W: float) -> Right:
+    """A load that the sensor did not see."""
+    return lambda r: replace(r, current_A=r.current_A + size_W / r.voltage_V)
+
+
+def volts(size: float) -> Right:
+    """A voltage that was read `size` times too large."""
+    return lambda r: replace(r, voltage_V=r.voltage_V / size)
+
+
+def leads(size_ohm: float) -> Right:
+    """Leads between the pack and the sensor."""
+    return lambda r: replace(r, voltage_V=r.voltage_V + size_ohm * r.current_A)
+
+
+def warmth(size_K: float) -> Right:
+    """A temperature with a constant added."""
+    return lambda r: replace(r, temp_C=r.temp_C - size_K)
+
+
+CASES: tuple[tuple[str, Right], ...] = (
+    ("reference/r0", lambda r: r), ("practice/p1", lambda r: r), ("blind/b3", lambda r: r), ("cases/k01", lambda r: r),
+    ("cases/k02", lambda r: r), ("practice/p2", gain(1.09)), ("practice/p3", leads(0.012)),
+    ("practice/p5", warmth(-11.0)), ("practice/p6", load(22.0)), ("blind/b1", volts(1.015)), ("blind/b4", offset(0.9)),
+    ("cases/k03", gain(1.08)), ("cases/k05", offset(1.0)), ("cases/k07", volts(0.993)), ("cases/k09", leads(0.012)),
+    ("cases/k11", warmth(-5.0)), ("cases/k19", load(20.0)),
+)  # fmt: skip
+
+
+def main() -> int:
+    """Print the table."""
+    battery = battery_file.read(Path(sys.argv[1]))
+    pack = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
+    print("| flights | chi-square per number, V | temperature | most that any candidate is worth | left |")
+    print("|---|---|---|---|---|")
+    for name, put_right in CASES:
+        logs = [read_log(p) for p in sorted((TRUTH / name).glob("*.tlog"))]
+        records = [put_right(from_flight(f, CELLS, CAPACITY_AH)) for f in logs]
+        problem = problem_of(records, battery, pack)
+        idle = idle_A(problem.evidence) + IDLE_NOISE_A
+        options = candidates(battery, problem.base, has_temperature=True, idle_A=idle, without=())
+        nothing = refit(problem, [NOTHING])[0]
+        tried = trial(problem, nothing, options, FIRST_TURNS)
+        most = max(zip(tried.worths, tried.fits, strict=True), key=lambda wf: wf[0].value)
+        plain, left = per_number(problem, nothing), left_per_number(problem, nothing)
+        told = f"{most[0].value:.1f} {most[1].candidate.name} | {left.voltage:.2f}, {left.temperature:.2f}"
+        print(f"| {name} | {plain.voltage:.2f} | {plain.temperature:.2f} | {told} |", flush=True)
+    print(f"\nAn effect is named from {EARNED:g} on; the model is doubted from {LEFT:g} on.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

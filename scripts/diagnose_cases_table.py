@@ -1,0 +1,92 @@
+#!/usr/bin/env python3
+"""The table of diagnosed cases beside their labels, and how many were right.
+
+Run: .venv/bin/python scripts/diagnose_cases_table.py FOLDER    (the JSON of `scripts/diagnose_cases`)
+Right is: nothing found where nothing is wrong; `undeclared_effect` where the effect has no name; else the label among
+the names of the first class, and both labels in classes of their own for two. A wrong name is a class without the
+label, told with a probability above 0.4.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
+SAME = {"partial_charge": "initial_charge", "undeclared": "undeclared"}
+SURE = 0.4
+
+
+def labels() -> dict[str, tuple[str, str]]:
+    """Case -> (effect, size)."""
+    told: dict[str, tuple[str, str]] = {}
+    for path in (TRUTH / "practice" / "labels.json", TRUTH / "cases" / "labels.json"):
+        for name, entry in json.loads(path.read_text()).items():
+            told[Path(name).name] = (entry["effect"], entry.get("size", "clear"))
+    return told
+
+
+def right(effect: str, found: dict[str, Any]) -> bool:
+    """Whether the diagnosis says what the label says."""
+    classes = [set(c["members"]) for c in found["classes"]]
+    if effect == "none":
+        return bool(found["verdict"] == "no_missing_effect")
+    if effect == "undeclared":
+        return bool(found["verdict"] == "undeclared_effect")
+    wanted = [SAME.get(e, e) for e in effect.split("+")]
+    if len(wanted) == 2:
+        one, other = wanted
+        return len(classes) == 2 and any(one in a and other in b for a, b in (classes, classes[::-1]))
+    return bool(classes) and wanted[0] in classes[0]
+
+
+def wrong_names(effect: str, found: dict[str, Any]) -> int:
+    """Classes that are told as if they were sure and hold no label."""
+    wanted = {SAME.get(e, e) for e in effect.split("+")}
+    return sum(c["probability"] > SURE and not wanted & set(c["members"]) for c in found["classes"])
+
+
+def words(found: dict[str, Any]) -> str:
+    """The classes in one cell."""
+    told = []
+    for c in found["classes"]:
+        name, value = next(iter(c["parameters"].items()))
+        interval = f"{name} {value['value']:.3g} [{value['lo']:.3g}, {value['hi']:.3g}]"
+        told.append(f"{' or '.join(f'`{m}`' for m in c['members'])}: {interval}, p {c['probability']:.2f}")
+    return f"{found['verdict']}" + (": " if told else "") + " + ".join(told)
+
+
+def main() -> int:
+    """Print the table and the counts."""
+    told, good, seen, wrong = labels(), Counter[str](), Counter[str](), 0
+    print("| case | label | | diagnosis | voltage, held out [mV] | remaining time [s] |\n|---|---|---|---|---|---|")
+    for path in sorted(Path(sys.argv[1]).glob("[bpk][0-9]*.json")):
+        found = json.loads(path.read_text())
+        effect, size = told[path.stem]
+        kind = (
+            "none"
+            if effect == "none"
+            else "undeclared"
+            if effect == "undeclared"
+            else "pair"
+            if "+" in effect
+            else size
+        )
+        seen[kind] += 1
+        good[kind] += right(effect, found)
+        wrong += wrong_names(effect, found)
+        b, a = found["before"], found["after"]
+        errors = f"{1000 * b['voltage_rmse_V']:.0f} → {1000 * a['voltage_rmse_V']:.0f}"
+        times = " → ".join("–" if e["remaining_mae_s"] is None else f"{e['remaining_mae_s']:.0f}" for e in (b, a))
+        mark = "✓" if right(effect, found) else "✗"
+        print(f"| {path.stem} | {effect} {size} | {mark} | {words(found)} | {errors} | {times} |")
+    print("\n" + ", ".join(f"{k}: {good[k]} of {n}" for k, n in seen.items()) + f"; wrong names above {SURE}: {wrong}.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

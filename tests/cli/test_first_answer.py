@@ -1,0 +1,156 @@
+"""The first answer of `uavbatt replay`, and many logs in one call, as a pilot meets them."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import subprocess
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command import UAVBATT, called
+
+from uavbatt import Estimator, Sample
+from uavbatt.log_replay import Landing, Outcome, outcome, steps
+from uavbatt.records import Flight
+from uavbatt.report.flight_answer import answer
+from uavbatt.telemetry import read_log
+
+LOGS = Path(__file__).parents[2] / "logs"
+SHORT = "time_s,voltage_V,current_A\n" + "".join(
+    f"{k},{16.2 - 0.002 * k:.3f},{0.1 if k < 5 else 18}\n" for k in range(90)
+)
+
+
+def landed(rest_s: float, air_s: float = 300.0) -> Outcome:
+    """A flight of a 4S pack that hovers at 18 A, lands well charged and lies at rest."""
+    hover = [Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0) for k in range(10, int(air_s))]
+    rest = [Sample(air_s + k, 16.0, 0.1, 25.0) for k in range(int(rest_s))]
+    ground = [Sample(float(k), 16.7, 0.1, 25.0) for k in range(10)]
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    run = list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), estimator))
+    return outcome(run, 13.2)
+
+
+def test_the_answer_is_of_the_last_row_in_the_air_however_long_it_lies_afterwards() -> None:
+    soon, late = landed(20.0).landing, landed(200.0).landing
+    assert soon is not None and late is not None
+    assert soon == late and soon.time_s == pytest.approx(299.0) and not soon.is_cut
+    assert 0.0 < soon.remaining_lo_s < soon.remaining_s < soon.remaining_hi_s
+
+
+def test_a_log_that_ends_in_the_air_says_so() -> None:
+    cut = landed(0.0).landing
+    assert cut is not None and cut.is_cut
+    assert answer(cut, math.nan, 13.2).startswith("The log ends in the air with")
+
+
+@pytest.mark.parametrize(
+    ("landing", "end_s", "words"),
+    [
+        (
+            Landing(9.0, 960.0, 480.0, 1380.0, 660.0),
+            math.nan,
+            "You landed with 16 min left (8 to 23 min), 11 min to",
+        ),
+        (Landing(9.0, 960.0, 660.0, 1380.0, 960.0), math.nan, "You landed with 16 min left (11 to 23 min)."),
+        (Landing(9.0, 66.0, 0.0, 308.0, math.nan), math.nan, "You landed with 66 s left (0 s to 5 min 10 s)."),
+        (Landing(9.0, 66.0, 0.0, 305.0, 0.0), 700.0, "below 13.20 V under load 11 min 40 s after"),
+        (Landing(9.0, *(math.nan,) * 4, "no voltage in this row"), math.nan, "is not known: no voltage in this row."),
+        (None, math.nan, "No flight in this log"),
+    ],
+)
+def test_the_words(landing: Landing | None, end_s: float, words: str) -> None:
+    assert words in answer(landing, end_s, 13.2)
+
+
+def test_the_same_numbers_stand_in_the_summary_first_line_and_lines(tmp_path: Path) -> None:
+    log = LOGS / "quad_4s.tlog"
+    done = called("replay", log, "--json", "s.json", "--jsonl", "f.jsonl", folder=tmp_path)
+    summary = json.loads((tmp_path / "s.json").read_text())
+    rows = [json.loads(line) for line in (tmp_path / "f.jsonl").read_text().splitlines()]
+    (row,) = [r for r in rows if r["time_s"] == pytest.approx(summary["landing_s"], abs=1e-3)]
+    for key in ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s"):
+        assert summary[key] == pytest.approx(row[key], abs=0.06), key
+    assert "before you landed" in done.stdout.splitlines()[0]
+
+
+def test_a_log_alone_is_replayed(tmp_path: Path) -> None:
+    log = LOGS / "quad_4s.tlog"
+    assert called(log, folder=tmp_path).stdout == called("replay", log, folder=tmp_path).stdout
+    assert called("nothing.BIN", folder=tmp_path).returncode == 2
+
+
+def test_one_bad_log_among_good_ones_is_a_line(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("a diary\n")
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text(SHORT)
+    stated = ("--capacity-ah", "5", "--json", "s.json", "--jsonl", "lines")
+    done = called("replay", "a.csv", "notes.txt", "b.csv", *stated, folder=tmp_path)
+    assert done.returncode == 1 and "notes.txt" in done.stderr and "Traceback" not in done.stderr
+    first, bad, last = json.loads((tmp_path / "s.json").read_text())
+    assert "notes.txt" in bad["error"] and first["rows"] == last["rows"] == 90
+    assert {p.name for p in (tmp_path / "lines").iterdir()} == {"a.jsonl", "b.jsonl"}
+
+
+def test_logs_of_one_name_get_the_part_of_their_path_that_differs(tmp_path: Path) -> None:
+    names = ("x/day/1.csv", "y/day/1.csv", "y/day/2.csv")
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(SHORT)
+    done = called("replay", *names, "--capacity-ah", "5", "--jsonl", "lines", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert {p.name for p in (tmp_path / "lines").iterdir()} == {"x_day_1.jsonl", "y_day_1.jsonl", "y_day_2.jsonl"}
+    assert called("replay", names[0], names[0], folder=tmp_path).returncode == 2
+
+
+def test_packed_logs_and_standard_input_are_the_log_itself(tmp_path: Path) -> None:
+    plain = (LOGS / "quad_4s.tlog").read_bytes()
+    (tmp_path / "f.tlog.gz").write_bytes(gzip.compress(plain))
+    with zipfile.ZipFile(tmp_path / "f.zip", "w") as archive:
+        archive.writestr("flight.tlog", plain)
+    expected = read_log(LOGS / "quad_4s.tlog").samples
+    assert read_log(tmp_path / "f.tlog.gz").samples == read_log(tmp_path / "f.zip").samples == expected
+    done = subprocess.run([UAVBATT, "info", "-"], input=plain, capture_output=True, cwd=tmp_path)
+    assert done.returncode == 0 and b"2108" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("cut.gz", gzip.compress(b"x" * 9000)[:40], "expected a whole gzip or zip file"),
+        ("bad.zip", b"PK\x03\x04" + b"\0" * 40, "expected a whole gzip or zip file"),
+    ],
+)
+def test_damaged_archives_are_named(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    done = called("replay", name, folder=tmp_path)
+    assert done.returncode == 1 and words in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_an_archive_of_several_files_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "two.zip", "w") as archive:
+        archive.writestr("a.csv", SHORT)
+        archive.writestr("b.csv", SHORT)
+    done = called("replay", "two.zip", folder=tmp_path)
+    assert done.returncode == 1 and "found 2 files: unpack it first" in done.stderr
+
+
+def test_tables_of_ulog2csv_and_times_in_iso_8601_are_read(tmp_path: Path) -> None:
+    def samples(text: str) -> list[Any]:
+        (tmp_path / "f.csv").write_text(text)
+        return list(read_log(tmp_path / "f.csv").samples)
+
+    ours = samples("time_s,voltage_V,current_A,reported_soc\n0,16.2,10,0.9\n0.5,16.1,12,0.8\n")
+    px4 = "timestamp,voltage_v,voltage_filtered_v,current_a,remaining\n1000000,16.2,1,10,0.9\n1500000,16.1,1,12,0.8\n"
+    iso = "2026-05-01T10:00:00Z,16.2,10,0.9\n2026-05-01T12:00:00.500+02:00,16.1,12,0.8\n"
+    assert samples(px4) == ours == samples("time_s,voltage_V,current_A,reported_soc\n" + iso)
+
+
+def test_the_packaged_batteries_are_listed(tmp_path: Path) -> None:
+    done = called("batteries", "--json", "b.json", folder=tmp_path)
+    assert "lipo-generic" in done.stdout and "lpab-3s" in done.stdout
+    assert {b["battery"]["name"] for b in json.loads((tmp_path / "b.json").read_text())} == {"lipo-generic", "lpab-3s"}

@@ -1,0 +1,102 @@
+"""One unit of evidence: what healthy flights, small effects and effects of some flights only come to."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
+
+from uavbatt.battery.battery_file import Wander
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.blocks import evidence_by_block
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
+from uavbatt.diagnosis.rivals import FAMILIES
+from uavbatt.fitting.observed import Observed
+
+# The planted flights are of this very model: what it leaves is the sensors' noise, and a little.
+CLOSE = Wander(
+    soc=[0.0, 1.0], voltage_sd_V=[0.004, 0.004], voltage_time_s=120.0, voltage_noise_V=0.002, rest_sd_V=0.002,
+    temperature_sd_K=0.2, temperature_time_s=600.0, temperature_noise_K=0.05,
+)  # fmt: skip
+KNOWN = msgspec.structs.replace(FILE, discrepancy=msgspec.structs.replace(FILE.discrepancy, wander=CLOSE))
+PACK = pack_from(KNOWN, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
+
+
+@cache
+def flight(k: int, **effect: float) -> Observed:
+    """The k-th of a row of flights with weather and loads of their own."""
+    random = np.random.default_rng(100 + k)
+    return fly(float(random.uniform(5.0, 35.0)), float(random.uniform(130.0, 190.0)), 100 + k, **effect)
+
+
+def found(records: list[Observed]) -> Diagnosis:
+    return diagnose(records, KNOWN, PACK)
+
+
+@pytest.mark.parametrize("places", [range(3), range(3, 7), range(7, 15)])
+def test_a_healthy_set_of_three_four_or_eight_raises_no_alarm(places: range) -> None:
+    diagnosis = found([flight(k) for k in places])
+    assert diagnosis.verdict == "no_missing_effect"
+    assert {h.name for h in diagnosis.hidden} >= {"current_gain", "voltage_offset", "capacity_fade"}
+
+
+def test_what_could_hide_holds_the_truth_of_healthy_flights() -> None:
+    hidden = {h.name: h for h in found([flight(k) for k in range(3)]).hidden}
+    for name, off in (("current_gain", 1.0), ("voltage_offset", 0.0), ("temperature_offset", 0.0)):
+        assert hidden[name].lo <= off <= hidden[name].hi
+
+
+@pytest.mark.parametrize(("quantity", "size", "off"), [("gain", 1.2, 1.0), ("offset_V", -0.4, 0.0)])
+def test_an_effect_keeps_its_family_as_it_shrinks(quantity: str, size: float, off: float) -> None:
+    truth = {"gain": "current_gain", "offset_V": "voltage_offset"}[quantity]
+    kin = next(f for f in FAMILIES if truth in f)
+    for share in (1.0, 0.5, 0.25):
+        planted = {quantity: off + share * (size - off)}
+        diagnosis = found([flight(k, **planted) for k in range(3)])
+        assert diagnosis.verdict != "undeclared_effect"
+        assert not diagnosis.classes or kin & set(diagnosis.classes[0].members)
+
+
+def test_an_effect_in_half_of_the_flights_is_said_to_be_inconstant() -> None:
+    diagnosis = found([flight(0), flight(1, gain=1.3), flight(2), flight(3, gain=1.3)])
+    assert diagnosis.verdict == "undeclared_effect"
+    assert not diagnosis.after.candidate.names  # nothing of it enters the battery file
+
+
+def test_the_blocks_share_out_what_is_saved() -> None:
+    diagnosis = found([flight(k, offset_V=-0.4) for k in range(3)])
+    blocks = evidence_by_block(diagnosis.problem, diagnosis.before, diagnosis.after)
+    saved = np.sum(diagnosis.before.residual**2) - np.sum(diagnosis.after.residual**2)
+    assert sum(b.saved for b in blocks) == pytest.approx(saved)
+    assert next(b for b in blocks if b.name == "rest").saved > 0.0  # a constant shows before take-off
+
+
+def test_a_pack_charged_in_part_is_a_finding_of_its_own() -> None:
+    whole = [flight(k) for k in range(3)]
+    late = [_from(r, 0.7) for r in whole]
+    diagnosis = found(late)
+    assert diagnosis.classes[0].members == ("initial_charge",)
+    told = diagnosis.classes[0].parameters["start_soc_shift"]
+    assert told.lo - 0.03 <= -0.3 <= told.hi + 0.03
+
+
+def _from(record: Observed, soc: float) -> Observed:
+    """The record from a charge on, with twenty seconds of rest at the cell's open-circuit voltage put before it."""
+    drawn = np.cumsum(record.current_A * np.gradient(record.time_s)) / 3600.0 / record.capacity_Ah
+    first = int(np.argmax(drawn > 1.0 - soc))
+    table = KNOWN.parameters
+    rested = CELLS * float(np.interp(soc, table.ocv_soc, table.ocv_V))
+    rest_s = record.time_s[first] - np.arange(20.0, 0.0, -1.0)
+    return Observed(
+        record.name,
+        np.concatenate([rest_s, record.time_s[first:]]),
+        np.concatenate([np.full(20, rested), record.voltage_V[first:]]),
+        np.concatenate([np.full(20, 0.2), record.current_A[first:]]),
+        np.concatenate([np.full(20, record.temp_C[first]), record.temp_C[first:]]),
+        record.ambient_C,
+        record.cells,
+        record.capacity_Ah,
+    )

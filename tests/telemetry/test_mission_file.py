@@ -1,0 +1,104 @@
+"""Mission files of both kinds, and errors that name the place in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uavbatt.errors import BadInput
+from uavbatt.navigation import Action, Home
+from uavbatt.telemetry.formats.mission_file import read_mission
+
+WAYPOINTS = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t420\t1
+1\t0\t3\t22\t0\t0\t0\t0\t0\t0\t50\t1
+2\t0\t3\t16\t0\t0\t0\t0\t47.001\t8.0\t50\t1
+3\t0\t3\t178\t1\t8\t0\t0\t0\t0\t0\t1
+4\t0\t3\t16\t5\t0\t0\t0\t47.001\t8.002\t60\t1
+5\t0\t3\t177\t2\t1\t0\t0\t0\t0\t0\t1
+6\t0\t3\t20\t0\t0\t0\t0\t0\t0\t0\t1
+"""
+
+
+def simple(number: int, command: int, *params: float | None, frame: int = 3) -> dict[str, Any]:
+    return {"type": "SimpleItem", "command": command, "doJumpId": number, "frame": frame, "params": list(params)}
+
+
+def plan(*items: dict[str, Any], firmware: int = 3) -> str:
+    mission = {"version": 2, "firmwareType": firmware, "plannedHomePosition": [47.0, 8.0, 420], "hoverSpeed": 5,
+               "items": list(items)}  # fmt: skip
+    return json.dumps({"fileType": "Plan", "version": 1, "groundStation": "QGroundControl", "mission": mission})
+
+
+SURVEY = {
+    "type": "ComplexItem",
+    "complexItemType": "survey",
+    "TransectStyleComplexItem": {
+        "Items": [
+            simple(2, 16, 0, 0, 0, None, 47.001, 8.0, 50),
+            simple(3, 178, 1, 8, 0, 0, 0, 0, 0),
+            simple(4, 16, 5, 0, 0, None, 47.001, 8.002, 60),
+        ]
+    },
+}
+ITEMS = (simple(1, 22, 0, 0, 0, None, 0, 0, 50), SURVEY, simple(5, 177, 2, 1, 0, 0, 0, 0, 0),
+         simple(6, 20, 0, 0, 0, 0, 0, 0, 0))  # fmt: skip
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "route.mission"
+    path.write_text(text)
+    return path
+
+
+def test_the_same_mission_in_both_kinds_of_file(tmp_path: Path) -> None:
+    one = read_mission(written(tmp_path, WAYPOINTS))
+    other = read_mission(written(tmp_path, plan(*ITEMS)))
+    assert repr(one.mission.items) == repr(other.mission.items)
+    assert one.home == other.home == Home(47.0, 8.0, 420.0)
+    assert one.mission.reason == ""
+    assert other.cruise_ms == 5.0
+
+
+def test_a_px4_plan_begins_with_its_first_item_and_jumps_by_its_numbers(tmp_path: Path) -> None:
+    found = read_mission(written(tmp_path, plan(*ITEMS, firmware=12))).mission
+    assert not found.has_home_item
+    assert [i.seq for i in found.items] == list(range(6))
+    assert found.items[0].action is Action.TAKEOFF
+    assert found.items[4].jump_to == 1  # the survey's first waypoint
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "a mission file"),
+        ("time_s,voltage_V\n", "a mission file"),
+        ("QGC WPL 110\n0 1 x\n", "line 2: expected 12 numbers, found `0 1 x`"),
+        (WAYPOINTS.replace("47.001", "nan"), "item 2: no place is at latitude nan"),
+        (WAYPOINTS.replace("47.001", "97"), "latitude 97"),
+        (WAYPOINTS.replace("\n4\t", "\n7\t"), "item 4 of the mission is missing"),
+        (WAYPOINTS.replace("\t177\t2\t", "\t177\t40\t"), "jumps to item 40"),
+        ("QGC WPL 110\n", "no items"),
+        ("{", "a QGroundControl plan"),
+        ('{"mission": 3}', "key mission"),
+        (plan(simple(1, 16, 0, 0)), "item 1: expected a command with seven params"),
+        (plan(simple(1, 16, 0, 0, 0, None, 47.0, 8.0, None)), "item 1: expected a height"),
+        (plan({"type": "ComplexItem", "complexItemType": "StructureScan"}), "found `StructureScan`"),
+        (plan(simple(1, 3000, 4, 0, 0, 0, 0, 0, 0)), "VTOL transition"),
+    ],
+)
+def test_what_is_wrong_stands_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(BadInput) as caught:
+        read_mission(path)
+    assert words in str(caught.value)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="No such file"):
+        read_mission(tmp_path / "none.plan")

@@ -1,0 +1,81 @@
+"""Which effects the records cannot tell apart, and who is seated in a class of three.
+
+Were a rival the truth, the difference of the two chi-squares would be |d|², with d what the two leave differently; it
+is -behind. An error e of the battery's model turns that round by 2 e·d. What e is: the same in all records under load
+(it is one model), so that unit numbers add up to R |d|² over R records; each record's own at rest, where the voltage
+needs no model of the load; and what the file's stated errors J do, |J'd|².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.diagnosis.evidence import Evidence
+from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.refit import slopes_on_file
+
+LARGEST_CLASS = 3
+SAME = 1.0  # chi-square between two models that no record could tell apart
+TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
+RIVAL = 0.135  # the least weight, of that of the best: two such sigmas
+# Effects of one family are hardly told apart: two of them together only cancel each other, and a class seats one of
+# each family before it seats a second that is not quite the same.
+FAMILIES = (
+    {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
+    {"current_offset", "unmetered_load"},
+    {"voltage_gain", "voltage_offset"},
+    {"polarisation", "slow_diffusion", "hysteresis"},
+    {"resistance_growth", "charge_transfer", "harness_resistance"},
+    {"temperature_offset", "temperature_lag"},
+)
+
+
+def related(new: Sequence[str], old: Sequence[str]) -> bool:
+    """Whether an effect is in the model already, or one that it could not be told from."""
+    own = set(new).union(*(family for family in FAMILIES if family & set(new)))
+    return bool(own & set(old))
+
+
+def weights(problem: Problem, fits: list[Refit]) -> Array:
+    """How likely each of `fits` is, of the first, which has the smallest chi-square; their quantities are as many."""
+    best = fits[0].residual
+    slopes = slopes_on_file(problem, fits[0])
+    resting = _at_rest(problem.evidence, best.shape[1])
+    shared = np.where(resting, 1.0, float(len(best)))
+    out = np.ones(len(fits))
+    for i, fit in enumerate(fits[1:], start=1):
+        d = fit.residual - best
+        behind = fit.total - fits[0].total
+        stated = np.einsum("rme,rm->e", slopes, d)
+        spread = np.sqrt(float(np.sum(shared * d**2)) + float(np.sum(stated**2)))
+        sigmas = (float(np.sum(d**2)) + behind) / max(2.0 * spread, 1e-6)
+        out[i] = np.exp(-0.5 * (sigmas / TEMPER) ** 2)
+    return out
+
+
+def _at_rest(evidence: Evidence, width: int) -> Array:
+    """Whether a whitened number is of the rest before take-off, [records, numbers]."""
+    out = np.zeros((len(evidence.names), width), dtype=bool)
+    for j, volts in enumerate(evidence.volts):
+        out[j, : volts.rows.size] = volts.rest
+    return out
+
+
+def same(one: Refit, other: Refit) -> bool:
+    """Whether two refits leave the same: one effect by two names, as a gain below one and a faded pack are."""
+    return float(np.sum((one.residual - other.residual) ** 2)) < SAME
+
+
+def seated(fits: Sequence[Refit]) -> list[int]:
+    """Places of the refits that a class has room for, likeliest first.
+
+    What is the same as the best comes first, then one of each family, then the rest.
+    """
+    names = [f.candidate.name for f in fits]
+    twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
+    first = [i for i, name in enumerate(names) if i not in twins and not related((name,), names[:i])]
+    others = [i for i in range(len(fits)) if i not in twins and i not in first]
+    return (twins + first + others)[:LARGEST_CLASS]

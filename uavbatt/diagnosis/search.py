@@ -1,0 +1,156 @@
+"""Which effect, or which two, explain the records: every single one is tried, then every promising pair as a pair.
+
+An effect earns its place by its `worth` and by nothing else. Two effects are named only when each of the two earns its
+place beside the other; that the second looks like nothing as long as the first is not there is no obstacle then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.diagnosis.candidates import Candidate
+from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.rivals import RIVAL, related, seated, weights
+from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
+
+EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EARNED_BESIDE = 24.0  # each of two, and beside a start in part: what is not quite the one named leaves most of that
+RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
+UNSTEADY = 0.35  # spread between records, relative to the value
+RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
+SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
+TRIED = 6  # pairs that are weighed against each other
+FIRST_TURNS, FURTHER_TURNS = 14, 8
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One effect that is missing: the refits that cannot be told apart, best first, and what they are worth."""
+
+    members: tuple[Refit, ...]
+    worth: Worth
+    outside: tuple[str, ...]  # the other rivals, in order
+    probability: float  # that the cause is among the members, were it one of the candidates
+
+    @property
+    def name(self) -> str:
+        """The likeliest effect."""
+        return self.members[0].candidate.name
+
+    @property
+    def steady(self) -> bool:
+        """Whether the records agree on its value."""
+        return _steady(self.worth.constancy)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """All single effects beside what the model has: what each is worth."""
+
+    before: Refit
+    fits: tuple[Refit, ...]  # by chi-square
+    worths: tuple[Worth, ...]
+
+    @property
+    def most(self) -> float:
+        """What the worthiest of them is worth."""
+        return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
+
+    @property
+    def rivals(self) -> list[int]:
+        """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
+        places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
+        return [i for i in places if self.worths[i].value > least and not at_bound(self.fits[i])]
+
+
+def search(
+    problem: Problem, options: list[Candidate], nothing: Refit, tell: Callable[[str], None]
+) -> tuple[Refit, list[Finding], Trial]:
+    """The best model with what was found, most evidence first, and the trial of the single effects."""
+    tell(f"{len(options)} candidate effects")
+    singles = trial(problem, nothing, options, FIRST_TURNS)
+    beside = problem.evidence.charged_in_part.any()  # the start is an effect already
+    if singles.most < (EARNED_BESIDE if beside else EARNED):
+        return nothing, [], singles
+    first = finding(problem, singles)
+    best = first.members[0]
+    tell(f"pairs of effects beside {best.candidate.name}")
+    pair = _best_pair(problem, options, singles, best)
+    if pair is None:
+        return best, [first], singles
+    found = []
+    for name in pair.candidate.names:
+        kept = next(n for n in pair.candidate.names if n != name)
+        alone = next(f for f in singles.fits if f.candidate.name == kept)
+        found.append(finding(problem, trial(problem, alone, options, FURTHER_TURNS)))
+    best = min((f.members[0] for f in found), key=lambda f: f.total)
+    return best, sorted(found, key=lambda f: -f.worth.value), singles
+
+
+def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int) -> Trial:
+    """Every option beside what `before` has."""
+    free = [o for o in options if not related(o.names, before.candidate.names)]
+    tried = [before.candidate.plus(o) for o in free]
+    fits = refit(problem, tried, start=[before] * len(tried), iterations=turns)
+    fits.sort(key=lambda f: f.total)
+    return Trial(before, tuple(fits), tuple(worth(f, before) for f in fits))
+
+
+def finding(problem: Problem, tried: Trial) -> Finding:
+    """The class of the rivals that cannot be told from the best."""
+    fits = [tried.fits[i] for i in tried.rivals]
+    steady = [_steady(tried.worths[i].constancy) for i in tried.rivals]
+    likely = weights(problem, fits)
+    if any(steady):  # what differs from record to record is no rival to what does not
+        likely = np.where(steady, likely, 0.0)
+    likely = likely * _usual(fits)
+    order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
+    members = [order[k] for k in seated([fits[i] for i in order])]
+    return Finding(
+        members=tuple(fits[i] for i in members),
+        worth=tried.worths[tried.rivals[members[0]]],
+        outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
+        probability=float(np.sum(likely[members]) / np.sum(likely)),
+    )
+
+
+def _steady(found: Constancy | None) -> bool:
+    return found is None or found.spread <= UNSTEADY
+
+
+def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Refit | None:
+    """The two effects that explain most, each of which earns its place beside the other; None if no two do."""
+    most = singles.before.total - singles.fits[0].total
+    gains = [singles.before.total - f.total for f in singles.fits]
+    seeds = [f for f, g in zip(singles.fits, gains, strict=True) if g > SEED_SHARE * most][:SEEDS]
+    tried: list[Candidate] = []
+    starts: list[Refit] = []
+    for seed in seeds:
+        for option in options:
+            names = {*seed.candidate.names, option.name}
+            if not related(option.names, seed.candidate.names) and names not in [set(c.names) for c in tried]:
+                tried.append(seed.candidate.plus(option))
+                starts.append(seed)
+    fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
+    alone = {f.candidate.name: f for f in singles.fits}
+    least = float(np.sum(left_out_chi2(best))) - EARNED_BESIDE
+    earned = []
+    for fit in fits:
+        one, other = fit.candidate.names
+        if at_bound(fit) or float(np.sum(left_out_chi2(fit))) > least:
+            continue
+        beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
+        if all(w.value > EARNED_BESIDE and _steady(w.constancy) for w in beside):
+            earned.append(fit)
+    if not earned:
+        return None
+    return earned[int(np.argmax(weights(problem, earned[:TRIED]) * _usual(earned[:TRIED])))]
+
+
+def _usual(fits: list[Refit]) -> Array:
+    return np.array([RESIZED ** len(f.candidate.resized) for f in fits])

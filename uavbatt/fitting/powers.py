@@ -1,0 +1,113 @@
+"""The `[powers]` of a vehicle file: power over airspeed and climb, from flights that logged both or flew a known route.
+
+Least squares with a prior (momentum theory and other aircraft), in shares of each flight's own hover power, which is
+found in turns with the shape: a flight with a payload teaches the shape as well as one without.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.powers import PRIOR_SD, TERMS, UNKNOWN, Powers, terms
+from uavbatt.prediction.route_progress import Progress
+from uavbatt.records import Flight
+
+BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
+SHORTEST_S = 120.0
+INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
+TURNS, NOISE, NOISE_MEMORY_S = 6, 0.1, 10.0
+STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
+
+
+class Rows(NamedTuple):
+    """Means over blocks of one flight: power [W], airspeed and climb [m/s], shares of take-off and landing, length [s]."""
+
+    power_W: Array
+    airspeed_ms: Array
+    climb_ms: Array
+    taking_off: Array
+    landing: Array
+    length_s: Array
+
+
+def powers(flights: list[Flight]) -> Powers | None:
+    """Return what the flights say of the vehicle; None when none of them tells speed and climb for two minutes."""
+    told = [rows for rows in map(flown_rows, flights) if rows is not None]
+    if not told:
+        return None
+    fits = [_fit(told, induced_ms) for induced_ms in INDUCED_MS]
+    return min(fits, key=lambda fit: fit[0])[1]
+
+
+def flown_rows(flight: Flight) -> Rows | None:
+    """Return one flight in blocks; None when too little of it is known."""
+    progress, rows = Progress(), []
+    before_s = math.nan
+    for sample in flight.samples:
+        navigation = flight.navigation_at(sample.time_s)
+        progress = progress.after(sample.time_s, navigation)
+        flown, power_W = progress.flown(sample.time_s, navigation), sample.voltage_V * sample.current_A
+        length_s, before_s = sample.time_s - before_s, sample.time_s
+        if flown is not None and math.isfinite(power_W) and 0.0 < length_s <= LONGEST_ROW_S:
+            rows.append((sample.time_s, power_W, *map(float, flown), length_s))
+    table = np.array(rows)
+    if not len(table):
+        return None
+    table = table[table[:, 1] > STEADY_SHARE * np.median(table[:, 1])]
+    if table[:, -1].sum() < SHORTEST_S:
+        return None
+    _, block = np.unique(np.floor(table[:, 0] / BLOCK_S), return_inverse=True)
+    length_s = np.bincount(block, table[:, -1])
+    means = [np.bincount(block, table[:, k] * table[:, -1]) / length_s for k in range(1, 6)]
+    return Rows(*means, length_s)
+
+
+def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
+    """The shape of all flights and the hover of each in turns; the misfit and the powers."""
+    columns = [terms(*rows[1:5], induced_ms) for rows in told]
+    prior, shares = UNKNOWN.shares, UNKNOWN.shares
+    weights = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) / NOISE**2 for rows in told]
+    hovers_W = np.ones(len(told))
+    for _ in range(TURNS):
+        hovers_W = np.array(
+            [w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2) for r, c, w in zip(told, columns, weights)]
+        )
+        design, weight = np.concatenate(columns), np.concatenate(weights)
+        seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W)])
+        normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
+        shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
+    left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W)]
+    misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2))
+    return misfit, Powers(
+        hover_W=_rounded(np.mean(hovers_W), 1),
+        induced_ms=induced_ms,
+        **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
+        level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
+        fast_sd=_rounded(_spread(_unusual(told, columns, left), UNKNOWN.fast_sd), 4),
+        row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(left) ** 2, weights=weight))), 4),
+        flights=len(told),
+        seconds=_rounded(sum(float(r.length_s.sum()) for r in told), 0),
+    )
+
+
+def _unusual(told: list[Rows], columns: list[Array], left: list[Array]) -> Array:
+    """What remains of each flight's mean power where it flies far from its hover: fast or climbing."""
+    means = []
+    for rows, misfit in zip(told, left):
+        far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)
+        if rows.length_s[far].sum() > 30.0:
+            means.append(float(np.average(misfit[far], weights=rows.length_s[far])))
+    return np.array(means)
+
+
+def _spread(values: Array, prior: float) -> float:
+    """Their standard deviation, with the prior counting as two flights."""
+    return math.sqrt((float(np.sum(np.square(values))) + 2.0 * prior**2) / (len(values) + 2.0))
+
+
+def _rounded(value: float, digits: int) -> float:
+    return round(float(value), digits)

@@ -1,0 +1,122 @@
+"""How what a model leaves hangs together along a record: learned from records in which nothing is wrong.
+
+No circuit is the cell, so that its misfit is no white noise. It is described as a process that forgets itself,
+
+    misfit(t) = s(t) z(t) + noise,   z' = -z/tau + white,  var z = 1
+    s(t)²     = sd(soc)² + (TIMING_S dV/dt)²
+
+with sd large at both ends of the charge, where tables are steep and reactions slow. The most probable sd, tau and
+noise follow from the likelihood of the records (a Kalman filter of z: Kennedy & O'Hagan 2001 for the idea of a
+discrepancy, Särkkä 2013, chapter 12, for the parameters). At rest before take-off the misfit is a constant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from uavbatt.battery.battery_file import Wander
+from uavbatt.battery.initial_state import IDLE_C_RATE
+from uavbatt.battery.model import Array
+from uavbatt.battery.openloop import Trajectory
+from uavbatt.fitting.observed import Stack
+
+SOC = np.array([0.0, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 1.0])
+TIMING_S = 3.0  # near empty a model that is late by so much is good, though volts apart
+LEAST_CELL_V, LEAST_NOISE_CELL_V, LEAST_REST_CELL_V = 0.003, 0.0005, 0.0015  # no circuit is better than that
+LEAST_K, LEAST_NOISE_K = 0.15, 0.02
+USUAL_CELL_V, USUAL_REST_CELL_V, USUAL_TIME_S, USUAL_NOISE_CELL_V = 0.007, 0.0025, 120.0, 0.002
+USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K = 0.3, 700.0, 0.05
+PRIOR_SD, NEIGHBOUR_SD = 1.0, 0.5  # of logarithms
+NUDGE = 1e-3
+
+
+class Misfit(NamedTuple):
+    """Misfit of records side by side [rows, records]: its value, what it goes with; `known` marks what counts."""
+
+    value: Array
+    time_s: Array
+    soc: Array
+    slope: Array
+    known: NDArray[np.bool_]
+
+
+def likelihood(misfit: Misfit, log_sd: Array, log_time: Array, log_noise: Array) -> Array:
+    """Negative logarithm of the likelihood [variants] for ln sd at SOC [variants, knots], ln tau and ln noise."""
+    soc = np.clip(misfit.soc, SOC[0], SOC[-1])
+    left = np.clip(np.searchsorted(SOC, soc) - 1, 0, SOC.size - 2)
+    share = (soc - SOC[left]) / (SOC[left + 1] - SOC[left])
+    sd = np.exp((1.0 - share) * log_sd[:, left] + share * log_sd[:, left + 1])  # [variants, rows, records]
+    scale = np.hypot(sd, TIMING_S * misfit.slope)
+    noise = np.exp(2.0 * log_noise)[:, None]
+    kept = np.exp(-np.diff(misfit.time_s, axis=0, prepend=misfit.time_s[:1]) / np.exp(log_time)[:, None, None])
+    z, p = np.zeros(scale.shape[::2]), np.ones(scale.shape[::2])
+    total = np.zeros(scale.shape[::2])
+    for k in range(misfit.value.shape[0]):
+        z, p = kept[:, k] * z, 1.0 + kept[:, k] ** 2 * (p - 1.0)
+        h, known = scale[:, k], misfit.known[k]
+        spread = h * h * p + noise
+        surprise = misfit.value[k] - h * z
+        total += np.where(known, 0.5 * (surprise**2 / spread + np.log(spread)), 0.0)
+        gain = np.where(known, p * h / spread, 0.0)
+        z, p = z + gain * surprise, p * (1.0 - gain * h)
+    out: Array = total.sum(axis=-1)
+    return out
+
+
+def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool) -> Array:
+    """exp of the most probable (ln sd at SOC, ln tau, ln noise); one sd for all charges without `neighbours`."""
+
+    def unpacked(u: Array) -> tuple[Array, Array, Array]:
+        sd = u[:, :-2] if neighbours else np.repeat(u[:, :1], SOC.size, axis=1)
+        return sd, u[:, -2], u[:, -1]
+
+    def objective(u: Array) -> tuple[float, Array]:
+        us = np.vstack([u, u + NUDGE * np.eye(u.size)])
+        steps = np.diff(us[:, :-2], axis=1) / NEIGHBOUR_SD
+        charged = 0.5 * np.sum(((us - usual) / PRIOR_SD) ** 2, axis=1) + 0.5 * np.sum(steps**2, axis=1)
+        values = likelihood(misfit, *unpacked(us)) + charged
+        return float(values[0]), (values[1:] - values[0]) / NUDGE
+
+    bounds = [(low, low + 8.0) for low in least]
+    found = minimize(objective, usual, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
+    best: Array = np.exp(found.x)
+    return best
+
+
+def learned(stack: Stack, trajectory: Trajectory, records: list[int]) -> Wander:
+    """The wander of `records` (columns of the stack) around an open-loop simulation of them."""
+    cells = float(stack.cells[0])
+    loaded = np.maximum.accumulate(np.abs(stack.current_A) > IDLE_C_RATE * stack.capacity_Ah, axis=0)
+    gap_V = (stack.voltage_V - trajectory.voltage_V * stack.cells)[:, records]
+    at = (stack.time_s[:, records], trajectory.soc[:, records], stack.slope_Vps[:, records])
+    flying = (stack.compare & loaded)[:, records]
+    usual = np.log([*[USUAL_CELL_V * cells] * SOC.size, USUAL_TIME_S, USUAL_NOISE_CELL_V * cells])
+    least = np.log([*[LEAST_CELL_V * cells] * SOC.size, 10.0, LEAST_NOISE_CELL_V * cells])
+    volts = _most_probable(Misfit(gap_V, *at, flying), usual, least, neighbours=True)
+    gap_K = (stack.temp_C - trajectory.sensor_C)[:, records]
+    felt = stack.compare[:, records] & np.isfinite(gap_K)
+    usual, least = np.log([USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K]), np.log([LEAST_K, 60.0, LEAST_NOISE_K])
+    flat = Misfit(np.nan_to_num(gap_K), at[0], at[1], np.zeros_like(gap_K), felt)
+    warmth = _most_probable(flat, usual, least, neighbours=False)
+    resting = (stack.compare & ~loaded)[:, records]
+    seen = resting.any(axis=0)
+    means = np.sum(np.where(resting, gap_V, 0.0), axis=0)[seen] / resting.sum(axis=0)[seen]
+    one_more = np.append(means, USUAL_REST_CELL_V * cells)  # counted as one record, so that two do not decide alone
+    return Wander(
+        soc=[float(z) for z in SOC],
+        voltage_sd_V=[_rounded(v) for v in volts[:-2]],
+        voltage_time_s=_rounded(volts[-2]),
+        voltage_noise_V=_rounded(volts[-1]),
+        rest_sd_V=_rounded(max(float(np.sqrt(np.mean(one_more**2))), LEAST_REST_CELL_V * cells)),
+        temperature_sd_K=_rounded(warmth[0]),
+        temperature_time_s=_rounded(warmth[1]),
+        temperature_noise_K=_rounded(warmth[2]),
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")

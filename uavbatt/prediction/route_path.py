@@ -1,0 +1,252 @@
+"""The way of a mission as legs in metres around home, and the way home from any point.
+
+A leg ends at a point and may wait there. Its time at the planned speeds is the longest of what its run asks at the
+ground speed and its rise at the climb or descent rate. What is not understood gives no legs but a reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from typing import NamedTuple
+
+from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
+
+METRES_PER_DEGREE = 111_194.9  # of a sphere of 6371 km
+MOST_LEGS = 2000
+ENDLESS_S = 1e6  # a loiter without end
+SPLINE_LENGTHENS = 1.06
+HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
+# Where the vehicle does not say: ArduCopter's defaults.
+CRUISE_MS, CLIMB_MS, DESCENT_MS, RETURN_HEIGHT_M, LAND_MS, SLOW_BELOW_M = 5.0, 2.5, 1.5, 15.0, 0.5, 10.0
+
+
+class Phase(IntEnum):
+    """A leg belongs to one of these."""
+
+    TAKE_OFF = 0
+    ROUTE = 1
+    HOME = 2
+    LANDING = 3
+
+
+class Point(NamedTuple):
+    """A place in metres north and east of home and above it."""
+
+    north_m: float
+    east_m: float
+    height_m: float
+
+
+class Leg(NamedTuple):
+    """A straight way from one point to another with its speed limits, and the wait at its end."""
+
+    seq: int  # of the mission item; -1 on the way home
+    phase: Phase
+    begin: Point
+    end: Point
+    run_m: float  # horizontal; of a curve its length
+    speed_ms: float
+    climb_ms: float
+    descent_ms: float
+    hold_s: float = 0.0
+
+    @property
+    def rise_m(self) -> float:
+        """Height gained, negative in a descent [m]."""
+        return self.end.height_m - self.begin.height_m
+
+    @property
+    def moving_s(self) -> float:
+        """Time of the movement at the planned speeds [s]."""
+        rise_m = self.rise_m
+        vertical_s = rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
+        return max(self.run_m / self.speed_ms, vertical_s)
+
+    @property
+    def fastest_ms(self) -> float:
+        """The speed that has to be gained and lost again: the horizontal or the vertical one [m/s]."""
+        moving_s = self.moving_s
+        return max(self.run_m, abs(self.rise_m)) / moving_s if moving_s > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The legs of a mission from its first item to touchdown, or why there are none."""
+
+    legs: tuple[Leg, ...] = ()
+    reason: str = ""
+    lands: bool = True  # false: it waits somewhere without end
+
+
+class _Speeds(NamedTuple):
+    cruise_ms: float
+    climb_ms: float
+    descent_ms: float
+
+
+def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
+    """Return the place in metres around home."""
+    east_m = (lon_deg - home.lon_deg) * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
+    return Point((lat_deg - home.lat_deg) * METRES_PER_DEGREE, east_m, height_m)
+
+
+def place(home: Home, position: Position) -> Point:
+    """Return where the aircraft is, in metres around home."""
+    return local(home, position.lat_deg, position.lon_deg, position.height_m)
+
+
+def known(value: float, otherwise: float) -> float:
+    """Return a positive finite parameter, or what stands in for it."""
+    return value if math.isfinite(value) and value > 0.0 else otherwise
+
+
+def way_home(begin: Point, settings: ReturnSettings, lands: bool = True) -> tuple[Leg, ...]:
+    """Return the autopilot's way from a point to touchdown at home: climb, run, wait, descend, land."""
+    speeds = _speeds(settings)
+    asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
+    height_m = max(begin.height_m, asked_m) if asked_m > 0.0 else begin.height_m
+    above, over_home = begin._replace(height_m=height_m), Point(0.0, 0.0, height_m)
+    run_m = math.hypot(begin.north_m, begin.east_m)
+    return_ms = known(settings.return_ms, speeds.cruise_ms)
+    hold_s = known(settings.return_hold_s, 0.0)
+    legs = [
+        Leg(-1, Phase.HOME, begin, above, 0.0, return_ms, speeds.climb_ms, speeds.descent_ms),
+        Leg(-1, Phase.HOME, above, over_home, run_m, return_ms, speeds.climb_ms, speeds.descent_ms, hold_s),
+    ]
+    if lands:
+        legs += _landing(over_home, settings, -1)
+    return tuple(leg for leg in legs if leg.moving_s + leg.hold_s > 0.0)
+
+
+def _landing(above: Point, settings: ReturnSettings, seq: int) -> list[Leg]:
+    """Straight down, the last metres slowly."""
+    speeds = _speeds(settings)
+    slow_m = min(known(settings.land_slow_below_m, SLOW_BELOW_M), max(above.height_m, 0.0))
+    low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
+    land_ms = known(settings.land_ms, LAND_MS)
+    return [
+        Leg(seq, Phase.LANDING, above, low, 0.0, 1.0, speeds.climb_ms, speeds.descent_ms),
+        Leg(seq, Phase.LANDING, low, ground, 0.0, 1.0, speeds.climb_ms, land_ms),
+    ]
+
+
+def _speeds(settings: ReturnSettings) -> _Speeds:
+    return _Speeds(
+        known(settings.cruise_ms, CRUISE_MS), known(settings.climb_ms, CLIMB_MS), known(settings.descent_ms, DESCENT_MS)
+    )
+
+
+@lru_cache(maxsize=8)
+def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
+    """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included."""
+    if mission.reason:
+        return Path(reason=mission.reason)
+    at, speeds, legs = Point(0.0, 0.0, 0.0), _speeds(settings), list[Leg]()
+    for item in _flown(mission):
+        if item is None:
+            return Path(reason=f"the mission jumps more than {MOST_LEGS} times")
+        if item.action is Action.SPEED:
+            speeds = _changed(speeds, item)
+            continue
+        found = _legs(item, at, speeds, home, settings)
+        if isinstance(found, str):
+            return Path(reason=f"item {item.seq}: {found}")
+        legs += found
+        at = legs[-1].end if legs else at
+        if item.action in (Action.RETURN, Action.LAND):
+            return Path(tuple(legs))
+        if item.action is Action.LOITER_UNLIMITED:
+            return Path(tuple(legs), lands=False)
+    if not legs:
+        return Path(reason="the mission goes nowhere")
+    return Path((*legs, *way_home(at, settings)))
+
+
+def _flown(mission: Mission) -> Iterator[MissionItem | None]:
+    """The items in the order in which they are flown; None when there is no end of it."""
+    by_seq = {item.seq: index for index, item in enumerate(mission.items)}
+    left = {item.seq: item.repeats for item in mission.items if item.action is Action.JUMP}
+    index = 1 if mission.items and mission.items[0].seq == 0 and _is_home(mission.items[0]) else 0
+    for _ in range(MOST_LEGS):
+        if index >= len(mission.items):
+            return
+        item = mission.items[index]
+        index += 1
+        if item.action is not Action.JUMP:
+            yield item
+        elif left[item.seq] != 0 and item.jump_to in by_seq:
+            left[item.seq] -= 1
+            index = by_seq[item.jump_to]
+    yield None
+
+
+def _is_home(item: MissionItem) -> bool:
+    """ArduPilot keeps home as item 0, a waypoint on the ground."""
+    return (item.action is Action.WAYPOINT and item.frame is not Frame.HOME) or item.alt_m == 0.0
+
+
+def _changed(speeds: _Speeds, item: MissionItem) -> _Speeds:
+    if not (math.isfinite(item.speed_ms) and item.speed_ms > 0.0):
+        return speeds
+    if item.speed_kind is SpeedKind.CLIMB:
+        return speeds._replace(climb_ms=item.speed_ms)
+    if item.speed_kind is SpeedKind.DESCENT:
+        return speeds._replace(descent_ms=item.speed_ms)
+    return speeds._replace(cruise_ms=item.speed_ms)
+
+
+def _legs(
+    item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings
+) -> list[Leg] | str:
+    """The legs of one item, or why they are not known."""
+    if item.action is Action.UNKNOWN:
+        return item.reason or f"command {item.command} is not understood"
+    if item.action in (Action.OTHER, Action.JUMP):
+        return []
+    if item.action is Action.RETURN:
+        return [leg._replace(seq=item.seq) for leg in way_home(at, settings)]
+    if item.action is Action.DELAY:
+        return [Leg(item.seq, Phase.ROUTE, at, at, 0.0, *speeds, max(item.hold_s, 0.0))]
+    if item.action is Action.LAND:
+        item = _at_height(item, at)
+    to = _target(item, at, home)
+    if isinstance(to, str):
+        return to
+    run_m = math.dist(at[:2], to[:2])
+    if item.action is Action.TAKEOFF:
+        return [Leg(item.seq, Phase.TAKE_OFF, at, to, run_m, *speeds)]
+    if item.action is Action.SPLINE:
+        run_m *= SPLINE_LENGTHENS
+    legs = [Leg(item.seq, Phase.ROUTE, at, to, run_m, *speeds, max(item.hold_s, 0.0))]
+    if item.action is Action.LOITER_TURNS and item.turns > 0.0 and item.radius_m:
+        circle_m = 2.0 * math.pi * abs(item.radius_m) * item.turns
+        legs.append(Leg(item.seq, Phase.ROUTE, to, to, circle_m, *speeds))
+    if item.action is Action.LOITER_UNLIMITED:
+        legs[-1] = legs[-1]._replace(hold_s=ENDLESS_S)
+    return legs + _landing(to, settings, item.seq) if item.action is Action.LAND else legs
+
+
+def _at_height(item: MissionItem, at: Point) -> MissionItem:
+    """A landing flies to its place at the height where it begins."""
+    return MissionItem(item.seq, item.action, item.lat_deg, item.lon_deg, at.height_m)
+
+
+def _target(item: MissionItem, at: Point, home: Home) -> Point | str:
+    """Where an item ends, or why that is not known."""
+    height_m = item.alt_m if math.isfinite(item.alt_m) else at.height_m
+    if item.frame is Frame.TERRAIN:
+        return "its height is above terrain that is not known"
+    if item.frame is Frame.SEA and math.isfinite(item.alt_m):
+        if not math.isfinite(home.alt_m):
+            return "its height is above the sea, and that of home is not known"
+        height_m = item.alt_m - home.alt_m
+    to = Point(at.north_m, at.east_m, height_m)
+    if math.isfinite(item.lat_deg) and math.isfinite(item.lon_deg):
+        to = local(home, item.lat_deg, item.lon_deg, height_m)
+    if math.hypot(to.north_m, to.east_m) > FARTHEST_M or abs(height_m) > HIGHEST_M:
+        return f"it lies {math.hypot(to.north_m, to.east_m) / 1000.0:.0f} km away at {height_m:.0f} m"
+    return to

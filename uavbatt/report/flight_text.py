@@ -1,0 +1,99 @@
+"""The result of a replay in text: lines for a person, and a summary for a program."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Landing, Outcome, Step
+from uavbatt.records import Flight
+from uavbatt.report.flight_answer import answer
+
+
+def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) -> list[str]:
+    """The summary for a person."""
+    status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
+    lines = [
+        f"{flight.source}: {answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
+        f"  log        {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
+        f"  battery    {resolved.battery} ({status}); {resolved.words}",
+        f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
+        f"  forecast   {_given(found.refused_in_air)}",
+    ]
+    warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
+    lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
+    if flight.skipped_bytes:
+        lines.append(f"  warning    {flight.skipped_bytes} bytes of the log were unreadable and skipped")
+    if math.isfinite(found.end_of_flight_s):
+        lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
+        for c in found.checkpoints:
+            if math.isfinite(c.remaining_s):
+                verdict = "inside" if c.inside else "outside"
+                lines.append(
+                    f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
+                    f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
+                )
+            else:
+                lines.append(f"    {c.label:>13}: refused, true {c.before_end_s:.0f} s")
+    else:
+        lines.append("  the log does not reach the end of flight: no forecast of it can be checked")
+    return lines
+
+
+def _charge(found: Outcome) -> str:
+    """The charge at the log's end, with its 90 % interval."""
+    if not math.isfinite(found.end_soc):
+        return "charge not known"
+    low, high = (min(max(found.end_soc + k * found.end_soc_sd, 0.0), 1.0) for k in (-1.64, 1.64))
+    return f"{found.end_soc:.0%} charge left ({low:.0%} to {high:.0%})"
+
+
+def _given(refused_in_air: float) -> str:
+    """The share of the flight in which a forecast was given."""
+    if not math.isfinite(refused_in_air):
+        return "none: no flight of more than a minute"
+    return "at all times in the air" if refused_in_air == 0.0 else f"{1.0 - refused_in_air:.1%} of the time in the air"
+
+
+def summary(
+    flight: Flight, resolved: PackSize, found: Outcome, run: list[Step], content: BatteryFile
+) -> dict[str, Any]:
+    """The summary for a program (DESIGN §5)."""
+    scores = [
+        {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
+        for c in found.checkpoints
+    ]
+    return {
+        "log": flight.source,
+        "kind": flight.kind,
+        "instance": flight.instance,
+        "battery": resolved.battery,
+        "certificate_status": resolved.status,
+        "content_sha256": content.certificate.content_sha256,
+        "cells": resolved.cells,
+        "cells_from": resolved.cells_from,
+        "capacity_Ah": resolved.capacity_Ah,
+        "capacity_from": resolved.capacity_from,
+        "cutoff_V": resolved.cutoff_V,
+        "cutoff_from": resolved.cutoff_from,
+        "low_V": resolved.low_V,
+        "low_from": resolved.low_from,
+        "skipped_bytes": flight.skipped_bytes,
+        "notes": list(flight.notes),
+        "warnings": list(dict.fromkeys(w for s in run for w in s.estimate.warnings)),
+        **_landing_summary(found.landing),
+        **{k: v for k, v in asdict(found).items() if k not in ("checkpoints", "landing")},
+        "scores": scores,
+    }
+
+
+def _landing_summary(landing: Landing | None) -> dict[str, Any]:
+    """The answer for a program: the forecast at the last row in the air, nulls without one."""
+    keys = ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s")
+    if landing is None:
+        return {**dict.fromkeys(keys), "landing_s": None, "in_air_at_end": False, "reason": "no flight in this log"}
+    said = {key: getattr(landing, key) for key in keys}
+    return {**said, "landing_s": landing.time_s, "in_air_at_end": landing.is_cut, "reason": landing.reason}

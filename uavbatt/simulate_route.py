@@ -1,0 +1,124 @@
+"""A flight along a mission that never flew: where the aircraft is, when, and what power it asks.
+
+Legs are flown at their planned speeds over ground, without acceleration; the wind changes the airspeed and so the
+power, by the same law as the route's forecast has. After the last item it returns, as a pilot would who switches to it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import accumulate
+
+from msgspec.structs import replace
+
+from uavbatt.battery.powers import UNKNOWN, Powers, power, terms
+from uavbatt.errors import UsageError
+from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, Wind
+from uavbatt.prediction.route_path import METRES_PER_DEGREE, Leg, Path, Phase, Point, path
+from uavbatt.telemetry.formats.route_writer import FlownRoute, RouteRow
+from uavbatt.telemetry.route.commands import WAYPOINT
+from uavbatt.telemetry.route.settings import return_settings
+
+COPTER_AUTO, COPTER_LOITER, COPTER_RTL = 3, 5, 6
+PARAMETERS = {
+    "WPNAV_SPEED": 500.0, "WPNAV_SPEED_UP": 250.0, "WPNAV_SPEED_DN": 150.0, "RTL_ALT": 1500.0, "RTL_SPEED": 0.0,
+    "RTL_LOIT_TIME": 5000.0, "RTL_ALT_FINAL": 0.0, "LAND_SPEED": 50.0, "LAND_SPEED_HIGH": 0.0,
+}  # fmt: skip
+"""The simulated vehicle's parameters of speed and return: ArduCopter's defaults."""
+ROW_PERIOD_S = 1.0
+SHORTEST_AIRSPEED_MS = 0.01  # 0 would say that it is not known
+
+Watts = Callable[[float, float, Phase], float]  # airspeed [m/s], climb [m/s], phase -> power [W]
+
+
+@dataclass(frozen=True, slots=True)
+class RouteFlight:
+    """Legs in their order, when each begins [s], and the wind."""
+
+    mission: Mission
+    home: Home
+    wind: Wind
+    legs: tuple[Leg, ...]
+    begins_s: tuple[float, ...]
+    lands_s: float
+
+    def power_W(self, time_s: float, watts: Watts) -> float:
+        """Power asked [W] in the air."""
+        leg = self._leg(time_s)
+        position = self.position(time_s)
+        return watts(position.airspeed_ms, position.up_ms, leg.phase)
+
+    def position(self, time_s: float) -> Position:
+        """Where the aircraft is at a time [s], and how it moves."""
+        leg, since_s = self._leg(time_s), time_s - self.begins_s[self._index(time_s)]
+        is_moving = 0.0 <= since_s < leg.moving_s and time_s < self.lands_s
+        share = min(max(since_s / leg.moving_s, 0.0), 1.0) if leg.moving_s > 0.0 else 1.0
+        place = Point(*(a + share * (b - a) for a, b in zip(leg.begin, leg.end, strict=True)))
+        rate = 1.0 / leg.moving_s if is_moving else 0.0
+        north_ms, east_ms, up_ms = ((b - a) * rate for a, b in zip(leg.begin, leg.end, strict=True))
+        in_air = self.begins_s[0] <= time_s < self.lands_s
+        wind = self.wind if in_air else Wind(0.0, 0.0)
+        return Position(
+            time_s, *_degrees(self.home, place), place.height_m, north_ms, east_ms, up_ms,
+            max(math.hypot(north_ms - wind.north_ms, east_ms - wind.east_ms), SHORTEST_AIRSPEED_MS),
+        )  # fmt: skip
+
+    def flown(self, end_s: float) -> FlownRoute:
+        """The rows of a log until `end_s` [s], one a second."""
+        rows = [self._row(k * ROW_PERIOD_S) for k in range(int(end_s / ROW_PERIOD_S) + 1)]
+        return FlownRoute(self.home, self.mission, self.wind, rows)
+
+    def _row(self, time_s: float) -> RouteRow:
+        leg, is_landed = self._leg(time_s), not self.begins_s[0] <= time_s < self.lands_s
+        last = self.mission.items[-1].seq
+        mode = COPTER_LOITER if time_s < self.begins_s[0] else COPTER_AUTO if leg.seq >= 0 else COPTER_RTL
+        return RouteRow(self.position(time_s), leg.seq if leg.seq >= 0 else last, mode, is_landed)
+
+    def _index(self, time_s: float) -> int:
+        return max(bisect_right(self.begins_s, time_s) - 1, 0)
+
+    def _leg(self, time_s: float) -> Leg:
+        return self.legs[self._index(time_s)]
+
+
+def route_flight(
+    mission: Mission, home: Home, wind: Wind, take_off_s: float, settings: ReturnSettings | None = None
+) -> RouteFlight:
+    """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end."""
+    mission = _with_home_item(mission, home)
+    way: Path = path(mission, home, settings or return_settings(PARAMETERS))
+    if way.reason or not way.lands:
+        raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end'}")
+    times_s = [leg.moving_s + leg.hold_s for leg in way.legs]
+    begins_s = tuple(accumulate(times_s, initial=take_off_s))
+    return RouteFlight(mission, home, wind, way.legs, begins_s[:-1], begins_s[-1])
+
+
+def _with_home_item(mission: Mission, home: Home) -> Mission:
+    """The mission as an ArduPilot holds it: home in front, all others one further."""
+    if mission.has_home_item:
+        return mission
+    first = MissionItem(0, Action.WAYPOINT, home.lat_deg, home.lon_deg, home.alt_m, Frame.SEA, command=WAYPOINT)
+    moved = (dataclasses.replace(i, seq=i.seq + 1, jump_to=i.jump_to + 1) for i in mission.items)
+    return dataclasses.replace(mission, items=(first, *moved), has_home_item=True)
+
+
+def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:
+    """Return the power of an aircraft that asks `hover_W` [W] in hover, otherwise of this shape."""
+    powers = replace(shape, hover_W=hover_W)
+
+    def watts(airspeed_ms: float, climb_ms: float, phase: Phase) -> float:
+        columns = terms(airspeed_ms, climb_ms, phase is Phase.TAKE_OFF, phase is Phase.LANDING, powers.induced_ms)
+        return float(power(powers, columns))
+
+    return watts
+
+
+def _degrees(home: Home, place: Point) -> tuple[float, float]:
+    """Latitude and longitude [deg] of a place in metres around home."""
+    east_scale = METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
+    return home.lat_deg + place.north_m / METRES_PER_DEGREE, home.lon_deg + place.east_m / east_scale

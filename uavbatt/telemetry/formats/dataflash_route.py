@@ -1,0 +1,178 @@
+"""Records of route and place in ArduPilot's DataFlash logs, and their way to `Navigation`.
+
+CMD   CTot,CNum,CId,Prm1..4,Lat,Lng,Alt,Frame   the whole mission at the log's start and after an upload, in order;
+                                                one alone: this item is flown now (CNum 0 alone: a new home)
+MISE  as CMD                                    this item is flown now (4.4 and later)
+MODE  Mode,ModeNum                              numbers of ArduCopter's modes, in old text logs their names
+ORGN  Type,Lat,Lng,Alt                          Type 1: home
+POS   Lat,Lng,Alt,RelHomeAlt                    height above home (RelAlt in old logs)
+GPS   Spd,GCrs,VZ                               speed over ground, course, speed downwards; old logs have no POS,
+                                                but the height above home here (RelAlt)
+XKF2, NKF2, EKF2  VWN,VWE                       wind of the EKF; C is its core, the first counts
+EV    Id                                        18 landed, 28 no longer landed
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from uavbatt.navigation import Home, MissionItem, Mode, Navigation
+from uavbatt.telemetry.columns import Column, Order, latest_before
+from uavbatt.telemetry.formats.dataflash_rows import Clock, Table
+from uavbatt.telemetry.route.builder import POSITION_STEP_S, NavigationBuilder
+from uavbatt.telemetry.route.commands import Fields, is_flown, mission, mission_item
+from uavbatt.telemetry.route.events import Event, one_each, play
+from uavbatt.telemetry.route.modes import copter_mode, copter_mode_named
+
+OF_ROUTE = re.compile(r"(CMD|MISE|MODE|ORGN|POS|GPS|XKF2|NKF2|EKF2|EV)$")
+SOURCE = "log"
+_WIND = re.compile(r"(XKF2|NKF2|EKF2)$")
+_HOME_TYPE, _LANDED, _NOT_LANDED, _FIX_3D = 1, 18, 28, 3
+_WIND_STEP_S, _GPS_AGE_S = 1.0, 1.0
+_NO_FRAME = -1.0
+Told = tuple[int, Event]  # place in the log, event
+
+
+def navigation(
+    tables: Sequence[Table], clock: Clock, firmware: str, parameters: Sequence[tuple[float, str, float]]
+) -> tuple[Navigation, ...]:
+    """Return what a DataFlash log tells of route and place.
+
+    tables : records of the names that OF_ROUTE matches; parameters : (time [s], name, value), ascending
+    firmware : as the log names it; modes are told only of a copter
+    """
+    builder = NavigationBuilder(keeps_all=True)
+    fixes = [t for t in tables if t.layout.name == "GPS"]
+    places = [t for t in tables if t.layout.name == "POS"] or [t for t in fixes if "RelAlt" in t.numbers]
+    mission_told = _Mission(builder)
+    told: list[Told] = []
+    for table in tables:
+        name, time_s = table.layout.name, clock.times_s(table)
+        if name in ("CMD", "MISE"):
+            told += _commands(table, time_s, mission_told)
+        elif name != "MODE" or "copter" in firmware.lower():
+            told += _others(table, time_s, builder)
+    for table in places:
+        told += _positions(table, clock.times_s(table), fixes, clock, builder)
+    told.sort(key=lambda one: one[0])
+    play((event for _, event in told), parameters, builder)
+    return builder.timeline()
+
+
+def _others(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[Told]:
+    """Modes, homes, winds, and whether it has landed."""
+    name = table.layout.name
+    if name == "MODE":
+        modes = zip(table.order.tolist(), time_s.tolist(), _modes(table), strict=True)
+        yield from ((place, (at_s, builder.mode, (mode,))) for place, at_s, mode in modes)
+    elif name == "ORGN":
+        yield from _homes(table, time_s, builder)
+    elif name == "EV":
+        for place, at_s, event in zip(table.order.tolist(), time_s.tolist(), table.column("Id").tolist(), strict=True):
+            if event in (_LANDED, _NOT_LANDED):
+                yield place, (at_s, builder.landed, (event == _LANDED,))
+    elif _WIND.match(name):
+        yield from _winds(table, time_s, builder)
+
+
+class _Mission:
+    """The mission as CMD records tell it, one by one."""
+
+    def __init__(self, builder: NavigationBuilder) -> None:
+        self._builder = builder
+        self._items: list[MissionItem] = []  # of a list that is being written
+
+    def command(self, time_s: float, total: int, fields: Fields) -> None:
+        """Take a CMD: the next of a list, the first of one, or the item that is flown now."""
+        item = mission_item(fields)
+        if fields.seq == len(self._items) and fields.seq < total:
+            self._items.append(item)
+            if len(self._items) == total:
+                self._builder.mission(time_s, mission(self._items, SOURCE))
+                self._items = []
+            return
+        self._items = [item] if fields.seq == 0 and total > 1 else []
+        if fields.seq:
+            self.flown(time_s, item)
+
+    def flown(self, time_s: float, item: MissionItem) -> None:
+        """Take the item that is flown now; another one than was told makes the mission that was told wrong."""
+        known = self._builder.held
+        if known is not None and not known.reason and repr(item) not in map(repr, known.items[item.seq : item.seq + 1]):
+            reason = f"the autopilot flies another item {item.seq} than the log told before"
+            self._builder.mission(time_s, replace(known, reason=reason))
+        if is_flown(item.command):
+            self._builder.current(time_s, item.seq)
+
+
+def _commands(table: Table, time_s: Column, takes: _Mission) -> Iterator[Told]:
+    """CMD and MISE records; what has no frame in the log has none that is known."""
+    labels = ("CTot", "CNum", "CId", "Prm1", "Prm2", "Prm3", "Prm4", "Lat", "Lng", "Alt", "Frame")
+    columns = {label: table.column(label) for label in labels}
+    columns["Frame"] = np.where(np.isnan(columns["Frame"]), _NO_FRAME, columns["Frame"])
+    rows = zip(table.order.tolist(), time_s.tolist(), *(c.tolist() for c in columns.values()), strict=True)
+    for place, at_s, total, seq, command, p1, p2, p3, p4, lat_deg, lon_deg, alt_m, frame in rows:
+        if not (total == total and seq == seq and command == command):
+            continue
+        fields = Fields(int(seq), int(frame), int(command), p1, p2, p3, p4, lat_deg, lon_deg, alt_m)
+        if table.layout.name == "MISE":
+            yield place, (at_s, takes.flown, (mission_item(fields),))
+        else:
+            yield place, (at_s, takes.command, (int(total), fields))
+
+
+def _modes(table: Table) -> list[Mode]:
+    for label in ("ModeNum", "Mode"):
+        if label in table.numbers:
+            return [copter_mode(int(n)) if n == n else Mode.UNKNOWN for n in table.column(label).tolist()]
+    return [copter_mode_named(text) for text in table.texts.get("Mode", [""] * len(table.order))]
+
+
+def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[Told]:
+    columns = (table.column(label).tolist() for label in ("Type", "Lat", "Lng", "Alt"))
+    for place, at_s, kind, lat_deg, lon_deg, alt_m in zip(table.order.tolist(), time_s.tolist(), *columns, strict=True):
+        if kind == _HOME_TYPE:
+            yield place, (at_s, builder.home, (Home(lat_deg, lon_deg, alt_m),))
+
+
+def _positions(
+    table: Table, time_s: Column, fixes: Sequence[Table], clock: Clock, builder: NavigationBuilder
+) -> Iterator[Told]:
+    """POS with the velocity of the last fix; a log that goes on would tell if another item were flown."""
+    height = next((label for label in ("RelHomeAlt", "RelAlt") if label in table.numbers), "RelHomeAlt")
+    chosen = one_each(time_s, POSITION_STEP_S)
+    order, at_s = table.order[chosen], time_s[chosen]
+    columns = [table.column(label)[chosen] for label in ("Lat", "Lng", height)]
+    columns += _velocities(order, at_s, fixes, clock)
+    for place, when_s, *said in zip(order.tolist(), at_s.tolist(), *(c.tolist() for c in columns), strict=True):
+        yield place, (when_s, builder.position, tuple(said))
+        yield place, (when_s, builder.still_current, ())
+
+
+def _velocities(order: Order, at_s: Column, fixes: Sequence[Table], clock: Clock) -> list[Column]:
+    """Velocity north, east and up [m/s] by the last fix before each place, NaN where that is old."""
+    found = [np.full(len(order), np.nan) for _ in range(3)]
+    for fix in fixes:
+        if not len(fix.order):
+            continue
+        last = latest_before(order, fix.order)
+        has_fix = (last >= 0) & (fix.column("Status")[last] >= _FIX_3D)
+        has_fix &= np.abs(at_s - clock.times_s(fix)[last]) <= _GPS_AGE_S
+        speed_ms, course_rad = fix.column("Spd")[last], np.radians(fix.column("GCrs")[last])
+        said = (speed_ms * np.cos(course_rad), speed_ms * np.sin(course_rad), -fix.column("VZ")[last])
+        found = [np.where(has_fix, new, old) for new, old in zip(said, found, strict=True)]
+    return found
+
+
+def _winds(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator[Told]:
+    is_first = table.column("C") == 0 if "C" in table.numbers else np.ones(len(time_s), np.bool_)
+    own = np.flatnonzero(is_first)
+    chosen = own[one_each(time_s[own], _WIND_STEP_S)] if len(own) else own
+    columns = (table.column(label)[chosen].tolist() for label in ("VWN", "VWE"))
+    for place, at_s, north_ms, east_ms in zip(table.order[chosen].tolist(), time_s[chosen].tolist(), *columns,
+                                              strict=True):  # fmt: skip
+        yield place, (at_s, builder.wind, (north_ms, east_ms))

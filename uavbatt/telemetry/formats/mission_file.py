@@ -1,0 +1,163 @@
+"""Mission files: QGC WPL text (`.waypoints`) and QGroundControl's `.plan` (JSON).
+
+`.waypoints`: a line `QGC WPL 110`, then one item a line, twelve columns:
+
+    index current frame command param1 param2 param3 param4 latitude longitude height autocontinue
+
+`.plan`: `mission.items`, each a `SimpleItem` with `command`, `frame` and seven `params`, or a `ComplexItem`; surveys
+and corridor scans hold the items they were made into (`TransectStyleComplexItem.Items`), other patterns do not.
+The ground station puts home in front as item 0 for an ArduPilot, and not for a PX4; `doJumpId` names items for jumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from uavbatt.errors import BadInput, misread
+from uavbatt.navigation import NAN, Home, Mission
+from uavbatt.telemetry.route import commands
+from uavbatt.telemetry.route.commands import Fields
+
+KIND = "a mission file (QGC WPL `.waypoints`, or QGroundControl `.plan`)"
+LARGEST_BYTES = 20_000_000
+_WPL = "QGC WPL"
+_COLUMNS = 12
+_FIRMWARE_PX4 = 12
+_GLOBAL = 0  # MAV_FRAME: height above sea
+
+
+class PlannedFlight(NamedTuple):
+    """A mission file's mission, and what it says of home and of the speed it was planned with."""
+
+    mission: Mission
+    home: Home | None
+    cruise_ms: float = NAN
+
+
+class _Transects(msgspec.Struct):
+    items: list[_Item] | None = msgspec.field(default=None, name="Items")
+
+
+class _Item(msgspec.Struct):
+    type: str = "SimpleItem"
+    command: int = -1
+    frame: int = -1
+    params: list[float | None] = msgspec.field(default_factory=list)
+    jump_id: int = msgspec.field(default=-1, name="doJumpId")
+    pattern: str = msgspec.field(default="", name="complexItemType")
+    transects: _Transects | None = msgspec.field(default=None, name="TransectStyleComplexItem")
+
+
+class _PlannedMission(msgspec.Struct):
+    items: list[_Item]
+    firmware: int = msgspec.field(default=3, name="firmwareType")
+    home: list[float | None] | None = msgspec.field(default=None, name="plannedHomePosition")
+    hover_ms: float | None = msgspec.field(default=None, name="hoverSpeed")
+
+
+class _Plan(msgspec.Struct):
+    mission: _PlannedMission
+
+
+def read_mission(path: str | Path) -> PlannedFlight:
+    """Read a mission file. Raises BadInput for a file that is none, or a mission that is not understood."""
+    data = _content(Path(path))
+    planned = _plan(path, data) if data.lstrip().startswith(b"{") else _waypoints(path, data)
+    if planned.mission.reason:
+        raise BadInput(path, "", f"a mission that is understood: {planned.mission.reason}")
+    return planned
+
+
+def _content(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_BYTES + 1)
+    except OSError as error:
+        raise BadInput(path, "", f"{KIND}, cannot be read: {error.strerror}") from None
+    if len(data) > LARGEST_BYTES:
+        raise BadInput(path, "", f"{KIND}, found a file of more than {LARGEST_BYTES // 1_000_000} MB")
+    return data
+
+
+def _waypoints(path: str | Path, data: bytes) -> PlannedFlight:
+    """`.waypoints`; a first item that is no waypoint is no home."""
+    lines = data.decode("utf-8", errors="replace").splitlines()
+    if not lines or not lines[0].startswith(_WPL):
+        raise BadInput(path, "", f"{KIND}, found a file of another kind")
+    said = [
+        _line(path, number, line)
+        for number, line in enumerate(lines[1:], start=2)
+        if line.strip() and not line.startswith("#")
+    ]
+    has_home = bool(said) and said[0].command == commands.WAYPOINT
+    home = Home(said[0].lat_deg, said[0].lon_deg, _sea_m(said[0])) if has_home else None
+    return PlannedFlight(_mission(path, said, has_home), home if home and (home.lat_deg or home.lon_deg) else None)
+
+
+def _sea_m(fields: Fields) -> float:
+    return fields.alt_m if fields.frame == _GLOBAL else NAN
+
+
+def _line(path: str | Path, number: int, line: str) -> Fields:
+    """One item: index, current, frame, command, four parameters, latitude, longitude, height, autocontinue."""
+    columns = line.split()
+    try:
+        values = [float(column) for column in columns]
+        seq, frame, command = (int(columns[k]) for k in (0, 2, 3))
+    except (ValueError, IndexError):
+        values = []
+    if len(values) != _COLUMNS:
+        raise BadInput(path, f"line {number}", f"{_COLUMNS} numbers, found `{line.strip()[:60]}`")
+    return Fields(seq, frame, command, *values[4:8], *values[8:11])
+
+
+def _plan(path: str | Path, data: bytes) -> PlannedFlight:
+    try:
+        said = msgspec.json.decode(data, type=_Plan).mission
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise misread(path, error, "a QGroundControl plan") from None
+    is_px4 = said.firmware == _FIRMWARE_PX4
+    place = [NAN if v is None else v for v in said.home or ()]
+    home = Home(place[0], place[1], place[2] if len(place) > 2 else NAN) if len(place) > 1 else None
+    flat = list(_flattened(path, said.items))
+    first = 0 if is_px4 else 1
+    seq_of = {item.jump_id: seq for seq, item in enumerate(flat, start=first)}
+    fields = [_fields(path, seq, item, seq_of) for seq, item in enumerate(flat, start=first)]
+    if not is_px4:
+        at = home or Home(0.0, 0.0, 0.0)
+        fields.insert(0, Fields(0, _GLOBAL, commands.WAYPOINT, 0.0, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, at.alt_m))
+    return PlannedFlight(_mission(path, fields, not is_px4), home, said.hover_ms or NAN)
+
+
+def _flattened(path: str | Path, items: Iterable[_Item]) -> Iterator[_Item]:
+    """The simple items of a plan in order, patterns as the items that they were made into."""
+    for item in items:
+        if item.type == "SimpleItem":
+            yield item
+        elif item.transects is not None and item.transects.items:
+            yield from _flattened(path, item.transects.items)
+        else:
+            name = item.pattern or item.type
+            raise BadInput(path, "", f"simple items, surveys and corridors with their items, found `{name}`")
+
+
+def _fields(path: str | Path, seq: int, item: _Item, seq_of: dict[int, int]) -> Fields:
+    """The fields of one item; a jump names its target by `doJumpId`."""
+    params = [NAN if v is None else float(v) for v in item.params]
+    if len(params) != 7 or item.command < 0:
+        raise BadInput(path, f"item {seq}", "a command with seven params")
+    if item.command == commands.JUMP:
+        params[0] = seq_of.get(int(params[0]), -1) if math.isfinite(params[0]) else NAN
+    if commands.needs_height(item.command) and params[6] != params[6]:
+        raise BadInput(path, f"item {seq}", "a height, found none")
+    return Fields(seq, item.frame, item.command, *params[:4], *params[4:])
+
+
+def _mission(path: str | Path, said: Sequence[Fields], has_home_item: bool) -> Mission:
+    items = [commands.mission_item(fields, is_px4=not has_home_item) for fields in said]
+    return commands.mission(items, Path(path).name, has_home_item)

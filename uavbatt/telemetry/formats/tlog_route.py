@@ -1,0 +1,162 @@
+"""Messages of route and place in a telemetry log (.tlog): their layouts on the wire, and their way to `Navigation`.
+
+Only frames of these messages are decoded, as light tuples with the attributes of the MAVLink XML.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from uavbatt.navigation import Navigation
+from uavbatt.telemetry.columns import Column, latest_before
+from uavbatt.telemetry.formats.chain import Mask, Places
+from uavbatt.telemetry.formats.tlog_frames import Frames
+from uavbatt.telemetry.route import messages
+from uavbatt.telemetry.route.events import Event, play
+from uavbatt.telemetry.route.messages import NavigationListener
+
+
+class Layout(NamedTuple):
+    """The fields of a message that are read, as they lie in its payload, and the tuple that they become."""
+
+    record: np.dtype[Any]
+    message: Any
+
+
+def _layout(**fields: tuple[str, int]) -> Layout:
+    """A layout from the type and the offset of each field."""
+    names = list(fields)
+    record = np.dtype(
+        {"names": names, "formats": [f for f, _ in fields.values()], "offsets": [o for _, o in fields.values()]}
+    )
+    return Layout(record, namedtuple("Message", names))
+
+
+def _item(place: str) -> Layout:
+    """MISSION_ITEM and MISSION_ITEM_INT: they differ in how the place is written."""
+    return _layout(
+        param1=("<f4", 0), param2=("<f4", 4), param3=("<f4", 8), param4=("<f4", 12), x=(place, 16), y=(place, 20),
+        z=("<f4", 24), seq=("<u2", 28), command=("<u2", 30), target_system=("u1", 32), target_component=("u1", 33),
+        frame=("u1", 34), mission_type=("u1", 37),
+    )  # fmt: skip
+
+
+LAYOUTS = {
+    messages.HEARTBEAT: _layout(custom_mode=("<u4", 0), type=("u1", 4), autopilot=("u1", 5)),
+    messages.GLOBAL_POSITION_INT: _layout(
+        lat=("<i4", 4), lon=("<i4", 8), relative_alt=("<i4", 16), vx=("<i2", 20), vy=("<i2", 22), vz=("<i2", 24)
+    ),
+    messages.VFR_HUD: _layout(airspeed=("<f4", 0)),
+    messages.WIND: _layout(direction=("<f4", 0), speed=("<f4", 4)),
+    messages.WIND_COV: _layout(wind_x=("<f4", 8), wind_y=("<f4", 12), var_horiz=("<f4", 20)),
+    messages.HOME_POSITION: _layout(latitude=("<i4", 0), longitude=("<i4", 4), altitude=("<i4", 8)),
+    messages.EXTENDED_SYS_STATE: _layout(landed_state=("u1", 1)),
+    messages.MISSION_CURRENT: _layout(seq=("<u2", 0), total=("<u2", 2), mission_id=("<u4", 6)),
+    messages.MISSION_ITEM_REACHED: _layout(seq=("<u2", 0)),
+    messages.MISSION_COUNT: _layout(
+        count=("<u2", 0), target_system=("u1", 2), target_component=("u1", 3), mission_type=("u1", 4)
+    ),
+    messages.MISSION_ITEM: _item("<f4"),
+    messages.MISSION_ITEM_INT: _item("<i4"),
+    messages.MISSION_ACK: _layout(
+        target_system=("u1", 0), target_component=("u1", 1), type=("u1", 2), mission_type=("u1", 3)
+    ),
+    messages.MISSION_CLEAR_ALL: _layout(
+        target_system=("u1", 0), target_component=("u1", 1), mission_type=("u1", 2)
+    ),
+    messages.MISSION_WRITE_PARTIAL_LIST: _layout(
+        start_index=("<i2", 0), end_index=("<i2", 2), target_system=("u1", 4), target_component=("u1", 5),
+        mission_type=("u1", 6),
+    ),
+}  # fmt: skip
+_ALL_COMPONENTS = 0
+_MICROSECOND_S = 1e-6
+_LONGEST_STEP_S = 60.0  # a stamp is not covered by a checksum: one that leaps further is damaged
+
+
+class Clock(NamedTuple):
+    """The frames that the log's clock goes by: places in the file, stamps [s], times [s], which are battery rows."""
+
+    start: Places
+    stamp_s: Column
+    time_s: Column
+    is_row: Mask
+
+    def times_s(self, frames: Frames) -> list[float]:
+        """Times of other frames [s]: counted on from the clock's frame before each, by their stamps if they can be."""
+        if not len(self.start):
+            return [0.0] * len(frames.start)
+        last = np.maximum(latest_before(frames.start, self.start), 0)
+        since_s = np.clip(frames.time_s - self.stamp_s[last], 0.0, _LONGEST_STEP_S)
+        # what stands behind a row of the battery was not known at that row, even with the same stamp
+        row = latest_before(frames.start, self.start[self.is_row])
+        known_s = np.append(self.time_s[self.is_row] + _MICROSECOND_S, 0.0)[row]
+        times: list[float] = np.round(np.maximum(self.time_s[last] + since_s, known_s), 6).tolist()
+        return times
+
+
+def navigation(
+    found: Frames, own: Frames, source: int, clock: Clock, parameters: list[tuple[float, str, float]]
+) -> tuple[Navigation, ...]:
+    """Return what a log tells of route and place.
+
+    found : frames of all senders; own : those of the autopilot `source`
+    parameters : (time [s], name, value) of the statements that count
+    """
+    listener = NavigationListener(keeps_all=True)
+    told = [*_of_autopilot(own, clock, listener), *_of_others(found, source, clock, listener)]
+    told.sort(key=lambda one: one[0])
+    play((event for _, event in told), parameters, listener.builder)
+    return listener.builder.timeline()
+
+
+def _of_autopilot(own: Frames, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
+    """The autopilot's messages with their places in the file; of heartbeats those that differ from the one before."""
+    told = []
+    for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
+        frames = own.of(message_id)
+        if message_id == messages.HEARTBEAT:
+            frames = frames.at(_changes(frames))
+        for start, at_s, message in _said(frames, message_id, clock):
+            told.append((start, (at_s, listener.take, (message_id, message))))
+    return told
+
+
+def _of_others(found: Frames, source: int, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
+    """What other stations said of missions to the autopilot."""
+    others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
+    told = []
+    for message_id in messages.OF_OTHERS if len(others.start) else ():
+        for start, at_s, message in _said(others.of(message_id), message_id, clock):
+            if message.target_system == source >> 8 and message.target_component in (_ALL_COMPONENTS, source & 0xFF):
+                told.append((start, (at_s, listener.take_other, (message_id, message))))
+    return told
+
+
+def _said(frames: Frames, message_id: int, clock: Clock) -> Iterator[tuple[int, float, Any]]:
+    """Place in the file, time [s] and message of each frame."""
+    return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
+
+
+def _decoded(frames: Frames, message_id: int) -> list[Any]:
+    layout = LAYOUTS[message_id]
+    if not len(frames.start):
+        return []
+    return [layout.message(*said) for said in _records(frames, layout).tolist()]
+
+
+def _records(frames: Frames, layout: Layout) -> Any:
+    return frames.payloads(layout.record.itemsize).view(layout.record)[:, 0]
+
+
+def _changes(beats: Frames) -> Mask:
+    """Which heartbeats say another mode than the one before."""
+    if not len(beats.start):
+        return np.zeros(0, np.bool_)
+    said = _records(beats, LAYOUTS[messages.HEARTBEAT])
+    differs = [said[name][1:] != said[name][:-1] for name in said.dtype.names]
+    return np.concatenate(([True], np.any(differs, axis=0)))

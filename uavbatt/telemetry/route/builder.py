@@ -1,0 +1,145 @@
+"""`NavigationBuilder`: what is known of route and place, put together from what is heard, in the order of hearing.
+
+Readers of all logs and the live link say what they hear in SI; here it becomes one `Navigation`, the same for all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from uavbatt.navigation import NAN, NOWHERE, Home, Mission, Mode, Navigation, Position, Wind
+from uavbatt.telemetry.route import settings
+
+POSITION_STEP_S = 0.2  # positions that come faster say nothing more of minutes to come
+AIRSPEED_AGE_S = 3.0  # an older airspeed is not the present one
+
+
+class NavigationBuilder:
+    """Puts together what is heard of route and place; with `keeps_all` it holds every state that lasted a moment."""
+
+    def __init__(self, keeps_all: bool = False) -> None:
+        self._known: dict[str, Any] = {name: getattr(NOWHERE, name) for name in Navigation.__slots__}
+        self._built: Navigation | None = NOWHERE
+        self._kept: list[Navigation] | None = [] if keeps_all else None
+        self._parameters: dict[str, float] = {}
+        self._airspeed_ms, self._airspeed_at_s = NAN, -math.inf
+
+    @property
+    def now(self) -> Navigation:
+        """What is known at present."""
+        if self._built is None:
+            self._built = Navigation(**self._known)
+        return self._built
+
+    @property
+    def held(self) -> Mission | None:
+        """The mission that is known at present."""
+        found: Mission | None = self._known["mission"]
+        return found
+
+    def timeline(self) -> tuple[Navigation, ...]:
+        """Return every state that lasted a moment, ascending in time."""
+        kept = self._kept or []
+        return (*kept, self.now) if self.now is not NOWHERE else tuple(kept)
+
+    def mode(self, time_s: float, mode: Mode) -> None:
+        """Take the flight mode."""
+        if mode is not self._known["mode"]:
+            self._change(time_s, mode=mode, mode_since_s=time_s)
+
+    def mission(self, time_s: float, mission: Mission) -> None:
+        """Take a whole mission; the same one once more changes nothing but that nobody transfers it any longer."""
+        if not _is_same(mission, self._known["mission"]):
+            self._change(time_s, mission=mission, mission_since_s=time_s, transferring=False)
+        else:
+            self.transferring(time_s, False)
+
+    def transferring(self, time_s: float, is_so: bool) -> None:
+        """Take that a mission is passing and is not whole yet, or that none is."""
+        if is_so is not self._known["transferring"]:
+            self._change(time_s, transferring=is_so)
+
+    def current(self, time_s: float, seq: int) -> None:
+        """Take the item that is flown to."""
+        if seq == self._known["current"]:
+            self._change(time_s, current_heard_s=time_s)
+        else:
+            self._change(time_s, current=seq, current_since_s=time_s, current_heard_s=time_s)
+
+    def still_current(self, time_s: float) -> None:
+        """Take, with a position, that the same item is still flown to: a log that goes on would tell of another."""
+        if self._known["current"] is not None and time_s == self._known["time_s"]:
+            self._known["current_heard_s"], self._built = time_s, None
+
+    def reached(self, time_s: float, seq: int) -> None:
+        """Take the item that was reached."""
+        if seq != self._known["reached"]:
+            self._change(time_s, reached=seq)
+
+    def home(self, time_s: float, home: Home) -> None:
+        """Take the place that the autopilot returns to; a place that is none changes nothing."""
+        if _is_place(home.lat_deg, home.lon_deg) and not _is_same(home, self._known["home"]):
+            self._change(time_s, home=home)
+
+    def parameter(self, time_s: float, name: str, value: float) -> None:
+        """Take a vehicle parameter, if it is one of speeds or of the way home."""
+        if name not in settings.NAMES:
+            return
+        self._parameters[name] = value
+        self.settings(time_s, self._parameters)
+
+    def settings(self, time_s: float, parameters: Mapping[str, float]) -> None:
+        """Take all parameters that are known by now."""
+        found = settings.return_settings(parameters)
+        if not _is_same(found, self._known["settings"]):
+            self._change(time_s, settings=found)
+
+    def position(
+        self, time_s: float, lat_deg: float, lon_deg: float, height_m: float,
+        north_ms: float = NAN, east_ms: float = NAN, up_ms: float = NAN,
+    ) -> None:  # fmt: skip
+        """Take where the aircraft is; places that are none, and what comes faster than is needed, are passed over."""
+        last = self._known["position"]
+        if last is not None and 0.0 <= time_s - last.time_s < POSITION_STEP_S:
+            return
+        if not (_is_place(lat_deg, lon_deg) and math.isfinite(height_m)):
+            return
+        airspeed_ms = self._airspeed_ms if time_s - self._airspeed_at_s <= AIRSPEED_AGE_S else NAN
+        place = Position(time_s, lat_deg, lon_deg, height_m, north_ms, east_ms, up_ms, airspeed_ms)
+        self._change(time_s, position=place)
+
+    def airspeed(self, time_s: float, airspeed_ms: float) -> None:
+        """Take the airspeed, for the next position; a copter without an estimate says 0, which is unknown."""
+        if airspeed_ms > 0.0:
+            self._airspeed_ms, self._airspeed_at_s = airspeed_ms, time_s
+
+    def wind(self, time_s: float, north_ms: float, east_ms: float, sd_ms: float = NAN) -> None:
+        """Take the wind; exactly none at all is what an autopilot says that does not estimate it."""
+        if math.isfinite(north_ms) and math.isfinite(east_ms) and (north_ms or east_ms):
+            self._change(time_s, wind=Wind(north_ms, east_ms, sd_ms))
+
+    def landed(self, time_s: float, is_landed: bool | None) -> None:
+        """Take whether the aircraft stands on the ground."""
+        if is_landed is not self._known["landed"]:
+            self._change(time_s, landed=is_landed)
+
+    def _change(self, time_s: float, **changed: Any) -> None:
+        """Change what is known. What was known until now is kept if it lasted: of one instant only the last state."""
+        was_s = self._known["time_s"]
+        if self._kept is not None and time_s > was_s:
+            self._kept.append(self.now)
+        self._known.update(changed)
+        self._known["time_s"] = time_s if not time_s <= was_s else was_s
+        self._built = None
+
+
+def _is_place(lat_deg: float, lon_deg: float) -> bool:
+    """Whether this is a place on Earth; latitude and longitude 0 are what a receiver says that has no fix."""
+    return abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and not (lat_deg == 0.0 and lon_deg == 0.0)
+
+
+def _is_same(one: object, other: object) -> bool:
+    """Whether two values are equal, an unknown (NaN) being equal to an unknown."""
+    return repr(one) == repr(other)

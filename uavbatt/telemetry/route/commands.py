@@ -1,0 +1,198 @@
+"""Mission items as MAVLink spells them (MAV_CMD, MAV_FRAME, seven parameters) -> `MissionItem`, and items -> `Mission`.
+
+ArduPilot reads latitude and longitude 0 of an item as "where the aircraft is" and a height of 0 as "as it is"; PX4 says
+both with NaN. A command that moves the aircraft in a way that is not understood here, or fields that cannot be true,
+make an item UNKNOWN, and one such item makes the route unknown: a wrong route is worse than none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from uavbatt.navigation import NAN, Action, Frame, Mission, MissionItem, SpeedKind
+
+WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
+SPLINE, DELAY, JUMP, SPEED = 82, 93, 177, 178
+_PARACHUTE, _PARACHUTE_RELEASE = 208, 2
+_LAST_NAVIGATION_COMMAND = 95  # MAV_CMD_NAV_LAST: up to here an item is flown to, or waited at
+FRAMES = {0: Frame.SEA, 5: Frame.SEA, 3: Frame.HOME, 6: Frame.HOME, 10: Frame.TERRAIN, 11: Frame.TERRAIN}
+SPEED_KINDS = {0: SpeedKind.AIR, 1: SpeedKind.GROUND, 2: SpeedKind.CLIMB, 3: SpeedKind.DESCENT}
+_AT_A_PLACE = {
+    WAYPOINT: Action.WAYPOINT, SPLINE: Action.SPLINE, LOITER_UNLIMITED: Action.LOITER_UNLIMITED,
+    LOITER_TURNS: Action.LOITER_TURNS, LOITER_TIME: Action.LOITER_TIME, LAND: Action.LAND, TAKEOFF: Action.TAKEOFF,
+}  # fmt: skip
+_HIGHEST_M, _FASTEST_MS, _LONGEST_S, _MOST_TURNS = 20_000.0, 100.0, 86_400.0, 10_000.0
+
+# Camera, gimbal, servo, fence, tags and conditions of such items: they move nothing and take no time.
+_HARMLESS = frozenset(
+    (80, 112, 114, 115, 181, 182, 183, 184, 187, 188, 189, 195, 196, 197, 198, 200, 201, 202, 203, 204, 205, 206, 207,
+     _PARACHUTE, 211, 212, 214, 215, 216, 217, 220, 530, 531, 532, 533, 534, 600, 1000, 1001, 2000, 2001, 2003, 2500,
+     2501, 42600)
+)  # fmt: skip
+_NAMES = {
+    24: "a local take-off", 23: "a local landing", 25: "following", 30: "a change of height", 31: "loiter to a height",
+    34: "an orbit", 36: "an arc", 83: "waiting for a height", 84: "a VTOL take-off", 85: "a VTOL landing",
+    92: "guidance by another computer", 94: "placing a payload", 113: "a change of height", 176: "a change of mode",
+    179: "a new home", 186: "a change of height", 190: "a landing at a rally point", 191: "going around",
+    192: "a new place", 193: "a pause", 601: "a jump to a tag", 3000: "a VTOL transition", 42702: "a script",
+}  # fmt: skip
+
+
+class Fields(NamedTuple):
+    """The fields of one item as its sender spells them; degrees and metres, NaN for what it leaves open."""
+
+    seq: int
+    frame: int  # MAV_FRAME; -1: it is not said
+    command: int  # MAV_CMD
+    param1: float
+    param2: float
+    param3: float
+    param4: float
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+def is_flown(command: int) -> bool:
+    """Whether an autopilot calls an item of this command its current one: it flies to it or waits at it."""
+    return command <= _LAST_NAVIGATION_COMMAND
+
+
+def needs_height(command: int) -> bool:
+    """Whether an item of this command is flown to at a height of its own."""
+    return command in _AT_A_PLACE and command != LAND
+
+
+def mission_item(fields: Fields, is_px4: bool = False) -> MissionItem:
+    """Return what a mission item asks for; UNKNOWN with a reason when that is not understood."""
+    if fields.command in _AT_A_PLACE:
+        return _at_a_place(fields, is_px4)
+    read = _WITHOUT_PLACE.get(fields.command)
+    if read is not None:
+        return read(fields)
+    is_release = fields.command == _PARACHUTE and fields.param1 == _PARACHUTE_RELEASE
+    if fields.command in _HARMLESS and not is_release:
+        return MissionItem(fields.seq, Action.OTHER, command=fields.command)
+    name = _NAMES.get(fields.command, "what this does")
+    return _unknown(fields, f"{name} is not understood (command {fields.command})")
+
+
+def item_fields(item: MissionItem) -> Fields:
+    """Return the fields by which an item is sent: the inverse of `mission_item` for what is understood (ArduPilot)."""
+    param1 = {Action.LOITER_TURNS: item.turns, Action.SPEED: _number_of(item.speed_kind), Action.JUMP: item.jump_to}
+    param2 = {Action.SPEED: item.speed_ms if item.speed_ms > 0.0 else -2.0, Action.JUMP: item.repeats}
+    lat_deg, lon_deg, alt_m = (0.0 if v != v else v for v in (item.lat_deg, item.lon_deg, item.alt_m))
+    frame = next(number for number in (0, 3, 10) if FRAMES[number] is item.frame)
+    return Fields(
+        item.seq, frame, item.command, float(param1.get(item.action, item.hold_s)), float(param2.get(item.action, 0.0)),
+        item.radius_m, 0.0, lat_deg, lon_deg, alt_m,
+    )  # fmt: skip
+
+
+def _number_of(kind: SpeedKind) -> int:
+    return next(number for number, known in SPEED_KINDS.items() if known is kind)
+
+
+def mission(items: Sequence[MissionItem], source: str, has_home_item: bool = True) -> Mission:
+    """Return the mission of these items (in order), with the reason why it is not understood, if it is not."""
+    return Mission(tuple(items), source, _reason(items, has_home_item), has_home_item)
+
+
+def _reason(items: Sequence[MissionItem], has_home_item: bool) -> str:
+    flown = items[1:] if has_home_item else items
+    if not flown:
+        return "the mission has no items"
+    gap = next((at for at, item in enumerate(items) if item.seq != at), None)
+    if gap is not None:
+        return f"item {gap} of the mission is missing"
+    for item in flown:
+        if item.action is Action.UNKNOWN:
+            return f"item {item.seq}: {item.reason}"
+        if item.action is Action.JUMP and not 0 < item.jump_to + (not has_home_item) <= len(flown):
+            return f"item {item.seq}: jumps to item {item.jump_to} of {len(items)}"
+    return ""
+
+
+def _unknown(fields: Fields, reason: str) -> MissionItem:
+    return MissionItem(fields.seq, Action.UNKNOWN, command=fields.command, reason=reason)
+
+
+def _at_a_place(fields: Fields, is_px4: bool) -> MissionItem:
+    """Return an item that is flown to."""
+    lat_deg, lon_deg, alt_m = fields.lat_deg, fields.lon_deg, fields.alt_m
+    if lat_deg == 0.0 and lon_deg == 0.0:
+        lat_deg = lon_deg = NAN
+    elif not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0) and not (
+        lat_deg != lat_deg and lon_deg != lon_deg and fields.command != WAYPOINT
+    ):
+        return _unknown(fields, f"no place is at latitude {lat_deg:g}, longitude {lon_deg:g}")
+    action, frame = _AT_A_PLACE[fields.command], FRAMES.get(fields.frame)
+    if action is Action.LAND or (alt_m == 0.0 and not is_px4 and action is not Action.TAKEOFF):
+        alt_m = NAN
+    if abs(alt_m) > _HIGHEST_M:
+        return _unknown(fields, f"a height of {alt_m:g} m")
+    if alt_m == alt_m and frame is None:
+        said = f"height in frame {fields.frame}" if fields.frame >= 0 else "height without a frame"
+        return _unknown(fields, f"{said} is not understood")
+    return _stay(fields, MissionItem(
+        fields.seq, action, lat_deg, lon_deg, alt_m, frame or Frame.HOME, command=fields.command
+    ))  # fmt: skip
+
+
+def _stay(fields: Fields, item: MissionItem) -> MissionItem:
+    """Return the item with how long it is stayed at."""
+    if item.action is Action.LOITER_TURNS:
+        if not 0.0 <= fields.param1 <= _MOST_TURNS:
+            return _unknown(fields, f"{fields.param1:g} turns")
+        return replace(item, turns=fields.param1, radius_m=_radius_m(fields.param3))
+    if item.action is Action.LOITER_UNLIMITED:
+        return replace(item, radius_m=_radius_m(fields.param3))
+    may_be_open = item.action in (Action.WAYPOINT, Action.SPLINE) and fields.param1 != fields.param1
+    if may_be_open or item.action in (Action.TAKEOFF, Action.LAND):
+        return item
+    if not 0.0 <= fields.param1 <= _LONGEST_S:
+        return _unknown(fields, f"a stay of {fields.param1:g} s")
+    return replace(item, hold_s=fields.param1)
+
+
+def _radius_m(said: float) -> float:
+    """Return the radius of a circle [m]; its sign is the direction, 0 is the autopilot's own."""
+    return abs(said) if math.isfinite(said) else 0.0
+
+
+def _speed(fields: Fields) -> MissionItem:
+    """DO_CHANGE_SPEED: kind, speed [m/s]; -1 changes nothing, -2 is the vehicle's own speed again."""
+    kind = SPEED_KINDS.get(int(fields.param1)) if math.isfinite(fields.param1) else None
+    if kind is None or fields.param2 > _FASTEST_MS:
+        return _unknown(fields, f"a speed of {fields.param2:g} m/s of kind {fields.param1:g}")
+    if fields.param2 > 0.0 or fields.param2 == -2.0:
+        speed_ms = fields.param2 if fields.param2 > 0.0 else NAN
+        return MissionItem(fields.seq, Action.SPEED, speed_ms=speed_ms, speed_kind=kind, command=fields.command)
+    return MissionItem(fields.seq, Action.OTHER, command=fields.command)
+
+
+def _jump(fields: Fields) -> MissionItem:
+    """DO_JUMP: item, how often (-1 without end)."""
+    if not (math.isfinite(fields.param1) and math.isfinite(fields.param2)) or fields.param1 < 0.0:
+        return _unknown(fields, f"a jump to item {fields.param1:g}, {fields.param2:g} times")
+    repeats = max(int(fields.param2), -1)
+    return MissionItem(fields.seq, Action.JUMP, jump_to=int(fields.param1), repeats=repeats, command=fields.command)
+
+
+def _delay(fields: Fields) -> MissionItem:
+    """NAV_DELAY: seconds, or a time of day when they are -1."""
+    if not 0.0 <= fields.param1 <= _LONGEST_S:
+        return _unknown(fields, "waiting for a time of day is not understood")
+    return MissionItem(fields.seq, Action.DELAY, hold_s=fields.param1, command=fields.command)
+
+
+def _return(fields: Fields) -> MissionItem:
+    return MissionItem(fields.seq, Action.RETURN, command=fields.command)
+
+
+_WITHOUT_PLACE: dict[int, Callable[[Fields], MissionItem]] = {
+    SPEED: _speed, JUMP: _jump, DELAY: _delay, RETURN: _return,
+}  # fmt: skip

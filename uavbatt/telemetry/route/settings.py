@@ -1,0 +1,99 @@
+"""Vehicle parameters of speeds and of the way home -> `ReturnSettings`.
+
+ArduCopter until 4.6 counts in centimetres (WPNAV_SPEED, RTL_ALT), from 4.7 on in metres under new names (WP_SPD,
+RTL_ALT_M); PX4 counts in metres. 0 of an ArduCopter speed is "the speed of the mission".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from uavbatt.navigation import NAN, ReturnSettings
+
+_CENTI = 0.01
+_CRUISE = (("WP_SPD", 1.0), ("WPNAV_SPEED", _CENTI), ("MPC_XY_CRUISE", 1.0))
+_CLIMB = (("WP_SPD_UP", 1.0), ("WPNAV_SPEED_UP", _CENTI), ("MPC_Z_V_AUTO_UP", 1.0), ("MPC_Z_VEL_MAX_UP", 1.0))
+_DESCENT = (("WP_SPD_DN", 1.0), ("WPNAV_SPEED_DN", _CENTI), ("MPC_Z_V_AUTO_DN", 1.0), ("MPC_Z_VEL_MAX_DN", 1.0))
+_RETURN_HEIGHT = (("RTL_ALT_M", 1.0), ("RTL_ALT", _CENTI), ("RTL_RETURN_ALT", 1.0))
+_RETURN_SPEED = (("RTL_SPEED_MS", 1.0), ("RTL_SPEED", _CENTI))
+_RETURN_FINAL = (("RTL_ALT_FINAL_M", 1.0), ("RTL_ALT_FINAL", _CENTI))
+_RETURN_CLIMB_MIN = (("RTL_CLIMB_MIN_M", 1.0), ("RTL_CLIMB_MIN", _CENTI))
+_RETURN_HOLD = (("RTL_LOIT_TIME", 0.001), ("RTL_LAND_DELAY", 1.0))
+_LAND = (("LAND_SPD_MS", 1.0), ("LAND_SPEED", _CENTI), ("MPC_LAND_SPEED", 1.0))
+_LAND_FAST = (("LAND_SPD_HIGH_MS", 1.0), ("LAND_SPEED_HIGH", _CENTI))
+_LAND_SLOW_BELOW = (("LAND_ALT_LOW_M", 1.0), ("LAND_ALT_LOW", _CENTI), ("MPC_LAND_ALT2", 1.0))
+_ACCEPT = (("WP_RADIUS_M", 1.0), ("WPNAV_RADIUS", _CENTI), ("NAV_ACC_RAD", 1.0))
+_CONE_SLOPE, _CONE_ANGLE_DEG = "RTL_CONE_SLOPE", "RTL_CONE_ANG"
+_PX4_DESCEND_ALT, _PX4_LAND_DELAY, _PX4_RETURN_ALT = "RTL_DESCEND_ALT", "RTL_LAND_DELAY", "RTL_RETURN_ALT"
+_RALLY, _TERRAIN, _PX4_TYPE = "RALLY_TOTAL", "RTL_ALT_TYPE", "RTL_TYPE"
+_ALL = (
+    _CRUISE, _CLIMB, _DESCENT, _RETURN_HEIGHT, _RETURN_SPEED, _RETURN_FINAL, _RETURN_CLIMB_MIN, _RETURN_HOLD, _LAND,
+    _LAND_FAST, _LAND_SLOW_BELOW, _ACCEPT,
+)  # fmt: skip
+
+NAMES = frozenset(name for names in _ALL for name, _ in names) | {
+    _CONE_SLOPE, _CONE_ANGLE_DEG, _PX4_DESCEND_ALT, _RALLY, _TERRAIN, _PX4_TYPE,
+}  # fmt: skip
+"""The parameters that this module reads."""
+
+
+def return_settings(known: Mapping[str, float]) -> ReturnSettings:
+    """Return what the known parameters (by name) say of speeds and of the way home."""
+    return ReturnSettings(
+        cruise_ms=_positive(known, _CRUISE),
+        climb_ms=_positive(known, _CLIMB),
+        descent_ms=_positive(known, _DESCENT),
+        return_height_m=_first(known, _RETURN_HEIGHT),
+        return_ms=_positive(known, _RETURN_SPEED),
+        return_hold_s=_hold_s(known),
+        return_final_m=_final_m(known),
+        land_ms=_positive(known, _LAND),
+        land_slow_below_m=_positive(known, _LAND_SLOW_BELOW),
+        accept_m=_positive(known, _ACCEPT),
+        land_fast_ms=_positive(known, _LAND_FAST),
+        return_climb_min_m=_first(known, _RETURN_CLIMB_MIN),
+        return_cone_slope=_cone_slope(known),
+        return_reason=_reason(known),
+    )
+
+
+def _first(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
+    """The first of the named parameters that is known, in SI; NaN without one."""
+    return next((known[name] * factor for name, factor in names if math.isfinite(known.get(name, NAN))), NAN)
+
+
+def _positive(known: Mapping[str, float], names: tuple[tuple[str, float], ...]) -> float:
+    value = _first(known, names)
+    return value if value > 0.0 else NAN
+
+
+def _hold_s(known: Mapping[str, float]) -> float:
+    """Seconds above home [s]; PX4's -1 (for ever) is said by `return_final_m`."""
+    return max(_first(known, _RETURN_HOLD), 0.0) if math.isfinite(_first(known, _RETURN_HOLD)) else NAN
+
+
+def _final_m(known: Mapping[str, float]) -> float:
+    """Height at which a return ends [m]; 0 lands."""
+    if known.get(_PX4_LAND_DELAY, 0.0) < 0.0:
+        return known.get(_PX4_DESCEND_ALT, NAN)
+    return 0.0 if _PX4_RETURN_ALT in known else _first(known, _RETURN_FINAL)
+
+
+def _cone_slope(known: Mapping[str, float]) -> float:
+    """Metres of return height a metre of distance; PX4 says it as the cone's half angle [deg], 0 is no cone."""
+    angle_deg = known.get(_CONE_ANGLE_DEG, NAN)
+    if math.isfinite(angle_deg):
+        return 1.0 / math.tan(math.radians(angle_deg)) if 0.0 < angle_deg <= 90.0 else 0.0
+    return known.get(_CONE_SLOPE, NAN)
+
+
+def _reason(known: Mapping[str, float]) -> str:
+    """Why the way home is not the straight one, if it is not."""
+    if known.get(_RALLY, 0.0) > 0.0:
+        return f"the vehicle has rally points (RALLY_TOTAL {known[_RALLY]:g}): it may return to one of them"
+    if known.get(_TERRAIN, 0.0) > 0.0:
+        return "the vehicle returns at a height above the terrain (RTL_ALT_TYPE 1)"
+    if known.get(_PX4_TYPE, 0.0) > 0.0:
+        return f"the vehicle may return along a mission (RTL_TYPE {known[_PX4_TYPE]:g})"
+    return ""

@@ -1,0 +1,113 @@
+"""The mission protocol as it passes: which mission the autopilot holds, put together from other programs' transfers.
+
+    download   autopilot: MISSION_COUNT, then MISSION_ITEM(_INT) as they are asked for: whole when every item was heard
+    upload     another: MISSION_COUNT, MISSION_ITEM(_INT); counts when the autopilot has answered MISSION_ACK accepted
+    partly     another: MISSION_WRITE_PARTIAL_LIST, some items; counts likewise
+    clearing   another: MISSION_CLEAR_ALL; counts likewise
+
+An upload that breaks off leaves the autopilot with a mixture: the old mission stays, and is said to be in transfer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uavbatt.navigation import Mission, MissionItem
+from uavbatt.telemetry.route import commands
+
+SILENT_S = 10.0  # a transfer without a word for so long is over; autopilots give up after 8 s
+ACCEPTED = 0
+MOST_ITEMS = 5000
+
+
+class Transfer:
+    """One transfer of a mission, and what came of those before."""
+
+    def __init__(self) -> None:
+        self._count: int | None = None
+        self._is_upload = False
+        self._items: dict[int, MissionItem] = {}
+        self._is_clearing = False
+        self._in_doubt = False  # an upload began and did not end well
+        self._heard_s = -math.inf
+        self._written_s = self._others_heard_s = -math.inf
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a mission is passing, or one that passed was left half written."""
+        return self._count is not None or self._in_doubt
+
+    def is_others(self, time_s: float) -> bool:
+        """Whether another station has been transferring a mission in the last seconds before `time_s` [s]."""
+        return time_s - self._others_heard_s <= SILENT_S
+
+    def of_another(self, time_s: float) -> None:
+        """A word of the mission protocol that is not between the autopilot and us."""
+        self._others_heard_s = time_s
+
+    @property
+    def missing(self) -> int | None:
+        """The first item of an open download that was not heard yet; None without one."""
+        if self._count is None or self._is_upload:
+            return None
+        return next((seq for seq in range(self._count) if seq not in self._items), None)
+
+    def passes(self, time_s: float) -> None:
+        """Time goes on: a transfer that has been silent is over."""
+        if self._count is not None and time_s - self._heard_s > SILENT_S:
+            self._end(in_doubt=self._in_doubt or (self._is_upload and bool(self._items)))
+
+    def begins(self, time_s: float, count: int, is_upload: bool, old: Sequence[MissionItem] = ()) -> None:
+        """A transfer of `count` items begins; those of `old` stay as they are."""
+        if count > MOST_ITEMS:
+            return
+        self._in_doubt = self._in_doubt or (self._is_upload and bool(self._items) and self._count is not None)
+        self._count, self._is_upload, self._heard_s = count, is_upload, time_s
+        self._written_s = time_s if is_upload else self._written_s
+        self._items = {item.seq: item for item in old}
+
+    def takes(self, time_s: float, item: MissionItem, is_upload: bool) -> None:
+        """An item passes; it counts if it belongs to the transfer that is open."""
+        if self._count is None or is_upload is not self._is_upload or item.seq >= self._count:
+            return
+        self._items[item.seq] = item
+        self._heard_s = time_s
+        self._written_s = time_s if is_upload else self._written_s
+
+    def clears(self, time_s: float) -> None:
+        """Another program asks the autopilot to forget its mission."""
+        self._is_clearing, self._heard_s, self._written_s = True, time_s, time_s
+
+    def whole(self, source: str, has_home_item: bool) -> Mission | None:
+        """Return the mission of a download once it is whole."""
+        return None if self._is_upload else self._finished(source, has_home_item)
+
+    def explains_acknowledgement(self, time_s: float) -> bool:
+        """Whether a writing transfer was heard that the autopilot may be acknowledging at `time_s` [s]."""
+        return self._is_clearing or time_s - self._written_s <= SILENT_S
+
+    def acknowledged(self, result: int, source: str, has_home_item: bool) -> Mission | None:
+        """Return the mission that the autopilot has accepted, if this acknowledgement is of one."""
+        if self._is_clearing:
+            self._is_clearing = False
+            if result == ACCEPTED:
+                self._in_doubt = False
+                return commands.mission((), source, has_home_item)
+            return None
+        if not self._is_upload or self._count is None:
+            return None
+        if result == ACCEPTED:
+            return self._finished(source, has_home_item)
+        self._end(in_doubt=self._in_doubt or bool(self._items))
+        return None
+
+    def _finished(self, source: str, has_home_item: bool) -> Mission | None:
+        if self._count is None or len(self._items) < self._count:
+            return None
+        items = [self._items[seq] for seq in range(self._count)]
+        self._end(in_doubt=False)
+        return commands.mission(items, source, has_home_item)
+
+    def _end(self, in_doubt: bool) -> None:
+        self._count, self._items, self._in_doubt = None, {}, in_doubt
