@@ -381,7 +381,7 @@ def test_an_error_inside_the_model_refuses_the_row_and_ends_nothing(monkeypatch:
     bench = Bench(OPTIONS)
     bench.play(flight()[:20])
     with monkeypatch.context() as broken:
-        broken.setattr("uavbatt.estimator.Estimator.ask", lambda *_: [][0])
+        broken.setattr("uavbatt.estimator.Estimator.step", lambda *_: [][0])
         bench.now_s += 0.5
         bench.play(flight()[20:24])
         shown = bench.daemon.board.reports[0]

@@ -20,12 +20,13 @@ MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
 NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
-OVERLAP = 0.6  # sd of a member as a share of the distance to the next
+OVERLAP, UNKNOWN_MAKE_OVERLAP = 0.35, 0.6  # sd of a member as a share of the distance to the next
 # A capacity stated ten times too large, and what lies between.
 ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
-# Shares, means and sds of ln(capacity / stated): packs as good as new, packs in service, and those of which something
-# stated is wrong.
-PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
+# Shares, means and sds of ln(capacity / stated) beside what the file's own packs are spread by: packs as good as new,
+# packs in service, and those of which something stated is wrong.
+PRIOR = ((0.68, 0.0, 0.0), (0.25, -0.14, 0.09), (0.07, -0.30, 0.35))
+UNKNOWN_MAKE_PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
 
 
 class Capacities(NamedTuple):
@@ -38,16 +39,18 @@ class Capacities(NamedTuple):
 
 def capacities(pack: Pack) -> Capacities:
     """The prior of a pack that nobody measured; `pack.capacity_scale_sd` widens it."""
-    widest = math.hypot(PRIOR[1][2], pack.capacity_scale_sd)
+    is_known = pack.capacity_short_sd == 0.0  # the make was measured
+    prior, overlap = (PRIOR, OVERLAP) if is_known else (UNKNOWN_MAKE_PRIOR, UNKNOWN_MAKE_OVERLAP)
+    widest = math.hypot(prior[1][2], pack.capacity_scale_sd)
     scale = np.linspace(min(SMALLEST, -REACH * widest), max(LARGEST, REACH * widest), MEMBERS)
     weight = np.zeros(MEMBERS)
-    for share, mean, own_sd in PRIOR:
+    for share, mean, own_sd in prior:
         above = math.hypot(own_sd, pack.capacity_scale_sd)
         short_sd = pack.capacity_short_sd * (1.0 if mean < 0.0 else NEW_SHORT)
         sd = np.where(scale > mean, above, math.hypot(above, short_sd))
         weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
     weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
-    member_sd = np.full(MEMBERS, OVERLAP * float(scale[1] - scale[0]))
+    member_sd = np.full(MEMBERS, overlap * float(scale[1] - scale[0]))
     return Capacities(
         np.concatenate([ABSURD, scale]),
         np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),

@@ -51,17 +51,19 @@ def charge_at(p: Parameters, emf_V: float, sd_V: float) -> Charge:
     return Charge(float(np.clip(soc, 0.0, 1.0)), float(max(0.5 * (high - low), 0.01)))
 
 
-def joint(p: Parameters, emf_V: float, reading_sd_V: float, bias_sd_V: float, may_be_full: bool) -> tuple[Array, Array]:
+def joint(
+    p: Parameters, emf_V: float, reading_sd_V: float, bias_sd_V: float, may_be_full: bool, full_share: float = 1.0
+) -> tuple[Array, Array]:
     """Mean [2] and covariance [2, 2] of (charge, discrepancy [V]) after a reading of OCV(charge) + discrepancy.
 
     Before a flight (`may_be_full`) the habit of flying full packs weighs in: the mixture of "just charged" (FULL_SHARE,
-    FULL_SD) and "any charge", by its moments.
+    FULL_SD, `full_share` of the discrepancy) and "any charge", by its moments.
     """
     read = charge_at(p, emf_V, math.hypot(reading_sd_V, bias_sd_V))
     any_charge = _read(p, emf_V, read.soc, ANY_SD, reading_sd_V, bias_sd_V)
     if not may_be_full:
         return any_charge.mean, any_charge.covariance
-    as_full = _read(p, emf_V, 1.0, FULL_SD, reading_sd_V, bias_sd_V)
+    as_full = _read(p, emf_V, 1.0, FULL_SD, reading_sd_V, full_share * bias_sd_V)
     weight = np.array([FULL_SHARE * as_full.likelihood, (1.0 - FULL_SHARE) * any_charge.likelihood])
     weight = weight / weight.sum() if weight.sum() > 0.0 else np.array([0.0, 1.0])
     mean = weight[0] * as_full.mean + weight[1] * any_charge.mean

@@ -33,6 +33,9 @@ class Pack(NamedTuple):
     temperature_sd_K: float
     row_share: float  # part of a change of current between rows that a row's voltage does not show
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
+    drop_share: float  # relative error of the drop under load, from reading to reading
+    rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
+    evidence_share: float  # of a reading within its noise, when capacities are compared: less where errors last
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
     guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
@@ -42,13 +45,19 @@ class Pack(NamedTuple):
 # Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
 # row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
 ROW_SHARE = 0.12
+DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
 COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
-SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.02, 3000.0
-SERVICE_RESISTANCE_SD = 0.15  # ohms grow with age, and contacts with dirt
-# Of a make that nobody tested the printed capacity is no measurement either, and racing packs have a third of the ohms.
-UNKNOWN_MAKE_CAPACITY_SD, UNKNOWN_MAKE_RESISTANCE_SD = 0.45, 0.3
+SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 3000.0
+SERVICE_RESISTANCE_SD = 0.3  # ohms grow with age, and contacts with dirt
+# Of a make that nobody tested the printed capacity is no measurement either.
+UNKNOWN_MAKE_CAPACITY_SD = 0.45
+# Its curve is a mean over makes, off for minutes at a time and always to the same side: a tenth of the readings is new,
+# and its wide discrepancy takes up what the drop is wrong by.
+UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE, UNKNOWN_MAKE_BIAS_SD_V = 0.1, 0.06, 0.02
+# A fit has seen few packs at rest but full ones; a mean over makes is at rest as good anywhere.
+RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
 # The discrepancy of a prior is that of its whole curve, whose knots state their own errors: this share is left.
 BESIDE_KNOTS = 0.45
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
@@ -151,18 +160,18 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,
-        resistance_scale_sd=math.hypot(
-            file.parameters.resistance_scale_sd * widening,
-            UNKNOWN_MAKE_RESISTANCE_SD if unknown else SERVICE_RESISTANCE_SD,
-        ),
+        resistance_scale_sd=math.hypot(file.parameters.resistance_scale_sd * widening, SERVICE_RESISTANCE_SD),
         capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
         capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
-        bias_sd_V=math.hypot(stated_V, SERVICE_BIAS_SD_V),
+        bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, SERVICE_BIAS_TAU_S),
         ocv_sd_V=_ocv_sd_V(file),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
         row_share=ROW_SHARE,
         lag_share=(_relative(file, "polarisation_ratio"), _relative(file, "diffusion_ratio")),
+        drop_share=UNKNOWN_MAKE_DROP_SHARE if unknown else DROP_SHARE,
+        rested_share=UNKNOWN_MAKE_RESTED_SHARE if unknown else RESTED_SHARE,
+        evidence_share=UNKNOWN_MAKE_EVIDENCE if unknown else 1.0,
     )
 
 

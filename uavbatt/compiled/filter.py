@@ -236,7 +236,8 @@ def close(
                 P[k, i, j] = spread[i, j]
     for i in range(block.size):
         block[i] = 0.0
-    return weighed(log_weight, innovation_V, variance_V2), shown_V, shown_nis, expected_V, mean_A
+    log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
+    return log_weight, shown_V, shown_nis, expected_V, mean_A
 
 
 @compiled

@@ -19,8 +19,6 @@ from uavbatt.battery.state_space import SIZE, C
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
-# The model's own error of the OCV counts half there: the fit has seen rested starts too.
-RESTED_BIAS = 0.5
 # An electrode that reacts more sluggishly than the tested ones takes a voltage at once when the load comes, nearly the
 # same at every load (half of it at 0.3 C: Butler and Volmer), 0.05 V a cell at 0.6 of the exchange current.
 REACTION_SD_V, REACTION_HALF_RATE = 0.025, 0.3
@@ -40,8 +38,6 @@ OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
 VOLTAGE_SD_V = 0.004
-# The drop itself is known to this share from reading to reading; what is the same in all of them is the discrepancy's.
-DROP_SHARE = 0.06
 # An autopilot's own compensation is as good as its guess of the resistance.
 COMPENSATED_SHARE = 0.35
 
@@ -67,7 +63,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     """
     idle = abs(c_rate) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
-    model_sd_V = pack.bias_sd_V * (RESTED_BIAS if idle else 1.0)
+    model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
     read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
         state = initial_state.underway(pack.cell, read.soc, temp_C, c_rate)
@@ -76,7 +72,8 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
         read = initial_state.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
-    mean, covariance = initial_state.joint(pack.cell, cell_V + drop_V, reading_sd_V, bias_sd_V, may_be_full=idle)
+    emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
+    mean, covariance = initial_state.joint(pack.cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
     return First(initial_state.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
@@ -155,5 +152,5 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
 
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
     """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
-    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else DROP_SHARE, pack.guess_sd)
+    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else pack.drop_share, pack.guess_sd)
     return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2

@@ -29,7 +29,7 @@ from uavbatt.records import Sample
 
 GATE = 16.0
 FULL_SOC_SD = 0.01
-EVIDENCE_SHARE, LEAST_WEIGHT = 0.1, 1e-5
+LEAST_WEIGHT = 1e-5
 ROOM_TEMP_C = 22.0
 
 
@@ -196,7 +196,8 @@ def _update(pack: Pack, at: Moments, block: Block, step_A: float, condition: Con
     # Far off (NIS above GATE): believe it less, so that its normalised innovation is GATE.
     doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
     x, P = _at_most_full(*condition(at.x, at.P, innovation, observation, doubted), condition)
-    after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0]))
+    log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
+    after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weight)
     weight, soc = at.weight, float(after.weight @ x[:, C.SOC])
     return after, Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
 
@@ -214,18 +215,18 @@ def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Arra
     return x, P
 
 
-def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array) -> Array:
+def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array, evidence_share: float) -> Array:
     """ln of the members' weights after each has been surprised by `innovation_V` of variance `variance_V2` [members].
 
     One yardstick for all, the harmonic mean of the variances by weight: a member that holds its readings for less noisy
     would otherwise win by that alone, since all of them believe readings less than their noise deserves. Within the
-    noise neighbouring readings have the same error, so that each counts by EVIDENCE_SHARE; what is beyond it counts
-    whole, since no slow error of the model looks like the knee of an emptying pack. No weight falls below LEAST_WEIGHT:
-    who was wrong all along may be right about the knee.
+    noise a reading counts by `evidence_share`, which is less than 1 where the model's curve is that of other makes and
+    errs alike for minutes; what is beyond it counts whole, since no slow error of the model looks like the knee of an
+    emptying pack. No weight falls below LEAST_WEIGHT: who was wrong all along may be right about the knee.
     """
     yardstick_V2 = 1.0 / np.sum(np.exp(log_weight) / variance_V2)
     surprise = np.minimum(innovation_V**2 / yardstick_V2, GATE)
-    evidence = EVIDENCE_SHARE * np.minimum(surprise, 1.0) + np.maximum(surprise - 1.0, 0.0)
+    evidence = evidence_share * np.minimum(surprise, 1.0) + np.maximum(surprise - 1.0, 0.0)
     raised = log_weight - 0.5 * (evidence - np.min(evidence))
     weight = np.exp(raised - np.max(raised))
     weight = weight / np.sum(weight)

@@ -10,7 +10,7 @@ from uavbatt.battery.sizing import PackSize, certificate_remark
 from uavbatt.estimation.filter import Summary
 from uavbatt.records import Sample
 
-NOTICED_WEAR, WEAR_IS_SURE = 0.07, 3.0
+NOTICED_WEAR, WEAR_IS_SURE = 0.15, 3.0
 BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer than the air that it was tested in
 
 
@@ -29,11 +29,12 @@ def remarks(
         found.append("no usable pack temperature")
     if pack.sag_compensated:
         found.append("the autopilot reports sag-compensated voltage (BATT_OPTIONS bit 6)")
-    if is_metered and battery.is_measured and is_worn(known, pack):
+    if is_metered and battery.is_measured and is_worn(known, battery):
         found.append("this pack has more ohms than its type: aged, or colder than it says; less charge is expected")
     return tuple(found)
 
 
-def is_worn(known: Summary, pack: Pack) -> bool:
+def is_worn(known: Summary, battery: BatteryFile) -> bool:
     """True if the pack surely has more resistance than the packs of its type are spread by."""
-    return known.wear > max(NOTICED_WEAR, pack.resistance_scale_sd) and known.wear > WEAR_IS_SURE * known.wear_sd
+    unusual = math.hypot(NOTICED_WEAR, battery.parameters.resistance_scale_sd)
+    return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd
