@@ -1,6 +1,6 @@
 """Every score of the project in one run, beside the methods of PX4, ArduPilot and INAV.
 
-    python scripts/score.py [--only m100|truth|flights] [--markdown FILE]
+    python scripts/score.py [--only m100|truth|flights|routes] [--markdown FILE]
 
 Reads the measured data ($UAVBATT_DATA, else ../shared/data beside the checkout). Tables go to stdout, progress to
 stderr; --markdown also writes them for the README.
@@ -19,7 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread
 from scoring.progress import progress
 from scoring.table import Table
 
-SECTIONS = ("m100", "truth", "flights")
+SECTIONS = ("m100", "truth", "flights", "routes")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -59,6 +59,10 @@ def _section(name: str) -> list[Table]:
         from scoring import truth
 
         made = truth.tables(folder, say)
+    elif name == "routes":
+        from scoring import routes
+
+        made = routes.tables(folder, say)
     else:
         from scoring import shared
 

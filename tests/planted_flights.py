@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from uavbatt.battery import battery_file
+from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.scaling import cell_parameters
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.fitting.observed import Observed
@@ -20,7 +21,14 @@ FILE = msgspec.structs.replace(
     parameters=msgspec.structs.replace(
         GENERIC.parameters, resistance_scale_sd=0.06, capacity_scale_sd=0.02, standard_error={}
     ),
-)
+    discrepancy=msgspec.structs.replace(
+        GENERIC.discrepancy,
+        wander=Wander(
+            soc=[0.0, 1.0], voltage_sd_V=[0.004, 0.004], voltage_time_s=120.0, voltage_noise_V=0.002, rest_sd_V=0.002,
+            temperature_sd_K=0.2, temperature_time_s=600.0, temperature_noise_K=0.05,
+        ),
+    ),
+)  # fmt: skip
 PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
 MISSIONS = ((25.0, 150.0, 1), (8.0, 170.0, 2), (35.0, 185.0, 3), (17.0, 140.0, 4))
 SOC = np.linspace(-0.05, 1.05, 221)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +28,7 @@ from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample,
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats import recording
+from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -58,11 +59,22 @@ def engine_for(*, is_long: bool) -> Engine:
     return compiled.engine() if compiled.is_available() else PLAIN
 
 
+def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
+    """Return the flight with the mission of a file in the place of whatever the log says of one."""
+    return replace(
+        flight,
+        navigation=tuple(
+            replace(known, mission=planned.mission, home=known.home or planned.home, transferring=False)
+            for known in flight.navigation
+        ),
+    )
+
+
 def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
     """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
     for facts, samples in _stretches(flight):
         estimator.update_facts(facts)
-        for estimate, remaining in estimator.run(samples):
+        for estimate, remaining in estimator.run(samples, flight.navigation_at):
             yield Step(estimate, remaining)
 
 

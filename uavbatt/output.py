@@ -17,7 +17,7 @@ from typing import Protocol, TextIO
 import msgspec
 
 from uavbatt.files import atomic_write
-from uavbatt.records import Estimate, Remaining, Status
+from uavbatt.records import Estimate, Remaining, Route, Status
 
 COLUMNS: Mapping[str, int | None] = {
     "time_s": 3,
@@ -37,6 +37,22 @@ COLUMNS: Mapping[str, int | None] = {
     "warnings": None,
 }
 """Key -> decimals (None: not a number). Each step lies well under what the sensor or the model can tell."""
+
+ROUTE_COLUMNS: Mapping[str, int | None] = {
+    "load": None,
+    "route_left_s": 1,
+    "route_soc": 4,
+    "route_soc_lo": 4,
+    "route_soc_hi": 4,
+    "route_risk": 4,
+    "home_soc": 4,
+    "home_soc_lo": 4,
+    "turn_back_s": 1,
+    "turn_back_lo_s": 1,
+    "turn_back_hi_s": 1,
+    "route_reason": None,
+}
+"""The keys that a line has in addition where a route or home is known."""
 
 REMAINING_KEYS = ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s")
 SOC_KEYS = ("soc", "soc_sd")
@@ -64,7 +80,16 @@ def line(estimate: Estimate, remaining: Remaining) -> Line:
         if digits is not None
     }
     made["status"], made["reason"], made["warnings"] = speaker.status.value, speaker.reason, list(estimate.warnings)
-    return made
+    return made if remaining.route is None else made | _route(remaining.route)
+
+
+def _route(route: Route) -> Line:
+    """The keys of `ROUTE_COLUMNS`, in that order."""
+    fields = {key: key.removeprefix("route_") for key in ROUTE_COLUMNS}
+    return {
+        key: getattr(route, fields[key]) if digits is None else rounded(getattr(route, fields[key]), digits)
+        for key, digits in ROUTE_COLUMNS.items()
+    }
 
 
 def rounded(value: float, decimals: int) -> float | None:
@@ -93,20 +118,24 @@ class JsonLinesSink:
 class CsvSink:
     """A header row, then one row a line; an empty cell is what JSON Lines calls null."""
 
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: TextIO, with_route: bool = False) -> None:
         self._rows = csv.writer(file, lineterminator="\n")
-        self._rows.writerow(COLUMNS)
+        self._columns = (*COLUMNS, *(ROUTE_COLUMNS if with_route else ()))
+        self._rows.writerow(self._columns)
 
     def write(self, line: Line) -> None:
-        """Write one row."""
-        self._rows.writerow("; ".join(value) if isinstance(value, list) else value for value in in_order(line).values())
+        """Write one row; what the line does not have is an empty cell."""
+        found = in_order(line)
+        values = (found.get(key) for key in self._columns)
+        self._rows.writerow("; ".join(value) if isinstance(value, list) else value for value in values)
 
 
 def in_order(line: Line) -> Line:
-    """`line` with exactly the keys of `COLUMNS`, in their order."""
-    if line.keys() != COLUMNS.keys():
-        raise KeyError(f"line keys differ from the declared ones: {sorted(line.keys() ^ COLUMNS.keys())}")
-    return {key: line[key] for key in COLUMNS}
+    """`line` with exactly the keys of `COLUMNS`, in their order; with a route those of `ROUTE_COLUMNS` behind them."""
+    declared = (*COLUMNS, *(ROUTE_COLUMNS if "load" in line else ()))
+    if line.keys() != set(declared):
+        raise KeyError(f"line keys differ from the declared ones: {sorted(line.keys() ^ set(declared))}")
+    return {key: line[key] for key in declared}
 
 
 @contextmanager
@@ -120,6 +149,6 @@ def json_lines(path: str | Path) -> AbstractContextManager[Sink]:
     return _opened(path, JsonLinesSink)
 
 
-def csv_table(path: str | Path) -> AbstractContextManager[Sink]:
-    """A context that gives a CSV sink to `path` (`-`: standard output)."""
-    return _opened(path, CsvSink)
+def csv_table(path: str | Path, with_route: bool = False) -> AbstractContextManager[Sink]:
+    """A context that gives a CSV sink to `path` (`-`: standard output), with columns for a route if there is one."""
+    return _opened(path, lambda file: CsvSink(file, with_route))

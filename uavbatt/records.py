@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from uavbatt.navigation import NOWHERE, Navigation
@@ -168,6 +168,43 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Route:
+    """What is known of the way to come: which load was used, the route's end, the way home, and when to turn back.
+
+    Times are seconds from now, charges 0..1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown, and
+    `reason` says why. `risk` is the probability that the end of flight comes before the route's touchdown.
+    """
+
+    load: str
+    left_s: float = NAN
+    soc: float = NAN
+    soc_lo: float = NAN
+    soc_hi: float = NAN
+    risk: float = NAN
+    home_soc: float = NAN
+    home_soc_lo: float = NAN
+    turn_back_s: float = NAN
+    turn_back_lo_s: float = NAN
+    turn_back_hi_s: float = NAN
+    reason: str = ""
+
+    def later(self, age_s: float) -> Route:
+        """The same, `age_s` [s] after it was said."""
+        return replace(
+            self,
+            left_s=_less(self.left_s, age_s),
+            turn_back_s=_less(self.turn_back_s, age_s),
+            turn_back_lo_s=_less(self.turn_back_lo_s, age_s),
+            turn_back_hi_s=_less(self.turn_back_hi_s, age_s),
+        )
+
+
+def _less(time_s: float, age_s: float) -> float:
+    """A time that has run, not below zero; unknown stays unknown."""
+    return max(time_s - age_s, 0.0) if math.isfinite(time_s) else time_s
+
+
+@dataclass(frozen=True, slots=True)
 class Remaining:
     """The time until the end of flight; NaN with a reason when it is refused.
 
@@ -190,3 +227,4 @@ class Remaining:
     status: Status
     reason: str = ""
     remaining_alarm_s: float = NAN
+    route: Route | None = None  # where the route or home is known

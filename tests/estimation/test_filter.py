@@ -17,7 +17,7 @@ from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, C
-from uavbatt.estimation import SocFilter, noise
+from uavbatt.estimation import SocFilter, noise, recursion
 from uavbatt.estimation.filter import estimate_of
 from uavbatt.records import NAN, Estimate, Sample, Status
 from uavbatt.simulate import Mission, fly
@@ -405,3 +405,13 @@ def test_rows_worked_out_ahead_are_those_of_filterpy() -> None:
         sd = np.sqrt(np.diag(alone.belief.covariance))
         apart = (found.belief.covariance - alone.belief.covariance) / np.outer(sd, sd)
         assert np.abs(apart).max() < 1e-9
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_within_the_noise_a_reading_weighs_by_its_share_and_beyond_it_whole(share: float) -> None:
+    """Two capacities, equally likely before; a share of 0.1 is that of a make that nobody tested."""
+    even, variance_V2 = np.log([0.5, 0.5]), np.array([0.01, 0.01])
+    within = recursion.weighed(even, np.array([0.0, 0.08]), variance_V2, share)
+    beyond = recursion.weighed(even, np.array([0.1, 0.3]), variance_V2, share)
+    assert within[0] - within[1] == pytest.approx(0.5 * share * 0.64, rel=1e-3)
+    assert beyond[0] - beyond[1] == pytest.approx(0.5 * 8.0, rel=1e-2)

@@ -13,6 +13,7 @@ from typing import Annotated
 import msgspec
 import tomli_w
 
+from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
 from uavbatt.files import atomic_write
 
@@ -22,6 +23,8 @@ MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
 Watts = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Speed = Annotated[float, msgspec.Meta(gt=0.0, le=200.0)]
+Height = Annotated[float, msgspec.Meta(ge=0.0, le=10_000.0)]
 Points = msgspec.Meta(min_length=2, max_length=MOST_POINTS)
 
 
@@ -41,6 +44,23 @@ class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     last_minute_W: Watts
 
 
+class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """How the vehicle flies routes and comes home, by its own parameters; what they do not say is left out.
+
+    The names are those of `navigation.ReturnSettings`.
+    """
+
+    cruise_ms: Speed | None = None
+    climb_ms: Speed | None = None
+    descent_ms: Speed | None = None
+    return_height_m: Height | None = None
+    return_ms: Speed | None = None
+    return_hold_s: Seconds | None = None
+    land_ms: Speed | None = None
+    land_fast_ms: Speed | None = None
+    land_slow_below_m: Height | None = None
+
+
 class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The whole file."""
 
@@ -49,6 +69,8 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     phases: Phases
     traces: Annotated[list[Trace], msgspec.Meta(max_length=MOST_TRACES)]
     source: str = ""
+    powers: Powers | None = None  # over airspeed and climb; None where no flight told them
+    speeds: Speeds | None = None
 
     def __repr__(self) -> str:
         """Return one line: past flights have thousands of points."""
@@ -57,8 +79,10 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 def write(file: VehicleFile, path: Path) -> Path:
     """Write the file, whole or not at all; returns the path."""
+    content = msgspec.to_builtins(file)
+    content = {key: value for key, value in content.items() if value is not None}  # TOML has no null
     with atomic_write(path, "wb") as stream:
-        tomli_w.dump(msgspec.to_builtins(file), stream)
+        tomli_w.dump(content, stream)
     return path
 
 

@@ -42,6 +42,10 @@ def plan(
     vehicle: Annotated[
         Path | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew before.")
     ] = None,
+    mission: Annotated[
+        Path | None, typer.Option("--mission", help="With --vehicle: does this .waypoints or .plan file fit?")
+    ] = None,
+    wind: Annotated[str | None, typer.Option("--wind", help="With --mission: SPEED@FROM_DEG [m/s], as 6@270.")] = None,
     ambient_c: AmbientOption = 20.0,
     start_soc: Annotated[
         float, typer.Option("--start-soc", min=0.01, max=1.0, help="State of charge at take-off, 0..1.")
@@ -55,17 +59,27 @@ def plan(
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
-    """Endurance before take-off, with its interval, and a table over ambient temperature."""
+    """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature."""
     from uavbatt import plan as planning
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
         raise UsageError("nothing says the power: expected one of --power-w W, --like LOG, --vehicle FILE")
-    check_writable(report, summary, reads=(like, vehicle))
+    if mission is not None and vehicle is None:
+        raise UsageError("--mission: expected with --vehicle FILE, which says what this aircraft asks in each leg")
+    if wind is not None and mission is None:
+        raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
+    check_writable(report, summary, reads=(like, vehicle, mission))
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = planning.resolve(content, options, flight)
+    if mission is not None and vehicle is not None:
+        from uavbatt.cli.plan_mission import plan_mission
+
+        conditions = (ambient_c, start_soc, reserve_soc)
+        plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary))
+        return
     load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
     found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc)
     for line in _lines(found):

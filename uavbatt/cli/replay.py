@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.battery.vehicle_file import VehicleFile
+    from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 
 def replay(
@@ -48,6 +49,9 @@ def replay(
     join: JoinOption = "",
     load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
     vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
+    mission: Annotated[
+        Path | None, typer.Option("--mission", help="What it was to fly: a .waypoints or .plan file.")
+    ] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
@@ -61,6 +65,7 @@ def replay(
     Example: uavbatt replay flight.BIN --report flight.html
     """
     from uavbatt.battery import vehicle_file
+    from uavbatt.telemetry.formats.mission_file import read_mission
 
     several = len(logs) > 1
     names = distinct_names(logs)
@@ -70,20 +75,20 @@ def replay(
     outputs = [summary, *(target for of_one in targets for target in of_one)]
     if several:
         _check_folders(jsonl, csv, report)
-        check_apart(outputs, reads=[*logs, vehicle])
+        check_apart(outputs, reads=[*logs, vehicle, mission])
         for folder in (jsonl, csv, report):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
-    check_writable(*outputs, reads=[*logs, vehicle])
+    check_writable(*outputs, reads=[*logs, vehicle, mission])
     content = read_battery(battery, allow_uncertified)
+    planned = read_mission(mission) if mission is not None else None
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results, failed = list[dict[str, Any]](), False
     for log, of_one in zip(logs, targets, strict=True):
+        chosen, to_come, outputs_of_one = (instance, join), (load, flown), (*of_one, summary)
         try:
-            results.append(
-                _one(log, content, (options, reserve_soc), (load, flown), (instance, join), (*of_one, summary))
-            )
+            results.append(_one(log, content, (options, reserve_soc), to_come, chosen, outputs_of_one, planned))
         except UavbattError as error:
             if not several:
                 raise
@@ -105,12 +110,13 @@ def _one(
     load: tuple[str, VehicleFile | None],
     chosen: tuple[int | None, str],
     outputs: Sequence[Path | None],
+    planned: PlannedFlight | None = None,
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
     from uavbatt.battery.statements import check
     from uavbatt.estimator import Estimator
-    from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps
+    from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps, with_mission
     from uavbatt.prediction.forecaster import Settings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
@@ -118,6 +124,8 @@ def _one(
 
     jsonl, csv, report = outputs[:3]
     flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
+    if planned is not None:
+        flight = with_mission(flight, planned)
     check(content, options, flight)
     period_s = forecast_period_s(log)
     to_come = stated_load(load[0], flight, load[1], content)
@@ -126,7 +134,7 @@ def _one(
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
-        out += [stack.enter_context(output.csv_table(csv))] if csv is not None else []
+        out += [stack.enter_context(output.csv_table(csv, bool(flight.navigation)))] if csv is not None else []
         for step in _with_progress(steps(flight, estimator), len(flight.samples), log.name):
             run.append(step)
             for sink in out:

@@ -33,6 +33,7 @@ from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
+FAR = 2.0  # a residual of so many times the file's own is not explained, whatever errors its tables may have
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 
@@ -97,7 +98,7 @@ def diagnose(
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
-    reasons = _doubts(problem, findings, best, left, {e.name for e in file.effects})
+    reasons = _doubts(problem, findings, best, left, {e.name for e in file.effects}, floor_V(file, problem))
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
@@ -179,19 +180,25 @@ def per_number(problem: Problem, fit: Refit) -> Left:
     return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def _doubts(problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str]) -> tuple[str, ...]:
+def _doubts(
+    problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str], floor: float
+) -> tuple[str, ...]:
     """Why the model after all is not believed to be complete; empty when it is."""
     doubts = []
+    after = residual.residuals(problem.evidence, at_best(problem, best))
     if left.voltage > LEFT:
-        after = residual.residuals(problem.evidence, at_best(problem, best))
         shape = residual.shape(after)
         doubts.append(
             f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {left.voltage:.1f} times what this "
             f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
             f"about {shape.time_scale_s:.0f} s"
         )
+    elif findings and residual.size_V(after) > FAR * floor:
+        doubts.append(
+            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV where this battery's model leaves "
+            f"{1000 * floor:.0f} mV: what is named is the smaller part of it, or none"
+        )
     if left.temperature > LEFT:
-        after = residual.residuals(problem.evidence, at_best(problem, best))
         doubts.append(
             f"the temperature residual is still {residual.size_K(after):.1f} K, {left.temperature:.1f} times what this "
             "battery's model leaves (chi-square)"

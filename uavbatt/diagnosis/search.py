@@ -19,7 +19,8 @@ from uavbatt.diagnosis.rivals import RIVAL, related, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
-EARNED_BESIDE = 24.0  # each of two, and beside a start in part: what is not quite the one named leaves most of that
+EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
+EARNED_IN_PART = 24.0  # beside a start in part, which the file's own error was not learned on
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
@@ -74,8 +75,8 @@ def search(
     """The best model with what was found, most evidence first, and the trial of the single effects."""
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
-    beside = problem.evidence.charged_in_part.any()  # the start is an effect already
-    if singles.most < (EARNED_BESIDE if beside else EARNED):
+    in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
+    if singles.most < (EARNED_IN_PART if in_part else EARNED):
         return nothing, [], singles
     first = finding(problem, singles)
     best = first.members[0]

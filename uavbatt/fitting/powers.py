@@ -13,18 +13,20 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import PRIOR_SD, TERMS, UNKNOWN, Powers, terms
+from uavbatt.navigation import Position
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.records import Flight
 
 BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
-TURNS, NOISE, NOISE_MEMORY_S = 6, 0.1, 10.0
+TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
+STEADY_MS2 = 0.3
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 
 
 class Rows(NamedTuple):
-    """Means over blocks of one flight: power [W], airspeed and climb [m/s], shares of take-off and landing, length [s]."""
+    """Means over blocks of one flight: power [W], airspeed, climb [m/s], shares of take-off and landing, length [s]."""
 
     power_W: Array
     airspeed_ms: Array
@@ -46,44 +48,66 @@ def powers(flights: list[Flight]) -> Powers | None:
 def flown_rows(flight: Flight) -> Rows | None:
     """Return one flight in blocks; None when too little of it is known."""
     progress, rows = Progress(), []
-    before_s = math.nan
+    before_s, before = math.nan, None
     for sample in flight.samples:
         navigation = flight.navigation_at(sample.time_s)
+        steady, before = _is_steady(before, navigation.position), navigation.position
         progress = progress.after(sample.time_s, navigation)
         flown, power_W = progress.flown(sample.time_s, navigation), sample.voltage_V * sample.current_A
-        length_s, before_s = sample.time_s - before_s, sample.time_s
-        if flown is not None and math.isfinite(power_W) and 0.0 < length_s <= LONGEST_ROW_S:
-            rows.append((sample.time_s, power_W, *map(float, flown), length_s))
+        row_s, before_s = sample.time_s - before_s, sample.time_s
+        if flown is not None and steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
+            rows.append((sample.time_s, power_W, *map(float, flown), row_s))
     table = np.array(rows)
     if not len(table):
         return None
     table = table[table[:, 1] > STEADY_SHARE * np.median(table[:, 1])]
     if table[:, -1].sum() < SHORTEST_S:
         return None
+    return _blocks(table)
+
+
+def _blocks(table: Array) -> Rows:
+    """Means over blocks of BLOCK_S of rows (time, power, airspeed, climb, taking off, landing, length)."""
     _, block = np.unique(np.floor(table[:, 0] / BLOCK_S), return_inverse=True)
-    length_s = np.bincount(block, table[:, -1])
-    means = [np.bincount(block, table[:, k] * table[:, -1]) / length_s for k in range(1, 6)]
-    return Rows(*means, length_s)
+    lengths_s = np.bincount(block, table[:, -1]).astype(float)
+    power_W, airspeed_ms, climb_ms, taking_off, landing = (
+        np.bincount(block, column * table[:, -1]) / lengths_s for column in table[:, 1:6].T
+    )
+    return Rows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
+
+
+def _is_steady(before: Position | None, now: Position | None) -> bool:
+    """Whether the aircraft keeps its velocity: in a corner the power belongs to the turn and not to the airspeed."""
+    if before is None or now is None or not now.time_s > before.time_s:
+        return now is None or now is before
+    change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
+    return change_ms <= STEADY_MS2 * (now.time_s - before.time_s)
 
 
 def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
     """The shape of all flights and the hover of each in turns; the misfit and the powers."""
     columns = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
-    weights = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) / NOISE**2 for rows in told]
-    hovers_W = np.ones(len(told))
+    shares_of_one = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
+    hovers_W, noise = np.ones(len(told)), NOISE
     for _ in range(TURNS):
+        weights = [share / noise**2 for share in shares_of_one]
         hovers_W = np.array(
-            [w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2) for r, c, w in zip(told, columns, weights)]
+            [
+                w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2)
+                for r, c, w in zip(told, columns, weights, strict=True)
+            ]
         )
         design, weight = np.concatenate(columns), np.concatenate(weights)
-        seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W)])
+        seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W, strict=True)])
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
         shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
-    left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W)]
-    misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2))
+        noise = max(float(np.sqrt(np.average((seen - design @ shares) ** 2, weights=weight))), LEAST_NOISE)
+    left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W, strict=True)]
+    entropy = 2.0 * float(np.sum(np.concatenate(shares_of_one))) * math.log(noise)
+    misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
     return misfit, Powers(
-        hover_W=_rounded(np.mean(hovers_W), 1),
+        hover_W=_rounded(float(np.mean(hovers_W)), 1),
         induced_ms=induced_ms,
         **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
         level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
@@ -97,7 +121,7 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
 def _unusual(told: list[Rows], columns: list[Array], left: list[Array]) -> Array:
     """What remains of each flight's mean power where it flies far from its hover: fast or climbing."""
     means = []
-    for rows, misfit in zip(told, left):
+    for rows, misfit in zip(told, left, strict=True):
         far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)
         if rows.length_s[far].sum() > 30.0:
             means.append(float(np.average(misfit[far], weights=rows.length_s[far])))

@@ -9,9 +9,10 @@ import numpy as np
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
+from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import Estimator
+from uavbatt.fitting.powers import powers
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Flight
 
@@ -36,7 +37,22 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
         ),
         traces=traces,
         source=f"{len(traces)} flights",
+        powers=powers(flights),
+        speeds=speeds(flights),
     )
+
+
+def speeds(flights: list[Flight]) -> Speeds | None:
+    """The speeds and the way home that the vehicle's parameters said last; None where no log holds them."""
+    for flight in reversed(flights):
+        settings = flight.navigation_at(math.inf).settings
+        said = {name: getattr(settings, name) for name in Speeds.__struct_fields__}
+        known = {
+            name: round(value, 3) for name, value in said.items() if value >= (0.0 if name.endswith("_m") else 0.01)
+        }
+        if known:
+            return Speeds(**known)
+    return None
 
 
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:

@@ -28,6 +28,7 @@ WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
 
 # Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
 WARNINGS: dict[str, str] = {
+    "turn back now": "turn back now",
     "the vehicle states": "cells of the vehicle not used",
     " V a cell, expected": "count of cells does not fit the pack",
     "nearly empty, or another count": "nearly empty, or wrong cell count",
@@ -48,6 +49,8 @@ WARNINGS: dict[str, str] = {
     "the current has not moved": "current is stuck",
     "the current fell to nothing": "current fell to nothing: sensor?",
 }
+
+CRITICAL = ("turn back now",)
 
 # Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
 REASONS: dict[str, str] = {
@@ -139,7 +142,7 @@ class Announcer:
             if not any(words in warning for warning in warnings):
                 continue
             if now_s - self._warned_s.get(words, -math.inf) > WARNING_GONE_S:
-                made.append((SEVERITY_WARNING, short))
+                made.append((SEVERITY_CRITICAL if words in CRITICAL else SEVERITY_WARNING, short))
             self._warned_s[words] = now_s
         return made
 

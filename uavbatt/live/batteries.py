@@ -74,7 +74,8 @@ class Batteries:
             self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
             self._note_until_s = now_s + NOTE_S
         gap_s = now_s - self._start_s + self._resumption.age_s
-        estimate, remaining = self.tracked[instance].step(row.sample, self._facts_of(instance), gap_s)
+        facts, navigation = self._facts_of(instance), self._reader.navigation
+        estimate, remaining = self.tracked[instance].step(row.sample, facts, gap_s, navigation)
         if conflict := self._reader.conflict(instance):
             estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
         before, resolved = self.reports.get(instance), self.tracked[instance].estimator.pack_size

@@ -1,6 +1,7 @@
 """The feed that never puts anybody wrong: NAMED_VALUE_FLOAT of every battery. Alarms are `announced`.
 
-Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery; `_N` behind it for battery N. What is not
+Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery, where a route or home is known TURN_S [s] and
+HOME_SOC [0..1], seconds until the turn-back and charge after turning now; `_N` behind it for battery N. What is not
 known is NaN, never 0.
 """
 
@@ -35,5 +36,7 @@ class NamedFeed:
                 "REM_HI_S": shown.remaining_hi_s,
                 "SOC": shown.soc,
             }
+            if (route := report.route_at(now_s)) is not None:
+                values |= {"TURN_S": route.turn_back_s, "HOME_SOC": route.home_soc}
             made += [out.named_value(name + tail, value, int(now_s * 1000)) for name, value in values.items()]
         return made

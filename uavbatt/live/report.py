@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from uavbatt.output import Line, line, rounded
 from uavbatt.prediction.forecaster import NOT_FLYING
-from uavbatt.records import NAN, Estimate, Remaining, Status
+from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
@@ -82,10 +82,17 @@ class Report:
             left(r.remaining_alarm_s),
         )
 
+    def route_at(self, now_s: float) -> Route | None:
+        """Return what is known of route and way home at `now_s`; nothing of it when the telemetry is stale."""
+        route, age_s = self.remaining.route, self.age_s(now_s)
+        if route is None or age_s <= STALE_AFTER_S:
+            return route and route.later(age_s)
+        return Route(route.load, reason=f"no telemetry for {age_s:.0f} s")
+
     def as_line(self, now_s: float) -> Line:
         """The output line's keys as they stand now, with the identity and the age of the row."""
         shown = self.at(now_s)
-        made: Line = dict(line(self.estimate, self.remaining))
+        made: Line = dict(line(self.estimate, replace(self.remaining, route=self.route_at(now_s))))
         stale = shown.status is Status.STALE
         for key in ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s"):
             made[key] = rounded(getattr(shown, key), 1)

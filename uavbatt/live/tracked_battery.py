@@ -18,6 +18,7 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
 from uavbatt.live.saved import SavedBattery, implausible
+from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.builder import MAX_CURRENT_A
@@ -42,8 +43,10 @@ class TrackedBattery:
         self._last: Sample | None = None
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
 
-    def step(self, sample: Sample, facts: PackFacts, gap_s: float = NAN) -> tuple[Estimate, Remaining]:
-        """One row; `gap_s` is the age of the saved state at this row [s]."""
+    def step(
+        self, sample: Sample, facts: PackFacts, gap_s: float = NAN, navigation: Navigation = NOWHERE
+    ) -> tuple[Estimate, Remaining]:
+        """One row; `gap_s` is the age of the saved state at this row [s], `navigation` what is known of the route."""
         was, self._saved = self._saved, None
         if was is not None:
             why_not = self._resume(was, sample, gap_s)
@@ -51,7 +54,7 @@ class TrackedBattery:
         self._last = sample
         try:
             self.estimator.update_facts(facts)
-            return self.estimator.step(sample)
+            return self.estimator.step(sample, navigation)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
             self.estimator = Estimator(self._battery, self._options, self._settings)
             if was is not None:

@@ -19,12 +19,15 @@ from uavbatt.battery.state_space import Belief, C
 from uavbatt.errors import UsageError
 from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction import sampling
+from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, answer
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
 from uavbatt.prediction.load_library import UnknownAircraft
+from uavbatt.prediction.route_ahead import way_of
+from uavbatt.prediction.route_forecast import Flying
+from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.time_to_end import EndTimes
-from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
+from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Sample, Status
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
@@ -72,6 +75,7 @@ class Forecast(NamedTuple):
     low_warning_s: float
     alarm_s: float
     ends_s: Array  # sorted
+    route: Route | None = None
 
 
 class Memory(NamedTuple):
@@ -112,6 +116,7 @@ class Forecaster:
         self._took_off_s, self._flown_s, self._flown_J = NAN, 0.0, 0.0
         self._asked_s = NAN
         self._last: Forecast | None = None
+        self._progress = Progress()  # on the route
 
     @property
     def memory(self) -> Memory:
@@ -150,7 +155,7 @@ class Forecaster:
         belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come.
         Nothing of it depends on an answer, so that a replay may ask many questions and simulate them side by side.
         """
-        self._remember(sample)
+        self._remember(sample, navigation)
         refusal, question = self._refusal(sample, estimate), None
         if not refusal and belief is None:
             refusal = "no belief about the pack yet"
@@ -180,7 +185,8 @@ class Forecaster:
 
     def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
         """The forecast to simulate from the belief and the load to come; None when no end is in sight."""
-        load, now = self.settings.load, self._now(belief, time_s, navigation)
+        known = route_forecast.to_come(self.settings.load, self._progress, navigation, time_s)
+        load, now = known.load, self._now(belief, time_s, navigation)
         typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
@@ -189,17 +195,23 @@ class Forecaster:
         dt_s = self._row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
-        return Question(
+        scenario = sampling.assigned(scenarios.weight)
+        question = Question(
             time_s=time_s,
             horizon_s=horizon_s,
             pack=self._weakest(),
             x=sampling.draws(belief),
-            power_W=scenarios.power_W[:, sampling.assigned(scenarios.weight)],
+            power_W=scenarios.power_W[:, scenario],
             ambient_C=belief.ambient_C,
             dt_s=scenarios.dt_s,
             reserve_soc=self.settings.reserve_soc,
             by_rows=by_rows,
         )
+        if navigation is NOWHERE:
+            return question
+        flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
+        route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
+        return question._replace(route=route)
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""
@@ -214,7 +226,9 @@ class Forecaster:
         lo_s, alarm_s, median_s, hi_s = (_quantile(ends_s, level) for level in LEVELS)
         known_low = math.isfinite(self.pack.low_V)
         low_s = _quantile(np.sort(np.minimum(ends.low_s, horizon_s)), 0.5) if known_low else NAN
-        return Forecast(time_s, median_s, lo_s, hi_s, min(low_s, median_s) if known_low else NAN, alarm_s, ends_s)
+        route = question.route and route_forecast.answer(question.route, ends.end_s)
+        low_s = min(low_s, median_s) if known_low else NAN
+        return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 
     def _steadied(self, fresh_s: Array, time_s: float) -> Array:
         """The fresh ends blended, rank by rank, with the last ones less their age, so that a person can read them.
@@ -253,7 +267,7 @@ class Forecaster:
         capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[C.LOG_CAPACITY]))
         return float(soc * capacity_Ah * installation.cells * 4.0)
 
-    def _remember(self, sample: Sample) -> None:
+    def _remember(self, sample: Sample, navigation: Navigation) -> None:
         if not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
             return
         installation = self.pack.installation
@@ -270,9 +284,12 @@ class Forecaster:
                 self._flying_since_s = sample.time_s
         elif sample.armed is False or not sample.time_s - self._loaded_s < LANDED_AFTER_S:
             self._flying_since_s = NAN
+        power_W = sample.voltage_V * current_A
+        if navigation is not NOWHERE:
+            powers = route_forecast.powers_of(self.settings.load)
+            self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)
         if not math.isfinite(self._flying_since_s):
             return
-        power_W = sample.voltage_V * current_A
         self._load = self._load.after(sample.time_s, power_W)
         if not math.isfinite(self._took_off_s):
             self._took_off_s = sample.time_s
@@ -322,4 +339,5 @@ def _counted_down(last: Forecast, time_s: float, estimate: Estimate) -> Remainin
         status=estimate.status,
         reason=estimate.reason,
         remaining_alarm_s=max(last.alarm_s - age_s, 0.0),
+        route=last.route and last.route.later(age_s),
     )

@@ -145,7 +145,7 @@ def bounded(said: Remaining, left_s: float) -> Remaining:
         )
     )
     low_s = min(said.remaining_to_low_s, median) if math.isfinite(said.remaining_to_low_s) else NAN
-    return Remaining(said.time_s, median, lo, hi, low_s, said.status, said.reason, alarm)
+    return Remaining(said.time_s, median, lo, hi, low_s, said.status, said.reason, alarm, said.route)
 
 
 class LastWall(NamedTuple):

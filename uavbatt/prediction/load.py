@@ -227,21 +227,26 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
 
     No larger ones than a flight can repeat again and again until its end.
     """
+    rough = swung(scenarios.dt_s, scenarios.power_W.shape[1], swings)
+    return Scenarios(scenarios.power_W * rough, scenarios.weight, scenarios.dt_s)
+
+
+def swung(dt_s: Array, count: int, swings: Swings) -> Array:
+    """Return what `count` scenarios have of gusts and manoeuvres as factors of mean 1, [steps, count]."""
     manoeuvres = min(swings.manoeuvres, LARGEST_MANOEUVRES)
     gusts = min(swings.gusts, math.sqrt(LARGEST_SWING**2 - manoeuvres**2))
-    exponent, processes = np.zeros(scenarios.power_W.shape), ((manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))
+    exponent, processes = np.zeros((dt_s.size, count)), ((manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))
     for process, (sd, memory_s) in enumerate(processes):
         if sd > 0.0:
             variance = math.log1p(sd**2)  # of the logarithm of a factor that has mean 1 and this sd
-            exponent += math.sqrt(variance) * _wandering(scenarios, memory_s, process) - 0.5 * variance
-    return Scenarios(scenarios.power_W * np.exp(exponent), scenarios.weight, scenarios.dt_s)
+            exponent += math.sqrt(variance) * _wandering(dt_s, count, memory_s, process) - 0.5 * variance
+    return np.asarray(np.exp(exponent))
 
 
-def _wandering(scenarios: Scenarios, memory_s: float, process: int) -> Array:
-    """A process of unit variance and this memory for each scenario, [steps, scenarios]; always the same one."""
-    steps, count = scenarios.power_W.shape
-    normals, memory = _normals(LONGEST, count, process), np.exp(-scenarios.dt_s / memory_s)
-    fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, steps + 1) % LONGEST]
+def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
+    """A process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
+    normals, memory = _normals(LONGEST, count, process), np.exp(-dt_s / memory_s)
+    fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
     return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
 
 

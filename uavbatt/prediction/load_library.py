@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels, swinging
 
@@ -41,6 +42,7 @@ class LearnedLoad:
     soc: Array
     landed_s: Array
     mean_W: Array  # running mean power since take-off
+    powers: Powers = UNKNOWN  # for where a route says what is flown
 
     def typical_W(self, now: Now) -> float:
         """Median of the flights' mean powers."""
@@ -80,7 +82,7 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
         soc[i] -= 1e-9 * np.arange(grid_s.size)  # strictly falling, so that a charge has one time
     mean_W = np.cumsum(power_W, axis=1) / (np.arange(grid_s.size) + 1.0)
     landed_s = np.array([t.time_s[-1] for t in file.traces])
-    return LearnedLoad(power_W, soc, landed_s, mean_W)
+    return LearnedLoad(power_W, soc, landed_s, mean_W, file.powers or UNKNOWN)
 
 
 def _stitched(
@@ -116,6 +118,8 @@ def stated_power(load: Load) -> tuple[float, float] | None:
 @dataclass(frozen=True, slots=True)
 class UnknownAircraft:
     """The packaged prior: as recently, with a surge that may come, and a wide spread."""
+
+    powers: Powers = UNKNOWN
 
     def typical_W(self, now: Now) -> float:
         """Mean of the flight so far and of its last minute."""

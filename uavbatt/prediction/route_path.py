@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
 from typing import NamedTuple
 
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
@@ -104,34 +103,39 @@ def known(value: float, otherwise: float) -> float:
     return value if math.isfinite(value) and value > 0.0 else otherwise
 
 
-def way_home(begin: Point, settings: ReturnSettings, lands: bool = True) -> tuple[Leg, ...]:
+def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
     """Return the autopilot's way from a point to touchdown at home: climb, run, wait, descend, land."""
-    speeds = _speeds(settings)
-    asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
-    height_m = max(begin.height_m, asked_m) if asked_m > 0.0 else begin.height_m
-    above, over_home = begin._replace(height_m=height_m), Point(0.0, 0.0, height_m)
-    run_m = math.hypot(begin.north_m, begin.east_m)
-    return_ms = known(settings.return_ms, speeds.cruise_ms)
-    hold_s = known(settings.return_hold_s, 0.0)
-    legs = [
-        Leg(-1, Phase.HOME, begin, above, 0.0, return_ms, speeds.climb_ms, speeds.descent_ms),
-        Leg(-1, Phase.HOME, above, over_home, run_m, return_ms, speeds.climb_ms, speeds.descent_ms, hold_s),
-    ]
-    if lands:
-        legs += _landing(over_home, settings, -1)
+    speeds, run_m = _speeds(settings), math.hypot(begin.north_m, begin.east_m)
+    return_ms, hold_s = known(settings.return_ms, speeds.cruise_ms), known(settings.return_hold_s, 0.0)
+    above = begin._replace(height_m=_return_height_m(begin, run_m, settings))
+    over_home = Point(0.0, 0.0, above.height_m)
+    limits = (return_ms, speeds.climb_ms, speeds.descent_ms)
+    legs = (
+        Leg(-1, Phase.HOME, begin, above, 0.0, *limits),
+        Leg(-1, Phase.HOME, above, over_home, run_m, *limits, hold_s),
+        *landing(over_home, settings, -1),
+    )
     return tuple(leg for leg in legs if leg.moving_s + leg.hold_s > 0.0)
 
 
-def _landing(above: Point, settings: ReturnSettings, seq: int) -> list[Leg]:
-    """Straight down, the last metres slowly."""
+def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> float:
+    """The height at which the autopilot flies home: never below its own."""
+    asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
+    cone = known(settings.return_cone_slope, math.inf)
+    asked_m = min(asked_m, cone * run_m)
+    return max(begin.height_m + known(settings.return_climb_min_m, 0.0), asked_m, begin.height_m)
+
+
+def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]:
+    """Return the legs straight down from a point, the last metres slowly."""
     speeds = _speeds(settings)
     slow_m = min(known(settings.land_slow_below_m, SLOW_BELOW_M), max(above.height_m, 0.0))
     low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
-    land_ms = known(settings.land_ms, LAND_MS)
-    return [
-        Leg(seq, Phase.LANDING, above, low, 0.0, 1.0, speeds.climb_ms, speeds.descent_ms),
+    fast_ms, land_ms = known(settings.land_fast_ms, speeds.descent_ms), known(settings.land_ms, LAND_MS)
+    return (
+        Leg(seq, Phase.LANDING, above, low, 0.0, 1.0, speeds.climb_ms, fast_ms),
         Leg(seq, Phase.LANDING, low, ground, 0.0, 1.0, speeds.climb_ms, land_ms),
-    ]
+    )
 
 
 def _speeds(settings: ReturnSettings) -> _Speeds:
@@ -140,7 +144,6 @@ def _speeds(settings: ReturnSettings) -> _Speeds:
     )
 
 
-@lru_cache(maxsize=8)
 def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included."""
     if mission.reason:
@@ -150,19 +153,23 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if item is None:
             return Path(reason=f"the mission jumps more than {MOST_LEGS} times")
         if item.action is Action.SPEED:
-            speeds = _changed(speeds, item)
+            speeds = _changed(speeds, item, settings)
             continue
         found = _legs(item, at, speeds, home, settings)
         if isinstance(found, str):
             return Path(reason=f"item {item.seq}: {found}")
         legs += found
         at = legs[-1].end if legs else at
+        if item.action is Action.RETURN and settings.return_reason:
+            return Path(reason=settings.return_reason)
         if item.action in (Action.RETURN, Action.LAND):
             return Path(tuple(legs))
         if item.action is Action.LOITER_UNLIMITED:
             return Path(tuple(legs), lands=False)
     if not legs:
         return Path(reason="the mission goes nowhere")
+    if settings.return_reason:
+        return Path(reason=f"{settings.return_reason}, and the mission does not end with a landing")
     return Path((*legs, *way_home(at, settings)))
 
 
@@ -170,7 +177,7 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
     """The items in the order in which they are flown; None when there is no end of it."""
     by_seq = {item.seq: index for index, item in enumerate(mission.items)}
     left = {item.seq: item.repeats for item in mission.items if item.action is Action.JUMP}
-    index = 1 if mission.items and mission.items[0].seq == 0 and _is_home(mission.items[0]) else 0
+    index = 1 if mission.has_home_item and mission.items and mission.items[0].seq == 0 else 0
     for _ in range(MOST_LEGS):
         if index >= len(mission.items):
             return
@@ -184,24 +191,13 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
     yield None
 
 
-def _is_home(item: MissionItem) -> bool:
-    """ArduPilot keeps home as item 0, a waypoint on the ground."""
-    return (item.action is Action.WAYPOINT and item.frame is not Frame.HOME) or item.alt_m == 0.0
+def _changed(speeds: _Speeds, item: MissionItem, settings: ReturnSettings) -> _Speeds:
+    """The speeds after an item that changes one; without a speed it is the vehicle's own again."""
+    kind = {SpeedKind.CLIMB: "climb_ms", SpeedKind.DESCENT: "descent_ms"}.get(item.speed_kind, "cruise_ms")
+    return speeds._replace(**{kind: known(item.speed_ms, getattr(_speeds(settings), kind))})
 
 
-def _changed(speeds: _Speeds, item: MissionItem) -> _Speeds:
-    if not (math.isfinite(item.speed_ms) and item.speed_ms > 0.0):
-        return speeds
-    if item.speed_kind is SpeedKind.CLIMB:
-        return speeds._replace(climb_ms=item.speed_ms)
-    if item.speed_kind is SpeedKind.DESCENT:
-        return speeds._replace(descent_ms=item.speed_ms)
-    return speeds._replace(cruise_ms=item.speed_ms)
-
-
-def _legs(
-    item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings
-) -> list[Leg] | str:
+def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:
     """The legs of one item, or why they are not known."""
     if item.action is Action.UNKNOWN:
         return item.reason or f"command {item.command} is not understood"
@@ -227,7 +223,7 @@ def _legs(
         legs.append(Leg(item.seq, Phase.ROUTE, to, to, circle_m, *speeds))
     if item.action is Action.LOITER_UNLIMITED:
         legs[-1] = legs[-1]._replace(hold_s=ENDLESS_S)
-    return legs + _landing(to, settings, item.seq) if item.action is Action.LAND else legs
+    return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
 
 
 def _at_height(item: MissionItem, at: Point) -> MissionItem:

@@ -16,12 +16,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from uavbatt.battery.powers import Powers, power, terms
-from uavbatt.navigation import Mission, Mode, Navigation
+from uavbatt.navigation import Home, Mission, Mode, Navigation, ReturnSettings
 from uavbatt.prediction.route_path import Leg, Path, Phase, Point, path, place
 
 NAN = math.nan
 STRETCH, STRETCH_SD, SPEEDING, SPEEDING_SD = 1.03, 0.1, 0.32, 0.12
 SHORT_LEG_S = 20.0
+UNUSUAL, UNUSUAL_S = 0.4, 8.0
 LEG_NOISE_S, LEG_NOISE = 2.0, 0.08
 WIND_TAU_S = 60.0
 POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
@@ -30,6 +31,8 @@ STALE_POSITION_S = 10.0
 OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0
 SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
+LEAST_FLOWN_S = 20.0
+TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 
 
 class Timing(NamedTuple):
@@ -78,7 +81,7 @@ class Flown(NamedTuple):
 class Progress(NamedTuple):
     """What is remembered of the route; a value, replaced by `after`."""
 
-    mission: Mission | None = None
+    known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
     path: Path = Path()
     at: int = -1  # the leg that is flown
     leg_since_s: float = NAN
@@ -88,30 +91,38 @@ class Progress(NamedTuple):
     long: Timing = Timing()
     wind_north_ms: float = NAN
     wind_east_ms: float = NAN
+    told_s: float = NAN  # when the power was last held against the level
     level_s: float = 0.0  # seconds of flight that told the level
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
 
-    def after(self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None) -> Progress:
+    def after(
+        self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None
+    ) -> Progress:
         """The memory with one more row at `time_s` [s] that drew `power_W` [W]."""
-        row_s = min(max(time_s - self.time_s, 0.0), 30.0) if math.isfinite(self.time_s) else 0.0
+        row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(navigation)._blown(navigation, row_s)._replace(time_s=time_s)
         if navigation.mode is Mode.MISSION:
             moved = moved._arrived(time_s, navigation)
-        flown = moved.flown(time_s, navigation)
-        if powers is None or flown is None or not power_W > 0.0:
+        if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
+            return moved
+        flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
+        moved = moved._replace(told_s=time_s)
+        if flown is None or not told_s > 0.0:
             return moved
         ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
-        return moved._replace(level_s=self.level_s + row_s, level_sum_s=self.level_sum_s + row_s * ratio)
+        return moved._replace(level_s=self.level_s + told_s, level_sum_s=self.level_sum_s + told_s * ratio)
 
     def _on_path(self, navigation: Navigation) -> Progress:
         """The leg by what the autopilot says that it flies to, and the timing of those behind."""
         if navigation.mission is None or navigation.home is None:
             return self
-        moved = self
-        found = path(navigation.mission, navigation.home, navigation.settings)
-        if found is not self.path:
-            same = self.mission == navigation.mission
-            moved = self._replace(mission=navigation.mission, path=found, at=self.at if same else -1)
+        moved, known_by = self, (navigation.mission, navigation.home, navigation.settings)
+        if self.known_by is None or any(a is not b for a, b in zip(known_by, self.known_by, strict=True)):
+            found = path(*known_by)
+            moved = self._replace(known_by=known_by)
+            if found != self.path:  # the same mission uploaded twice changes nothing
+                moved = moved._replace(path=found, at=-1, leg_since_s=NAN)
+        found = moved.path
         at = _leg_of(found, navigation.current, moved.at)
         if at is None or at == moved.at:
             return moved
@@ -121,9 +132,13 @@ class Progress(NamedTuple):
         return moved._replace(at=at, leg_since_s=since_s, arrived_s=NAN)
 
     def _timed(self, behind: Sequence[Leg], flown_s: float) -> Progress:
-        """The timing after legs of one kind that took `flown_s` [s] together."""
+        """The timing after legs of one kind that took `flown_s` [s] together; a pause does not count."""
         flown_s -= sum(leg.hold_s for leg in behind)
         planned_s, speeds_ms = sum(leg.moving_s for leg in behind), sum(leg.fastest_ms for leg in behind)
+        usual_s = STRETCH * planned_s + SPEEDING * speeds_ms
+        is_odd = abs(flown_s - usual_s) > UNUSUAL * usual_s + UNUSUAL_S
+        if is_odd or any(leg.phase is Phase.TAKE_OFF for leg in behind):
+            return self
         if all(leg.moving_s < SHORT_LEG_S for leg in behind):
             return self._replace(short=self.short.after(flown_s, planned_s, speeds_ms))
         if all(leg.moving_s >= SHORT_LEG_S for leg in behind):
@@ -193,12 +208,15 @@ class Progress(NamedTuple):
         return (self.wind_north_ms, self.wind_east_ms) if known else (0.0, 0.0)
 
     def level(self, powers: Powers) -> tuple[float, float]:
-        """The flight's power over that of `powers`, and its sd: the prior and what was flown so far."""
-        prior = powers.level_sd**2
-        if not self.level_s > 0.0:
-            return 1.0, powers.level_sd
+        """The flight's power over that of `powers`, and its sd: the prior and what was flown so far.
+
+        Of an aircraft that nobody knows it is NaN until enough was flown.
+        """
+        if not self.level_s > (0.0 if powers.flights else LEAST_FLOWN_S):
+            return (1.0, powers.level_sd) if powers.flights else (NAN, NAN)
+        prior = powers.level_sd**2 if powers.flights else math.inf
         noise = powers.row_sd**2 * min(2.0 * POWER_MEMORY_S / self.level_s, 1.0) + MODEL_SD**2
-        share = prior / (prior + noise)
+        share = 1.0 / (1.0 + noise / prior)
         return 1.0 + share * (self.level_sum_s / self.level_s - 1.0), math.sqrt(share * noise)
 
 

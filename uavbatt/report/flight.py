@@ -29,6 +29,7 @@ from uavbatt.report.page import (
     section,
     table,
 )
+from uavbatt.report.route_section import route_section
 from uavbatt.report.series import Stretch, rows, stretches, with_gaps
 
 STATUS_WORDS = {
@@ -57,6 +58,7 @@ def flight_report(
         "uavbatt replay",
         _answer(flight, outcome, resolved, found),
         section("Over the flight", *figures(with_gaps(rows(steps)), found, outcome, resolved), _stretches(found)),
+        *route_section(flight, steps),
         section("Forecast against the truth", _checkpoints(outcome)),
         section("Battery and certificate", *_battery(resolved, battery)),
         section("The log", *_log(flight, outcome, steps)),

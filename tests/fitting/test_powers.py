@@ -1,0 +1,80 @@
+"""The powers of a vehicle: theory where nothing is known, found again from flights that were flown with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from route_rig import HOME
+
+from uavbatt.battery.powers import UNKNOWN, Powers, induced_ratio, power, terms
+from uavbatt.battery.vehicle_file import Speeds
+from uavbatt.fitting.powers import powers
+from uavbatt.fitting.vehicle import speeds
+from uavbatt.navigation import Mode, Navigation, Position, ReturnSettings
+from uavbatt.records import Flight, Sample
+
+TRUE = msgspec.structs.replace(UNKNOWN, hover_W=250.0, induced=0.45, drag=0.2, climb=0.07, fast_climb=0.08)
+
+
+def asked_W(of: Powers, airspeed_ms: float, climb_ms: float) -> float:
+    return float(power(of, terms(airspeed_ms, climb_ms, 0.0, 0.0, of.induced_ms)))
+
+
+def flight(scale: float = 1.0) -> Flight:
+    """A pilot's flight through every speed and climb, each held for half a minute."""
+    held = [(v, c) for v in (0.0, 4.0, 8.0, 12.0, 15.0) for c in (-1.5, 0.0, 2.0)]
+    samples, known = [], []
+    for k in range(30 * len(held)):
+        speed_ms, climb_ms = held[k // 30]
+        watts = scale * asked_W(TRUE, speed_ms, climb_ms)
+        here = Position(float(k), HOME.lat_deg, HOME.lon_deg, 50.0, speed_ms, 0.0, climb_ms)
+        samples.append(Sample(float(k), 15.0, watts / 15.0))
+        known.append(Navigation(time_s=float(k), mode=Mode.MANUAL, home=HOME, position=here))
+    return Flight("flown", "test", tuple(samples), navigation=tuple(known))
+
+
+def test_induced_velocity_is_one_in_hover_and_falls_as_momentum_theory_says() -> None:
+    assert induced_ratio(0.0, 5.0) == pytest.approx(1.0)
+    ratio = float(induced_ratio(10.0, 5.0))
+    assert ratio**4 + ratio**2 * (10.0 / 5.0) ** 2 == pytest.approx(1.0)
+    assert float(induced_ratio(50.0, 5.0)) == pytest.approx(5.0 / 50.0, rel=0.01)  # v_h² / v in fast flight
+
+
+def test_an_unknown_aircraft_asks_more_in_a_climb_and_least_in_between() -> None:
+    hover, middling, fast = (asked_W(UNKNOWN, v, 0.0) for v in (0.0, 8.0, 18.0))
+    assert middling < hover < fast
+    assert asked_W(UNKNOWN, 8.0, -1.5) < middling < asked_W(UNKNOWN, 8.0, 2.0)
+
+
+def test_powers_are_found_again_from_flights_with_speed_and_climb() -> None:
+    found = powers([flight(), flight(1.1)])
+    assert found is not None
+    assert found.flights == 2
+    for speed_ms in (0.0, 4.0, 8.0, 12.0, 15.0):
+        for climb_ms in (-1.5, 0.0, 2.0):
+            true_W = 1.05 * asked_W(TRUE, speed_ms, climb_ms)
+            assert asked_W(found, speed_ms, climb_ms) == pytest.approx(true_W, rel=0.04)
+
+
+def test_a_payload_widens_the_level_and_does_not_bend_the_shape() -> None:
+    alone, loaded = powers([flight()] * 3), powers([flight(), flight(1.15), flight(0.85)])
+    assert alone is not None and loaded is not None
+    assert loaded.level_sd > alone.level_sd + 0.02
+    assert np.allclose(loaded.shares, alone.shares, atol=0.02)
+
+
+def test_flights_without_speed_tell_no_powers() -> None:
+    silent = replace(flight(), navigation=())
+    assert powers([silent]) is None
+    assert math.isfinite(silent.samples[0].voltage_V)
+
+
+def test_the_vehicle_file_keeps_the_speeds_that_the_parameters_say() -> None:
+    known = replace(flight().navigation[-1], time_s=1e3, settings=ReturnSettings(cruise_ms=7.5, return_height_m=0.0))
+    found = speeds([flight(), replace(flight(), navigation=(*flight().navigation, known))])
+    assert found == Speeds(cruise_ms=7.5, return_height_m=0.0)
+    assert speeds([flight()]) is None

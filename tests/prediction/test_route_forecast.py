@@ -1,0 +1,175 @@
+"""The forecast with a route: what lies ahead counts, what is not known falls back, home is never further than it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from route_rig import HOME, SETTINGS, mission, to
+
+from uavbatt.estimator import Estimator
+from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
+from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
+from uavbatt.prediction.route_path import METRES_PER_DEGREE
+from uavbatt.records import Remaining, Route, Sample
+
+ROWS = 60
+FAR_M = 1000.0
+
+
+def known(
+    *items: MissionItem, mode: Mode = Mode.MISSION, wind: Wind | None = None, height_m: float = 350.0
+) -> Navigation:
+    """An aircraft that waits FAR_M east of home on its way to item 1."""
+    return Navigation(
+        mode=mode,
+        mission=mission(*items),
+        current=1,
+        current_since_s=0.0,
+        home=HOME,
+        settings=SETTINGS,
+        wind=wind,
+        position=at(FAR_M, height_m),
+    )
+
+
+def at(east_m: float, height_m: float, time_s: float = 0.0) -> Position:
+    lon = HOME.lon_deg + east_m / METRES_PER_DEGREE / math.cos(math.radians(HOME.lat_deg))
+    return Position(time_s, HOME.lat_deg, lon, height_m, 0.0, 0.0, 0.0)
+
+
+def flown(navigation: Navigation, later: Navigation | None = None, rows: int = ROWS) -> list[Remaining]:
+    """The remaining time after each row of a hover under 180 W, with `later` known from half time on."""
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    said = []
+    for k in range(rows):
+        now = later if later is not None and 2 * k >= rows else navigation
+        heard = replace(now, time_s=float(k), current_heard_s=float(k))
+        if now.position is not None:
+            heard = replace(heard, position=replace(now.position, time_s=float(k)))
+        said.append(estimator.step(Sample(float(k), 15.0, 12.0, temp_C=25.0), heard)[1])
+    return said
+
+
+def route(navigation: Navigation, later: Navigation | None = None) -> Route:
+    found = flown(navigation, later)[-1].route
+    assert found is not None
+    return found
+
+
+def leg_to(alt_m: float) -> MissionItem:
+    return to(1, 0.0, 3000.0, alt_m)
+
+
+def test_a_climb_ahead_shortens_and_a_descent_ahead_lengthens() -> None:
+    climb, level, descent = (flown(known(leg_to(height_m)))[-1] for height_m in (650.0, 350.0, 50.0))
+    assert climb.route is not None and climb.route.load == "route"
+    assert climb.remaining_s < level.remaining_s - 5.0
+    assert descent.remaining_s > level.remaining_s + 5.0
+
+
+def test_a_headwind_on_the_way_home_brings_the_turn_back_forward() -> None:
+    wait = to(1, 0.0, FAR_M, 350.0, hold_s=3000.0)
+    head, tail = (route(known(wait, wind=Wind(0.0, east_ms))) for east_ms in (8.0, -8.0))
+    assert head.turn_back_s < tail.turn_back_s - 5.0
+
+
+def test_the_same_route_in_another_frame_with_a_jump_or_uploaded_twice_gives_the_same_numbers() -> None:
+    items = (leg_to(350.0), to(2, 100.0, 3000.0, 350.0), to(3, 0.0, 3000.0, 350.0), to(4, 100.0, 3000.0, 350.0))
+    plain = flown(known(*items))[-1]
+    sea = tuple(replace(item, alt_m=item.alt_m + HOME.alt_m, frame=Frame.SEA) for item in items)
+    jump = (leg_to(350.0), items[1], items[2], MissionItem(4, Action.JUMP, jump_to=2, repeats=1))
+    twice = known(*items)
+    again = (
+        replace(twice, mission=Mission(tuple(twice.mission.items), "link"), mission_since_s=20.0)
+        if twice.mission
+        else twice
+    )
+    assert flown(known(*sea))[-1].remaining_s == pytest.approx(plain.remaining_s, abs=0.1)
+    assert flown(twice, again)[-1].remaining_s == pytest.approx(plain.remaining_s, abs=0.1)
+    jumped = flown(known(*jump))[-1]
+    assert jumped.route is not None and plain.route is not None
+    longer_s = 100.0 / 5.0 * 1.4  # the jump flies item 3 once more
+    assert plain.route.left_s - 5.0 < jumped.route.left_s < plain.route.left_s + 2.0 * longer_s
+
+
+def test_a_mission_changed_in_flight_changes_the_forecast_at_once() -> None:
+    before, after = known(leg_to(350.0)), known(to(1, 0.0, FAR_M + 50.0, 350.0))
+    said = flown(before, after)
+    first, last = said[ROWS // 2 - 1].route, said[ROWS // 2 + 5].route
+    assert first is not None and last is not None
+    assert last.left_s < first.left_s - 100.0
+
+
+def test_stale_progress_falls_back_to_the_learned_load_with_its_reason() -> None:
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    navigation = replace(known(to(1, 0.0, FAR_M, 350.0)), current_heard_s=0.0)
+    said = None
+    for k in range(0, 120, 2):
+        assert navigation.position is not None
+        heard = replace(navigation, position=replace(navigation.position, time_s=float(k)))
+        said = estimator.step(Sample(float(k), 15.0, 12.0, temp_C=25.0), heard)[1]
+    assert said is not None and said.route is not None
+    assert said.route.load == "unknown"
+    assert "has not said" in said.route.reason
+    assert math.isfinite(said.remaining_s)
+    assert math.isfinite(said.route.home_soc)
+
+
+def test_garbage_items_refuse_the_route_and_nothing_else() -> None:
+    said = flown(known(MissionItem(1, Action.UNKNOWN, command=31010)))[-1]
+    plain = flown(replace(known(leg_to(350.0)), mode=Mode.MANUAL))[-1]
+    assert said.route is not None
+    assert "31010" in said.route.reason
+    assert math.isnan(said.route.left_s)
+    assert said.remaining_s == pytest.approx(plain.remaining_s)
+
+
+def test_a_manual_flight_has_exactly_the_learned_load() -> None:
+    manual = flown(replace(known(leg_to(350.0)), mode=Mode.MANUAL))
+    without = flown(Navigation())
+    assert [r.remaining_s for r in manual if math.isfinite(r.remaining_s)] == [
+        r.remaining_s for r in without if math.isfinite(r.remaining_s)
+    ]
+
+
+def test_on_the_way_home_the_route_is_the_way_home() -> None:
+    said = route(replace(known(leg_to(350.0)), mode=Mode.RETURN))
+    assert said.left_s == pytest.approx(FAR_M / 8.0 + 340.0 / 1.5 + 10.0 / 0.5, rel=0.1)
+    assert said.soc == pytest.approx(said.home_soc, abs=0.01)
+
+
+def test_without_a_position_and_without_home_nothing_is_invented() -> None:
+    said = route(replace(known(leg_to(350.0)), home=None))
+    assert "home is not known" in said.reason
+    assert math.isnan(said.turn_back_s)
+
+
+def test_a_line_has_the_keys_of_the_route_only_where_one_is_known() -> None:
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimate, remaining = estimator.step(Sample(0.0, 15.0, 12.0))
+    assert tuple(line(estimate, remaining)) == tuple(COLUMNS)
+    with_route = line(estimate, replace(remaining, route=Route("route", left_s=12.34, reason="words")))
+    assert tuple(with_route) == (*COLUMNS, *ROUTE_COLUMNS)
+    assert with_route["route_left_s"] == 12.3
+    assert with_route["turn_back_s"] is None
+    assert with_route["route_reason"] == "words"
+
+
+def test_a_flight_cut_short_says_the_same_up_to_there() -> None:
+    samples = [Sample(float(k), 15.0 - 0.002 * k, 12.0, temp_C=25.0) for k in range(48)]
+    base = known(leg_to(350.0))
+
+    def navigation_at(time_s: float) -> Navigation:
+        assert base.position is not None
+        here = replace(base.position, time_s=time_s, east_ms=5.0)
+        return replace(base, time_s=time_s, current_heard_s=time_s, position=here)
+
+    def lines(count: int) -> list[object]:
+        estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+        return [line(*row) for row in estimator.run(samples[:count], navigation_at)]
+
+    whole = lines(48)
+    assert lines(37) == whole[:37]
+    assert "route" in {row["load"] for row in whole if isinstance(row, dict) and "load" in row}

@@ -1,0 +1,84 @@
+"""The way of a mission as legs: frames, jumps, speeds, the way home, and what makes a route unknown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from route_rig import HOME, SETTINGS, mission, to
+
+from uavbatt.navigation import Action, Frame, MissionItem, SpeedKind
+from uavbatt.prediction.route_path import Phase, Point, path, way_home
+
+
+def ends(*items: MissionItem) -> list[tuple[float, float, float]]:
+    found = path(mission(*items), HOME, SETTINGS)
+    assert not found.reason
+    return [tuple(round(value, 1) for value in leg.end) for leg in found.legs if leg.phase is Phase.ROUTE]
+
+
+def test_a_leg_lasts_as_long_as_its_slower_axis() -> None:
+    legs = path(mission(to(1, 300.0, 400.0, 50.0), to(2, 300.0, 400.0, 20.0)), HOME, SETTINGS).legs
+    assert legs[0].run_m == pytest.approx(500.0, abs=0.5)
+    assert legs[0].moving_s == pytest.approx(100.0, abs=0.1)
+    assert legs[1].moving_s == pytest.approx(30.0 / 1.5)
+
+
+def test_heights_above_sea_and_above_home_are_the_same_place() -> None:
+    assert ends(to(1, 100.0, 0.0, 40.0)) == ends(to(1, 100.0, 0.0, 440.0, frame=Frame.SEA))
+
+
+def test_a_jump_is_the_same_route_as_its_items_written_out() -> None:
+    jump = MissionItem(3, Action.JUMP, jump_to=1, repeats=2)
+    there, back = (to(1, 100.0, 0.0, 40.0), to(2, 0.0, 100.0, 40.0))
+    written = [replace(item, seq=seq) for seq, item in enumerate([there, back] * 3, start=1)]
+    assert ends(there, back, jump) == ends(*written)
+
+
+def test_a_jump_without_end_is_no_route() -> None:
+    found = path(mission(to(1, 100.0, 0.0, 40.0), MissionItem(2, Action.JUMP, jump_to=1, repeats=-1)), HOME, SETTINGS)
+    assert "jumps" in found.reason
+    assert not found.legs
+
+
+def test_speeds_change_where_an_item_says_so_and_come_back_without_one() -> None:
+    faster = MissionItem(2, Action.SPEED, speed_ms=10.0, speed_kind=SpeedKind.GROUND)
+    own = MissionItem(4, Action.SPEED)
+    items = (to(1, 100.0, 0.0, 40.0), faster, to(3, 200.0, 0.0, 40.0), own, to(5, 300.0, 0.0, 40.0))
+    assert [leg.speed_ms for leg in path(mission(*items), HOME, SETTINGS).legs[:3]] == [5.0, 10.0, 5.0]
+
+
+def test_a_mission_that_does_not_land_is_followed_by_the_way_home() -> None:
+    legs = path(mission(to(1, 100.0, 0.0, 40.0)), HOME, SETTINGS).legs
+    assert [leg.phase for leg in legs] == [Phase.ROUTE, Phase.HOME, Phase.LANDING, Phase.LANDING]
+    assert legs[-1].end == Point(0.0, 0.0, 0.0)
+
+
+def test_the_way_home_climbs_first_and_never_descends_to_its_height() -> None:
+    low, high = way_home(Point(0.0, 100.0, 10.0), SETTINGS), way_home(Point(0.0, 100.0, 60.0), SETTINGS)
+    assert low[0].end.height_m == 30.0
+    assert high[0].end.height_m == 60.0
+    assert high[0].run_m == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        (MissionItem(1, Action.UNKNOWN, command=9999), "9999"),
+        (MissionItem(1, Action.UNKNOWN, reason="a transition of a VTOL"), "VTOL"),
+        (to(1, 100.0, 0.0, 40.0, frame=Frame.TERRAIN), "terrain"),
+        (to(1, 5e6, 0.0, 40.0), "km away"),
+        (to(1, 100.0, 0.0, 1e7), "1000"),
+    ],
+)
+def test_what_is_not_understood_makes_the_route_unknown(item: MissionItem, words: str) -> None:
+    found = path(mission(to(2, 50.0, 0.0, 40.0), item), HOME, SETTINGS)
+    assert not found.legs
+    assert "item 1" in found.reason
+    assert words in found.reason
+
+
+def test_a_height_above_the_sea_needs_that_of_home() -> None:
+    found = path(mission(to(1, 100.0, 0.0, 440.0, frame=Frame.SEA)), replace(HOME, alt_m=math.nan), SETTINGS)
+    assert "above the sea" in found.reason

@@ -1,0 +1,56 @@
+"""Does a mission fit: the plan of a route before take-off."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+from route_rig import HOME, SETTINGS, mission, to
+
+from uavbatt import plan, plan_route
+from uavbatt.battery import battery_file
+from uavbatt.battery.powers import UNKNOWN
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.errors import UsageError
+from uavbatt.navigation import Action, MissionItem, Wind
+from uavbatt.plan_route import MissionPlan, Planned
+
+POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
+
+
+def planned(*items: MissionItem, wind: Wind | None = None) -> MissionPlan:
+    battery = battery_file.read("lipo-generic")
+    size = plan.resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
+    asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
+    return plan_route.made(battery, size, asked, 25.0)
+
+
+def test_a_short_mission_fits_and_a_long_one_does_not() -> None:
+    short, long = planned(to(1, 0.0, 300.0, 40.0)), planned(to(1, 0.0, 6000.0, 40.0))
+    assert short.here.fits
+    assert not long.here.fits
+    assert math.isnan(short.here.route.turn_back_s)
+    assert long.turning is not None
+    assert 0.0 < long.turning.east_m < 6000.0
+
+
+def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:
+    found = planned(to(1, 0.0, 400.0, 40.0), to(2, 400.0, 400.0, 40.0), to(3, 400.0, 0.0, 40.0))
+    charges = [leg.soc for leg in found.legs]
+    assert charges == sorted(charges, reverse=True)
+    assert [leg.item for leg in found.legs] == [1, 2, 3, -1, -1, -1]
+    assert found.legs[-1].end_s == pytest.approx(found.here.route.left_s, rel=0.02)
+    assert found.legs[-1].soc == pytest.approx(found.here.route.soc, abs=0.02)
+    assert all(leg.soc_lo <= leg.soc <= leg.soc_hi for leg in found.legs)
+
+
+def test_a_headwind_home_brings_the_turning_point_nearer() -> None:
+    far = to(1, 0.0, 6000.0, 40.0)
+    head, tail = (planned(far, wind=Wind(0.0, east_ms)) for east_ms in (6.0, -6.0))
+    assert head.here.route.turn_back_s < tail.here.route.turn_back_s
+
+
+def test_a_mission_without_end_is_refused_with_its_name() -> None:
+    with pytest.raises(UsageError, match="loiters without end"):
+        planned(MissionItem(1, Action.LOITER_UNLIMITED))

@@ -1,0 +1,162 @@
+"""`uavbatt plan --mission`: whether a mission fits, for a person, a program and as a page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uavbatt.cli.options import say, stated_wind
+from uavbatt.errors import UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.sizing import PackSize
+    from uavbatt.plan_route import Fit, LegEnd, MissionPlan
+
+MOST_LEGS = 40  # lines on a terminal
+
+
+def plan_mission(
+    mission: Path,
+    vehicle: Path,
+    wind: str | None,
+    content: BatteryFile,
+    resolved: PackSize,
+    conditions: tuple[float, float, float],
+    outputs: tuple[Path | None, Path | None],
+) -> None:
+    """Say whether the mission fits.
+
+    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON
+    """
+    import msgspec
+
+    from uavbatt.battery import vehicle_file
+    from uavbatt.navigation import ReturnSettings, Wind
+    from uavbatt.plan_route import Planned, made
+    from uavbatt.telemetry.formats.mission_file import read_mission
+
+    read, flown = read_mission(mission), vehicle_file.read(vehicle)
+    if read.home is None:
+        raise UsageError(f"--mission {mission}: expected the place of home in it")
+    if flown.powers is None:
+        raise UsageError(
+            f"--vehicle {vehicle}: expected [powers]; `uavbatt fit` learns them from logs with speed and climb"
+        )
+    air = stated_wind(wind) if wind is not None else Wind(0.0, 0.0)
+    settings = ReturnSettings(**(msgspec.to_builtins(flown.speeds) if flown.speeds is not None else {}))
+    if math.isfinite(read.cruise_ms):
+        settings = replace(settings, cruise_ms=read.cruise_ms)
+    planned = Planned(read.mission, read.home, settings, flown.powers, air)
+    found = made(content, resolved, planned, *conditions)
+    report, summary = outputs
+    for line in _lines(found, mission.name):
+        say(line, report, summary)
+    if report is not None:
+        from uavbatt.files import atomic_write
+        from uavbatt.report.mission import mission_report
+
+        html = mission_report(found, mission.name)
+        with atomic_write(report, "w") as stream:
+            stream.write(html)
+    if summary is not None:
+        from uavbatt.files import write_json
+
+        write_json(summary, _summary(found, mission.name, content.certificate.content_sha256))
+
+
+def clock(seconds: float) -> str:
+    """Minutes and seconds."""
+    if not math.isfinite(seconds):
+        return "unknown"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def _lines(plan: MissionPlan, name: str) -> list[str]:
+    here, route = plan.here, plan.here.route
+    lines = [
+        f"{plan.resolved.battery} ({plan.resolved.status}): {plan.resolved.words}",
+        *(f"  warning    {warning}" for warning in plan.warnings),
+        f"{name}: {'fits' if here.fits else 'does NOT fit'} at {here.ambient_C:g} °C; "
+        f"probability that the battery ends before touchdown {route.risk:.0%}"
+        + (f"; {here.remark}" if here.remark else ""),
+        f"  touchdown after {clock(route.left_s)} with {_charge(route.soc, route.soc_lo, route.soc_hi)}; "
+        f"hover left then {clock(here.spare_s)} [{clock(here.spare_lo_s)}, {clock(here.spare_hi_s)}]",
+    ]
+    if math.isfinite(route.turn_back_s):
+        lines.append(f"  turn back by {clock(route.turn_back_lo_s)} to be home with 95 %; {_turning(plan)}")
+    lines.append(f"  {'item':>6}  {'after':>7}  {'height':>7}  charge at its end")
+    shown = plan.legs if len(plan.legs) <= MOST_LEGS else (*plan.legs[: MOST_LEGS // 2], *plan.legs[-MOST_LEGS // 2 :])
+    for leg in shown:
+        item = "home" if leg.item < 0 else str(leg.item)
+        charge = _charge(leg.soc, leg.soc_lo, leg.soc_hi)
+        lines.append(f"  {item:>6}  {clock(leg.end_s):>7}  {leg.place.height_m:>5.0f} m  {charge}")
+    lines.append(f"  {'ambient':>8}  {'risk':>5}  {'hover left':>10}  charge at touchdown")
+    return lines + [_row(fit) for fit in plan.rows]
+
+
+def _turning(plan: MissionPlan) -> str:
+    assert plan.turning is not None
+    north, east = plan.turning.north_m, plan.turning.east_m
+    ways = "north" if north >= 0.0 else "south", "east" if east >= 0.0 else "west"
+    return f"that is {abs(north):.0f} m {ways[0]}, {abs(east):.0f} m {ways[1]} of home"
+
+
+def _charge(middle: float, lo: float, hi: float) -> str:
+    return f"{middle:.0%} [{lo:.0%}, {hi:.0%}] of the charge"
+
+
+def _row(fit: Fit) -> str:
+    route = fit.route
+    charge = _charge(route.soc, route.soc_lo, route.soc_hi)
+    return f"  {fit.ambient_C:>5.0f} °C  {route.risk:>5.0%}  {clock(fit.spare_s):>10}  {charge}  {fit.remark}".rstrip()
+
+
+def _fit(fit: Fit) -> dict[str, Any]:
+    """One temperature for a program."""
+    route = fit.route
+    return {
+        "ambient_C": fit.ambient_C,
+        "fits": fit.fits,
+        "risk": route.risk,
+        "touchdown_s": route.left_s,
+        "soc": route.soc,
+        "soc_lo": route.soc_lo,
+        "soc_hi": route.soc_hi,
+        "spare_s": fit.spare_s,
+        "spare_lo_s": fit.spare_lo_s,
+        "spare_hi_s": fit.spare_hi_s,
+        "turn_back_s": route.turn_back_s,
+        "turn_back_lo_s": route.turn_back_lo_s,
+        "turn_back_hi_s": route.turn_back_hi_s,
+        "remark": fit.remark,
+    }
+
+
+def _charges(leg: LegEnd) -> dict[str, float]:
+    return {"soc": leg.soc, "soc_lo": leg.soc_lo, "soc_hi": leg.soc_hi}
+
+
+def _summary(plan: MissionPlan, name: str, content_sha256: str) -> dict[str, Any]:
+    """The plan for a program: where the numbers came from, the planned temperature, each leg, the table."""
+    pack = asdict(plan.resolved)
+    del pack["notices"], pack["refusal"]
+    legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
+    return {
+        "mission": name,
+        "battery": pack.pop("battery"),
+        "certificate_status": pack.pop("status"),
+        "content_sha256": content_sha256,
+        **pack,
+        "wind_north_ms": plan.planned.wind.north_ms,
+        "wind_east_ms": plan.planned.wind.east_ms,
+        "start_soc": plan.start_soc,
+        "warnings": list(plan.warnings),
+        "planned": _fit(plan.here),
+        "turning_point": plan.turning._asdict() if plan.turning is not None else None,
+        "legs": legs,
+        "table": [_fit(fit) for fit in plan.rows],
+    }

@@ -1,0 +1,182 @@
+"""Does the mission fit? The charge at each leg's end and at touchdown, before take-off, over ambient temperature.
+
+The same load and the same draws as in flight: the legs at their planned speeds, the vehicle's `[powers]` with their
+spreads, the battery file's spreads for a rested pack.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.model import Array
+from uavbatt.battery.powers import Powers
+from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackSize, certificate_remark
+from uavbatt.errors import UsageError
+from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
+from uavbatt.plan import EMPTY_SOC, TABLE_C, range_remark, rested
+from uavbatt.prediction import route_forecast, sampling
+from uavbatt.prediction.batch import Question, answer
+from uavbatt.prediction.long_steps import begun
+from uavbatt.prediction.route_ahead import Ahead, Way
+from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
+from uavbatt.prediction.route_load import RouteLoad
+from uavbatt.prediction.route_path import Point, path
+from uavbatt.prediction.turn_back import flown_on, home_pieces
+from uavbatt.records import Route
+
+STEPS = 400
+BEYOND = 2.0  # times the route: how long the hover at home is looked at
+LEVELS = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A mission to be flown from home with these powers in this wind."""
+
+    mission: Mission
+    home: Home
+    settings: ReturnSettings
+    powers: Powers
+    wind: Wind
+
+    def ahead(self) -> tuple[Ahead, Way]:
+        """Return its pieces and how they were made; UsageError when it is not understood or has no end."""
+        found = path(self.mission, self.home, self.settings)
+        if found.reason or not found.lands:
+            raise UsageError(
+                f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
+            )
+        way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
+        return Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.legs)), way
+
+
+@dataclass(frozen=True, slots=True)
+class LegEnd:
+    """Where a leg ends, when [s from take-off], and the charge then."""
+
+    item: int  # -1 on the way home
+    end_s: float
+    place: Point
+    soc: float
+    soc_lo: float
+    soc_hi: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What becomes of the mission at one ambient temperature; `spare_s` is the hover left at home after touchdown."""
+
+    ambient_C: float
+    route: Route
+    spare_s: float
+    spare_lo_s: float
+    spare_hi_s: float
+    remark: str = ""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the end of flight comes after touchdown with 95 % probability."""
+        return self.route.risk <= IN_TIME
+
+
+@dataclass(frozen=True, slots=True)
+class MissionPlan:
+    """What was asked and what came of it."""
+
+    resolved: PackSize
+    planned: Planned
+    start_soc: float
+    here: Fit
+    legs: tuple[LegEnd, ...]
+    turning: Point | None  # where the latest safe turn-back is
+    rows: tuple[Fit, ...]
+    warnings: tuple[str, ...]
+
+
+def made(
+    battery: BatteryFile,
+    resolved: PackSize,
+    planned: Planned,
+    ambient_C: float,
+    start_soc: float = 1.0,
+    reserve_soc: float = 0.0,
+) -> MissionPlan:
+    """Return the whole plan."""
+    ahead, way = planned.ahead()
+    pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+
+    def fit(at_C: float) -> tuple[Fit, Flying]:
+        return _fit(battery, pack, planned, (ahead, way), at_C, start_soc, reserve_soc)
+
+    here, flying = fit(ambient_C)
+    rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
+    turn_s = here.route.turn_back_lo_s
+    warnings = (*filter(None, (certificate_remark(battery, resolved), _speeds_remark(planned))), *resolved.notices)
+    turning = ahead.point(turn_s) if math.isfinite(turn_s) else None
+    return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying), turning, rows, warnings)
+
+
+def _fit(
+    battery: BatteryFile,
+    pack: Pack,
+    planned: Planned,
+    flown: tuple[Ahead, Way],
+    ambient_C: float,
+    start_soc: float,
+    reserve_soc: float,
+) -> tuple[Fit, Flying]:
+    """The mission at one temperature, and the draws that flew it."""
+    ahead, way = flown
+    load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
+    dt_s = np.full(STEPS, BEYOND * ahead.touchdown_s / STEPS)
+    scenarios = load.scenarios_over(dt_s)
+    scenario = sampling.assigned(scenarios.weight)
+    x, power_W = sampling.draws(rested(pack, start_soc, ambient_C)), scenarios.power_W[:, scenario]
+    reserve = max(reserve_soc, EMPTY_SOC)
+    question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
+    flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
+    home = RouteLoad(
+        Ahead(ahead.begin, home_pieces(ahead, way, planned.settings, 0.0)), planned.powers, 1.0, load.level_sd
+    )
+    known = ToCome(load, "route", "", ahead, home.ahead, "", home)
+    asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
+    end_s = np.minimum(answer(question).end_s, question.horizon_s)
+    route = route_forecast.answer(asked, end_s)
+    assert asked.route_s is not None
+    spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
+    return Fit(
+        ambient_C, route, float(spare[1]), float(spare[0]), float(spare[2]), range_remark(battery, ambient_C)
+    ), flying
+
+
+def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
+    """When and with what charge each leg ends."""
+    last = [i for i, piece in enumerate(ahead.pieces) if i + 1 == len(ahead.pieces) or _ends_leg(ahead, i)]
+    ends_s: Array = ahead.ends_s[last]
+    going = begun(flying.pack, flying.x, flying.ambient_C)
+    soc = np.quantile(flown_on(going, flying.power_W, flying.dt_s, ends_s).state.soc, LEVELS, axis=1)
+    return tuple(
+        LegEnd(ahead.pieces[i].seq, float(end_s), ahead.pieces[i].end, *(max(float(z), 0.0) for z in (middle, lo, hi)))
+        for i, end_s, lo, middle, hi in zip(last, ends_s, *soc, strict=True)
+    )
+
+
+def _ends_leg(ahead: Ahead, index: int) -> bool:
+    """Whether the next piece goes somewhere else: a wait belongs to the leg before it."""
+    here, following = ahead.pieces[index], ahead.pieces[index + 1]
+    return here.end != following.end or here.seq != following.seq
+
+
+def _speeds_remark(planned: Planned) -> str:
+    settings = planned.settings
+    unknown = {
+        "cruise": settings.cruise_ms, "climb": settings.climb_ms, "descent": settings.descent_ms,
+        "return height": settings.return_height_m, "landing": settings.land_ms,
+    }  # fmt: skip
+    missing = [name for name, value in unknown.items() if not math.isfinite(value)]
+    return f"nothing says the speed of {', '.join(missing)}: ArduCopter's defaults" if missing else ""

@@ -1,0 +1,153 @@
+"""What a forecast asks and answers beside the time left: the end of the route, the way home, the turn-back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.powers import UNKNOWN, Powers
+from uavbatt.battery.scaling import Pack
+from uavbatt.navigation import Navigation, ReturnSettings
+from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
+from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
+from uavbatt.prediction.long_steps import STEP_S, Going, begun, walked
+from uavbatt.prediction.route_ahead import Ahead, Piece, Way, ahead, home_now
+from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
+from uavbatt.prediction.route_path import ENDLESS_S
+from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.sampling import wander
+from uavbatt.prediction.turn_back import TurnBack, turned
+from uavbatt.prediction.turn_back import answer as turn_back_of
+from uavbatt.records import Route
+
+NAMES = {
+    LearnedLoad: "learned",
+    UnknownAircraft: "unknown",
+    RecentMean: "recent",
+    LoggedLoad: "log",
+    ConstantLoad: "stated",
+}
+IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
+HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
+UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
+
+
+class ToCome(NamedTuple):
+    """The load that is expected, by route where one is known, and what is known of the ways."""
+
+    load: Load
+    name: str
+    reason: str  # why the route is not used
+    route: Ahead | None
+    home: Ahead | None
+    home_reason: str
+    homewards: RouteLoad | None  # powers and level for the way home
+
+
+class RouteAsked(NamedTuple):
+    """What one forecast knows of route and home before the ends of its draws are simulated."""
+
+    load: str
+    reason: str
+    route_s: Array | None  # touchdown of each draw
+    route_soc: Array | None
+    turn: TurnBack | None
+
+
+def powers_of(load: Load) -> Powers:
+    """Return the powers that belong to a load: its vehicle's, else those of an aircraft that nobody knows."""
+    return load.powers if isinstance(load, LearnedLoad | UnknownAircraft) else UNKNOWN
+
+
+def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
+    """Return the load to come: the route's where it is known and nobody has stated another one."""
+    name, powers = NAMES.get(type(load), "learned"), powers_of(load)
+    level, level_sd = progress.level(powers)
+    route: Ahead | str = ahead(progress, navigation, time_s)
+    home: Ahead | str = home_now(progress, navigation, time_s)
+    if not math.isfinite(level):
+        route = route if isinstance(route, str) else UNTOLD_POWER
+        home = home if isinstance(home, str) else UNTOLD_POWER
+    known_home = home if isinstance(home, Ahead) else None
+    homewards = RouteLoad(known_home, powers, level, level_sd) if known_home is not None else None
+    home_reason = home if isinstance(home, str) else ""
+    if isinstance(route, str):
+        return ToCome(load, name, route, None, known_home, home_reason, homewards)
+    if isinstance(load, LearnedLoad | UnknownAircraft):
+        load, name = RouteLoad(route, powers, level, level_sd), "route"
+    return ToCome(load, name, "", route, known_home, home_reason, homewards)
+
+
+class Flying(NamedTuple):
+    """The simulated flights of a forecast: draws of the belief, their power [steps, draws], the scenario of each."""
+
+    pack: Pack
+    x: Array
+    power_W: Array
+    ambient_C: float
+    dt_s: Array
+    scenario: Array
+
+
+def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
+    """Return the charge at both touchdowns, and what comes of turning at instants of the flight."""
+    asked = RouteAsked(known.name, _reason(known), None, None, None)
+    scenario = flying.scenario % SCENARIOS  # of another load the numbers of scenarios mean nothing
+    going = begun(flying.pack, flying.x, flying.ambient_C)
+    if known.route is not None and known.route.lands:
+        stretch = factors(RouteLoad(known.route, UNKNOWN, 1.0, 0.0))[2][scenario]
+        route_s = known.route.touchdown_s * stretch
+        asked = asked._replace(route_s=route_s, route_soc=_charge_at(going, flying.power_W, flying.dt_s, route_s))
+    if known.homewards is None:
+        return asked
+    flown = known.route or Ahead(known.homewards.ahead.begin, (_staying(known.homewards.ahead),), False)
+    longest_s = min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf)
+    at_home = (flown, flying.power_W, flying.dt_s, known.homewards, scenario, way, settings, longest_s)
+    return asked._replace(turn=turned(going, *at_home))
+
+
+def _reason(known: ToCome) -> str:
+    return "; ".join(dict.fromkeys(filter(None, (known.reason, known.home_reason))))
+
+
+def _staying(home: Ahead) -> Piece:
+    """Without a route the aircraft is taken to stay as far from home as it is."""
+    return Piece(ENDLESS_S, 0.0, 0.0, False, False, -1, home.begin, 0.0)
+
+
+def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
+    """The charge of each draw at its own time [draws], in steps joined to about STEP_S."""
+    each = max(round(STEP_S / float(dt_s[0])), 1)
+    first = np.arange(0, dt_s.size, each)
+    lengths_s = np.add.reduceat(dt_s, first)
+    watts = np.add.reduceat(power_W * dt_s[:, None], first) / lengths_s[:, None]
+    charge, begin_s = np.asarray(going.state.soc).copy(), 0.0
+    for length_s, power, normals in zip(lengths_s, watts, wander().bias, strict=False):
+        share = np.clip((at_s - begin_s) / length_s, 0.0, 1.0)
+        if not share.any() or not (going.state.soc > 0.0).any():
+            break
+        later = walked(going, power, float(length_s), normals)
+        charge += share * (later.state.soc - going.state.soc)
+        going, begin_s = later, begin_s + length_s
+    return np.asarray(np.maximum(charge, 0.0))
+
+
+def answer(asked: RouteAsked, end_s: Array) -> Route:
+    """Return what is known of the ways, with the simulated ends of the flight [draws]."""
+    said = Route(asked.load, reason=asked.reason)
+    if asked.route_s is not None and asked.route_soc is not None:
+        lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))
+        risk, left_s = float(np.mean(end_s < asked.route_s)), float(np.median(asked.route_s))
+        said = replace(said, left_s=left_s, soc=middle, soc_lo=lo, soc_hi=hi, risk=risk)
+    if asked.turn is None:
+        return said
+    home_soc_lo, home_soc = map(float, np.quantile(asked.turn.home_soc, (0.05, 0.5)))
+    said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)
+    if said.risk <= IN_TIME:
+        return replace(said, reason=said.reason or "the route comes home in time")
+    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_of(asked.turn, end_s), (0.05, 0.5, 0.95)))
+    return replace(said, turn_back_s=middle_s, turn_back_lo_s=lo_s, turn_back_hi_s=hi_s)

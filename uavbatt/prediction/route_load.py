@@ -1,0 +1,108 @@
+"""The load of a known route: the power over its pieces in scenarios of level, fast flight, timing and row noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.powers import Powers, power, terms
+from uavbatt.prediction.load import Now, Scenarios, Swings, swinging
+from uavbatt.prediction.route_ahead import Ahead, Piece
+
+SCENARIOS = 64
+SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of
+LOWEST_POWER_W = 1.0
+GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
+
+
+@dataclass(frozen=True, slots=True)
+class RouteLoad:
+    """The pieces to come, flown with these powers at a level that is known to `level_sd`; then a hover at home."""
+
+    ahead: Ahead
+    powers: Powers
+    level: float
+    level_sd: float
+
+    def typical_W(self, now: Now) -> float:
+        """Mean power of the pieces to come."""
+        lengths_s = np.array([piece.length_s for piece in self.ahead.pieces])
+        if not lengths_s.sum() > 0.0:
+            return max(self.level * self.powers.hover_W, LOWEST_POWER_W)
+        return max(float(np.average(self.piece_W, weights=lengths_s)), LOWEST_POWER_W)
+
+    @property
+    def piece_W(self) -> Array:
+        """The middle power of each piece [W]."""
+        return self.level * power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms))
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """Equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""
+        return self.scenarios_over(np.full(steps, dt_s))
+
+    def scenarios_over(self, dt_s: Array) -> Scenarios:
+        """The same over steps of `dt_s` [steps]."""
+        return swinging(self.steady(dt_s), self.noise)
+
+    @property
+    def noise(self) -> Swings:
+        """What the power does from row to row within a leg."""
+        return Swings(0.0, self.powers.row_sd)
+
+    def steady(self, dt_s: Array) -> Scenarios:
+        """The scenarios over steps of `dt_s` [steps] without the noise of rows."""
+        levels, fast, stretch = factors(self)
+        watts = np.append(self.piece_W, self.level * self.powers.hover_W)[:, None] * levels
+        watts *= np.append(farness(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
+        edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
+        drawn_J = _energy_J(self.ahead.ends_s, watts, edges_s[:, None] / stretch) * stretch
+        power_W = np.maximum(np.diff(drawn_J, axis=0) / dt_s[:, None], LOWEST_POWER_W)
+        return Scenarios(power_W, np.full(SCENARIOS, 1.0 / SCENARIOS), dt_s)
+
+
+def factors(load: RouteLoad) -> Array:
+    """Return the factors of level, fast flight and time, [3, SCENARIOS], around 1."""
+    sds = np.array([load.level_sd / load.level, load.powers.fast_sd, load.ahead.timing_sd])
+    return np.asarray(np.exp(sds[:, None] * _normals()))
+
+
+def piece_terms(pieces: tuple[Piece, ...], induced_ms: float) -> Array:
+    """Return the terms of the powers for each piece."""
+    columns = np.array([piece[1:5] for piece in pieces], float).reshape(-1, 4)
+    airspeed_ms, climb_ms, taking_off, landing = columns.T
+    return terms(airspeed_ms, climb_ms, taking_off, landing, induced_ms)
+
+
+def roughness(load: RouteLoad, wind_ms: float) -> Array:
+    """Return the relative sd of the power within each piece: the rows' own, and gusts where the airspeed weighs."""
+    pieces, watts = load.ahead.pieces, load.piece_W
+    faster = replace(
+        load, ahead=Ahead(load.ahead.begin, tuple(p._replace(airspeed_ms=p.airspeed_ms + 1.0) for p in pieces))
+    )
+    return np.hypot(load.powers.row_sd, (faster.piece_W / watts - 1.0) * GUSTS * wind_ms)
+
+
+def farness(pieces: tuple[Piece, ...]) -> Array:
+    """Return how much each piece is fast flight or climb, 0..1."""
+    air, climb = np.array([piece[1:3] for piece in pieces], float).reshape(-1, 2).T
+    return np.maximum(np.clip((air - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0), np.clip(climb / STEEP_MS, 0.0, 1.0))
+
+
+@cache
+def _normals() -> Array:
+    """[3, SCENARIOS] standard normals in antithetic pairs with covariance 1, exactly."""
+    half = np.random.default_rng(SCENARIOS).standard_normal((3, SCENARIOS // 2))
+    raw = np.concatenate([half, -half], axis=1)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(raw @ raw.T / SCENARIOS), raw))
+
+
+def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:
+    """Energy drawn until `at_s` [times, scenarios] by `watts` [pieces + 1, scenarios]; the last piece has no end."""
+    begins_s = np.concatenate([[0.0], ends_s])
+    before_J = np.concatenate([np.zeros_like(watts[:1]), np.cumsum(watts[:-1] * np.diff(begins_s)[:, None], axis=0)])
+    piece = np.searchsorted(ends_s, at_s, side="right")
+    column = np.arange(watts.shape[1])
+    return np.asarray(before_J[piece, column] + watts[piece, column] * (at_s - begins_s[piece]))

@@ -1,0 +1,146 @@
+"""The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
+
+Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
+voltage's least height above the cut-off on that way home is noted. A draw's turn-back is the last t at which it has not
+met its end before and that height is not negative.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.navigation import ReturnSettings
+from uavbatt.prediction import sampling
+from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, walked
+from uavbatt.prediction.route_ahead import Ahead, Piece, Way
+from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
+from uavbatt.prediction.route_path import way_home
+
+LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
+CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
+FASTEST_CLIMB_MS = 0.3
+ROUGH = 2.0  # sds: the highest of some twenty powers in a row, each judged by its mean over seconds
+
+
+class TurnBack(NamedTuple):
+    """What came of turning at some instants: how far above the cut-off each draw stayed on its way home."""
+
+    look_s: Array  # [looks] from now
+    above_V: Array  # [looks, draws]
+    home_soc: Array  # [draws] at touchdown after turning now
+
+
+class Homewards(NamedTuple):
+    """The ways home in steps, all of one number: lengths [s], middle powers [W], shares of fast flight."""
+
+    length_s: Array  # [steps, looks]
+    power_W: Array
+    far: Array
+    rough: Array  # relative sd of the power within the step
+
+
+def turned(
+    going: Going,
+    flown: Ahead,
+    flown_W: Array,
+    dt_s: Array,
+    load: RouteLoad,
+    scenario: Array,
+    way: Way,
+    settings: ReturnSettings,
+    longest_s: float,
+) -> TurnBack:
+    """Return what comes of turning at instants within `longest_s` [s].
+
+    going : the draws now
+    flown, flown_W, dt_s : the way that would be flown on, and each draw's power on it [steps, draws]
+    load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
+    """
+    look_s = longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED
+    levels, fast, stretch = factors(load)[:, scenario]
+    home = _homewards(flown, look_s, load, way, settings)
+    at_turn = flown_on(going, flown_W, dt_s, look_s)
+    least_V, normals = np.full(at_turn.bias_V.shape, np.inf), sampling.wander().bias[::-1]
+    for k, length_s in enumerate(home.length_s):
+        power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
+        above_V = above_cutoff_V(at_turn, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
+        least_V = np.where(length_s[:, None] > 0.0, np.minimum(least_V, above_V), least_V)
+        at_turn = walked(at_turn, power_W, length_s[:, None] * stretch, normals[k])
+    return TurnBack(
+        look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0)
+    )
+
+
+def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
+    """Return the draws at each instant [looks, draws] of a way with this power in steps of `dt_s` [steps]."""
+    edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
+    drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
+    normals, states, biases, k = sampling.wander().bias, [], [], 0
+    for before_s, until_s in zip(np.concatenate([[0.0], look_s[:-1]]), look_s, strict=True):
+        parts = np.linspace(before_s, until_s, 1 + math.ceil((until_s - before_s) / (2.0 * STEP_S)))
+        for begin_s, end_s in pairwise(parts):
+            mean_W = (_at(drawn_J, edges_s, end_s) - _at(drawn_J, edges_s, begin_s)) / (end_s - begin_s)
+            going, k = walked(going, mean_W, end_s - begin_s, normals[k]), k + 1
+        states.append(going.state)
+        biases.append(going.bias_V)
+    state = type(going.state)(*(np.stack(np.broadcast_arrays(*column)) for column in zip(*states, strict=True)))
+    return going._replace(state=state, bias_V=np.stack(biases))
+
+
+def _at(values: Array, edges_s: Array, time_s: float) -> Array:
+    """Row of `values` [edges, draws] at a time, linear between the edges."""
+    right = min(max(int(np.searchsorted(edges_s, time_s)), 1), edges_s.size - 1)
+    share = (time_s - edges_s[right - 1]) / (edges_s[right] - edges_s[right - 1])
+    return np.asarray(values[right - 1] + share * (values[right] - values[right - 1]))
+
+
+def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
+    """The way home from where each instant finds the aircraft."""
+    ways = [_steps(home_pieces(flown, way, settings, float(time_s))) for time_s in look_s]
+    every = tuple(piece for pieces in ways for piece in pieces)
+    there = replace(load, ahead=Ahead(flown.begin, every))
+    told = np.stack(
+        [[piece.length_s for piece in every], there.piece_W, farness(every), roughness(there, math.hypot(*way.wind))]
+    )
+    table, ends = np.zeros((4, max(map(len, ways)), look_s.size)), np.cumsum([len(pieces) for pieces in ways])
+    for column, (end, pieces) in enumerate(zip(ends, ways, strict=True)):
+        table[:, : len(pieces), column] = told[:, end - len(pieces) : end]
+        table[1:, len(pieces) :, column] = told[1:, end - 1 : end]  # a step of no length draws nothing
+    return Homewards(*table)
+
+
+def home_pieces(flown: Ahead, way: Way, settings: ReturnSettings, time_s: float) -> tuple[Piece, ...]:
+    """Return the way home from where the aircraft is after `time_s` [s]."""
+    return way.pieces(way_home(flown.point(time_s), settings))
+
+
+def _steps(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
+    """The pieces in steps short enough for their sag."""
+    steps: list[Piece] = []
+    for piece in pieces:
+        count = max(math.ceil(piece.length_s / STEP_S), CLIMB_STEPS if piece.climb_ms > FASTEST_CLIMB_MS else 1)
+        steps += [piece._replace(length_s=piece.length_s / count)] * count
+    return tuple(steps)
+
+
+def answer(asked: TurnBack, end_s: Array) -> Array:
+    """Return the turn-back of each draw [s], whose flight would end at `end_s`; 0 where it is too late already."""
+    alive = asked.look_s[:, None] <= end_s
+    return last_crossing(asked.look_s, np.where(alive, asked.above_V, -np.abs(asked.above_V)))
+
+
+def last_crossing(at_s: Array, height: Array) -> Array:
+    """Return the last time at which each column of `height` [times, draws] is not negative; 0 where none is."""
+    fits = height >= 0.0
+    last = at_s.size - 1 - np.argmax(fits[::-1], axis=0)
+    after = np.minimum(last + 1, at_s.size - 1)
+    column = np.arange(height.shape[1])
+    above, below = height[last, column], height[after, column]
+    share = np.where(after > last, above / np.maximum(above - below, 1e-9), 0.0)
+    return np.where(fits.any(axis=0), at_s[last] + np.clip(share, 0.0, 1.0) * (at_s[after] - at_s[last]), 0.0)

@@ -1,0 +1,128 @@
+"""The page of a planned mission: does it fit, where to turn back, the charge along the way, over temperature."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uavbatt import __version__
+from uavbatt.plan_route import Fit, MissionPlan
+from uavbatt.prediction.route_path import Point
+from uavbatt.report import plot
+from uavbatt.report.page import (
+    Html,
+    badge,
+    bullets,
+    celsius,
+    duration,
+    element,
+    facts,
+    figure,
+    number,
+    page,
+    paragraph,
+    section,
+    strong,
+    table,
+)
+from uavbatt.report.route_map import route_map
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def mission_report(plan: MissionPlan, name: str) -> str:
+    """Return the whole page as HTML."""
+    points = [Point(0.0, 0.0, 0.0), *(leg.place for leg in plan.legs)]
+    note = "The red point is where the aircraft must turn back to be home with 95 %." if plan.turning else ""
+    return page(
+        f"{name}: does it fit?",
+        "uavbatt plan",
+        _answer(plan),
+        section("The route", route_map(points, turning=plan.turning, note=note), _charge(plan)),
+        section("Leg by leg", _legs(plan)),
+        section("Over ambient temperature", _temperatures(plan)),
+        section("What it rests on", facts(_basis(plan)), bullets(plan.warnings)),
+        footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
+    )
+
+
+def _answer(plan: MissionPlan) -> Html:
+    here, route = plan.here, plan.here.route
+    said = paragraph(
+        strong("It fits." if here.fits else "It does not fit."),
+        f" At {celsius(here.ambient_C)} the probability that the battery ends before touchdown is {route.risk:.0%}. "
+        f"Touchdown after {duration(route.left_s)} with {_share(route.soc)} of the charge (90 % interval "
+        f"{_share(route.soc_lo)} to {_share(route.soc_hi)}).",
+    )
+    spare = paragraph(f"Hover left at touchdown: {duration(here.spare_s)}, at worst (5 %) {duration(here.spare_lo_s)}.")
+    turn = []
+    if math.isfinite(route.turn_back_lo_s):
+        words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
+        turn = [paragraph(strong(words))]
+    quiet = paragraph(badge(plan.resolved.status), " battery file.", css="quiet")
+    return element("div", said, *turn, spare, quiet, css="answer")
+
+
+def _share(soc: float) -> str:
+    return number(100.0 * soc, 0, "%")
+
+
+def _charge(plan: MissionPlan) -> Html:
+    def draw(axes: Axes) -> None:
+        minutes = np.array([0.0, *(leg.end_s / 60.0 for leg in plan.legs)])
+        lo, middle, hi = (
+            100.0 * np.array([plan.start_soc, *(getattr(leg, key) for leg in plan.legs)])
+            for key in ("soc_lo", "soc", "soc_hi")
+        )
+        axes.fill_between(minutes, lo, hi, color=plot.SKY, alpha=0.35, linewidth=0, label="90 % interval")
+        axes.plot(minutes, middle, color=plot.BLUE, label="median")
+        axes.set_ylim(bottom=0.0)
+
+    alt = "Charge at each leg's end over time, median and 90 % interval"
+    svg = plot.panel(draw, alt, x="time [min]", y="charge [%]", legend_columns=2)
+    return figure(svg, "Charge along the way", "From take-off to touchdown, at each leg's end.")
+
+
+def _legs(plan: MissionPlan) -> Html:
+    rows = [
+        (
+            "home" if leg.item < 0 else str(leg.item),
+            duration(leg.end_s),
+            number(math.hypot(leg.place.north_m, leg.place.east_m), 0, "m"),
+            number(leg.place.height_m, 0, "m"),
+            _share(leg.soc),
+            _share(leg.soc_lo),
+            _share(leg.soc_hi),
+        )
+        for leg in plan.legs
+    ]
+    return table(("item", "after", "from home", "height", "charge", "5 %", "95 %"), rows, "Charge at each leg's end")
+
+
+def _temperatures(plan: MissionPlan) -> Html:
+    head = ("ambient", "fits", "risk", "charge at touchdown", "hover left", "turn back by", "")
+    return table(head, [_row(fit) for fit in plan.rows], "The same mission", text_columns=(0, 1, 6))
+
+
+def _row(fit: Fit) -> tuple[str, ...]:
+    route = fit.route
+    risk, turn = f"{route.risk:.0%}", duration(route.turn_back_lo_s) if math.isfinite(route.turn_back_lo_s) else "–"
+    fits = "yes" if fit.fits else "no"
+    return (celsius(fit.ambient_C), fits, risk, _share(route.soc), duration(fit.spare_s), turn, fit.remark)
+
+
+def _basis(plan: MissionPlan) -> list[tuple[str, str]]:
+    pack, powers, wind = plan.resolved, plan.planned.powers, plan.planned.wind
+    from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
+    speed_ms = math.hypot(wind.north_ms, wind.east_ms)
+    return [
+        ("battery", f"{pack.battery} ({pack.status})"),
+        ("cells", f"{pack.cells} in series, from {pack.cells_from}"),
+        ("capacity", f"{number(pack.capacity_Ah, 2, 'Ah')}, from {pack.capacity_from}"),
+        ("end of flight", f"below {number(pack.cutoff_V, 2, 'V')}, from {pack.cutoff_from}"),
+        ("vehicle", f"hover {powers.hover_W:.0f} W ± {powers.level_sd:.0%}, learned from {powers.flights} flights"),
+        ("wind", f"{speed_ms:.1f} m/s from {from_deg:.0f}°" if speed_ms > 0.0 else "none"),
+    ]

@@ -1,0 +1,34 @@
+"""A small map of a route in metres around home: what is flown, what is to come, where to turn back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from uavbatt.prediction.route_path import Point
+from uavbatt.report import plot
+from uavbatt.report.page import Html, figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_POINTS = 2000
+
+
+def route_map(
+    to_come: Sequence[Point], flown: Sequence[Point] = (), turning: Point | None = None, note: str = ""
+) -> Html:
+    """Return the map as a figure of the page; home is its origin."""
+
+    def draw(axes: Axes) -> None:
+        for points, colour, words in ((to_come, plot.SKY, "route"), (flown, plot.BLUE, "flown")):
+            if len(points) > 1:
+                shown = points[:: max(len(points) // MOST_POINTS, 1)]
+                axes.plot([p.east_m for p in shown], [p.north_m for p in shown], color=colour, label=words)
+        axes.plot([0.0], [0.0], "s", color=plot.INK, label="home")
+        if turning is not None:
+            axes.plot([turning.east_m], [turning.north_m], "o", color=plot.RED, label="turn back")
+        axes.set_aspect("equal", adjustable="datalim")
+
+    svg = plot.panel(draw, "Map of the route in metres around home", x="east [m]", y="north [m]", legend_columns=4)
+    return figure(svg, "The route from above", note)

@@ -1,0 +1,62 @@
+"""The route on the page of a flight: a map, what was known of the turn-back, and which load was used."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+from uavbatt.log_replay import Step
+from uavbatt.prediction.route_path import Point, path, place
+from uavbatt.records import Flight, Route
+from uavbatt.report.page import Html, duration, paragraph, section
+from uavbatt.report.route_map import route_map
+
+
+def route_section(flight: Flight, steps: Sequence[Step]) -> list[Html]:
+    """Return the section; nothing where neither a route nor home is known."""
+    said = [(s.remaining.time_s, s.remaining.route) for s in steps if s.remaining.route is not None]
+    if not said:
+        return []
+    turn_s = next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), math.nan)
+    note = "The red point is where “turn back now” was said first." if math.isfinite(turn_s) else ""
+    flown = [found for known in flight.navigation if (found := _place(known.time_s, flight)) is not None]
+    drawn = route_map(_planned(flight), flown, _place(turn_s, flight), note)
+    return [section("The route", paragraph(_words(said, turn_s)), drawn, paragraph(_loads(said), css="quiet"))]
+
+
+def _place(time_s: float, flight: Flight) -> Point | None:
+    """Where the aircraft was; None where nobody said it."""
+    known = flight.navigation_at(time_s) if math.isfinite(time_s) else None
+    if known is None or known.position is None or known.home is None:
+        return None
+    return place(known.home, known.position)
+
+
+def _planned(flight: Flight) -> list[Point]:
+    """The route of the last mission that was known."""
+    last = flight.navigation_at(math.inf)
+    if last.mission is None or last.home is None:
+        return []
+    legs = path(last.mission, last.home, last.settings).legs
+    return [Point(0.0, 0.0, 0.0), *(leg.end for leg in legs)]
+
+
+def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
+    time_s, last = said[-1]
+    words = [f"“Turn back now” was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
+    if math.isfinite(last.home_soc) and not last.turn_back_lo_s <= 0.0:  # too late, home is no promise any more
+        charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
+        words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
+    if not words:
+        words.append(f"Nothing was known of the way home: {last.reason or 'no position'}.")
+    return " ".join(words)
+
+
+def _loads(said: Sequence[tuple[float, Route]]) -> str:
+    """Which load to come was used in how many rows, and why not the route's."""
+    loads = Counter(route.load for _, route in said)
+    used = ", ".join(f"{load} in {count} of {len(said)} rows" for load, count in loads.most_common())
+    reasons = Counter(route.reason for _, route in said if route.load != "route" and route.reason)
+    why = f"; most often because {reasons.most_common(1)[0][0]}" if reasons else ""
+    return f"Load to come: {used}{why}."
