@@ -25,8 +25,8 @@ from typing import NamedTuple
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.capacity_prior import capacities
 from uavbatt.battery.openloop import States, states
+from uavbatt.battery.remembered import PackHealth, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, resting, size_of_pack
 from uavbatt.battery.state_space import Belief
@@ -83,7 +83,8 @@ class Estimator:
     """State of charge and remaining time of one battery.
 
     battery : the battery file; options : what the caller states of the pack; settings : load to come,
-    reserve and period of the forecasts; engine : how `run` works its windows.
+    reserve and period of the forecasts; engine : how `run` works its windows; remembered : the health of a pack that
+    was met before.
     `step` always takes measurements in by filterpy.
     """
 
@@ -93,8 +94,9 @@ class Estimator:
         options: PackOptions | None = None,
         settings: Settings | None = None,
         engine: Engine = PLAIN,
+        remembered: PackHealth | None = None,
     ) -> None:
-        self.battery = battery
+        self.battery, self.remembered = battery, remembered
         self.options = options or PackOptions()
         self.settings = settings or Settings()
         self.pack_size: PackSize | None = None
@@ -261,7 +263,7 @@ class Estimator:
     def _begin(self, size: PackSize) -> tuple[SocFilter, Forecaster]:
         """Forget the last battery: nothing that was believed of it holds."""
         pack = self._pack(size)
-        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=capacities(pack))
+        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
         self._forecaster = Forecaster(pack, self.settings)
         self._is_guessed = self._intake.guessed
         self._swap, self._monitor, self._wall = SwapWatch(), Monitor(), LastWall()
@@ -330,6 +332,7 @@ class Estimator:
         pack = pack_of(self.battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
         if self._intake.guessed:
             pack = unmetered_pack(pack, is_stated=math.isfinite(self._intake.stated_power_W))
+        pack = with_reaction(pack, self.remembered)
         return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
 
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
@@ -337,5 +340,8 @@ class Estimator:
         assert self.pack_size is not None and self._filter is not None
         is_metered = not self._intake.guessed
         found = remarks(self.battery, self.pack_size, sample, known, self._filter.pack, is_metered=is_metered)
+        if is_metered and self.remembered is not None:
+            changed = unlike(self._filter.pack, self.remembered, known.wear, known.wear_sd)
+            found = (*found, changed) if changed else found
         doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._doubts)))
         return (*found, *doubted, *self._intake.notices)

@@ -14,7 +14,7 @@ import numpy as np
 
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.capacity_prior import capacities
+from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing import PackOptions, PackSize, certificate_remark, size_of_pack
 from uavbatt.battery.state_space import SIZE, Belief, C
@@ -109,11 +109,12 @@ def made(
     ambient_C: float,
     start_soc: float = 1.0,
     reserve_soc: float = 0.0,
+    remembered: PackHealth | None = None,
 ) -> Plan:
-    """The whole plan for a load and its name."""
+    """The whole plan for a load and its name, of a pack that was met before if `remembered` tells it."""
 
     def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
-        return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc) for t in ambients_C)
+        return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc, remembered) for t in ambients_C)
 
     curve, remark = at(CURVE_C), certificate_remark(battery, resolved)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
@@ -134,11 +135,13 @@ def endurance(
     ambient_C: float,
     start_soc: float = 1.0,
     reserve_soc: float = 0.0,
+    remembered: PackHealth | None = None,
 ) -> Endurance:
     """Time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
     pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+    pack = with_reaction(pack, remembered)
     forecaster = Forecaster(pack, Settings(load, max(reserve_soc, EMPTY_SOC)))
-    found = forecaster.forecast(rested(pack, start_soc, ambient_C), 0.0)
+    found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
     if found is None:
         return Endurance(ambient_C, NAN, NAN, NAN, NAN, "no end within six hours: this is not the load of a flight")
     times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
@@ -147,13 +150,17 @@ def endurance(
     return Endurance(ambient_C, *times_s, range_remark(battery, ambient_C))
 
 
-def rested(pack: Pack, start_soc: float, ambient_C: float) -> Belief:
-    """The belief about a pack before take-off: its stated charge, the temperature of the air, the file's spreads."""
-    state, members = model.rested(start_soc, ambient_C), capacities(pack)
+def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealth | None = None) -> Belief:
+    """The belief about a pack before take-off: its stated charge, the temperature of the air, the file's spreads.
+
+    Of a pack that was met before, its remembered health instead of the spreads.
+    """
+    state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))
     means[:, : C.SENSOR + 1], means[:, C.LOG_CAPACITY] = state, members.log_scale
     charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
-    covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members.sd)
+    means[:, C.LOG_RESISTANCE] = members.log_resistance
+    covariances = start_covariances(state, charge, AMBIENT_SD_K, members)
     return Belief(0.0, means, covariances, members.weight, ambient_C)
 
 

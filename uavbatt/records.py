@@ -74,6 +74,7 @@ class Identity:
     hardware: str = ""  # serial of the flight controller
     firmware: str = ""
     battery_serial: str = ""
+    battery_cycles: int | None = None  # by the pack's own counter
     start_utc_s: float = NAN  # of the first record, seconds since 1970
 
 

@@ -30,11 +30,16 @@ UNKNOWN_MAKE_PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35
 
 
 class Capacities(NamedTuple):
-    """Members of the prior, [members] each: ln of the capacity scale, its sd within the member, its weight."""
+    """Members of the prior, [members] each: ln of the capacity scale, its sd within the member, its weight.
+
+    And ln of the resistance scale with its sd, which are the same in all members of a pack that nobody met before.
+    """
 
     log_scale: Array
     sd: Array
     weight: Array
+    log_resistance: Array
+    resistance_sd: Array
 
 
 def capacities(pack: Pack) -> Capacities:
@@ -55,9 +60,12 @@ def capacities(pack: Pack) -> Capacities:
         np.concatenate([ABSURD, scale]),
         np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
         np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
+        np.zeros(len(ABSURD) + MEMBERS),
+        np.full(len(ABSURD) + MEMBERS, pack.resistance_scale_sd),
     )
 
 
 def known_capacity(pack: Pack) -> Capacities:
     """One member, around what is stated: for a pack that was measured."""
-    return Capacities(np.zeros(1), np.full(1, pack.capacity_scale_sd), np.ones(1))
+    capacity_sd, resistance_sd = np.full(1, pack.capacity_scale_sd), np.full(1, pack.resistance_scale_sd)
+    return Capacities(np.zeros(1), capacity_sd, np.ones(1), np.zeros(1), resistance_sd)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from uavbatt import __version__
-from uavbatt.cli import batteries, diagnose, fit, fleet, info, live, plan, replay, simulate, validate
+from uavbatt.cli import batteries, diagnose, fit, fleet, info, live, packs, plan, replay, simulate, validate
 
 app = typer.Typer(
     name="uavbatt",
@@ -36,6 +36,7 @@ app.command("validate")(validate.validate)
 app.command("fit")(fit.fit)
 app.command("plan")(plan.plan)
 app.command("replay")(replay.replay)
+app.command("packs")(packs.packs)
 app.command("diagnose")(diagnose.diagnose)
 app.command("fleet")(fleet.fleet)
 app.command("info")(info.info)

@@ -18,6 +18,7 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    PacksOption,
     ReserveOption,
     UncertifiedOption,
     read_battery,
@@ -51,6 +52,7 @@ def fleet(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
     ] = None,
+    packs: PacksOption = None,
     by: Annotated[
         str,
         typer.Option("--by", metavar="FIELD", help="Column that names the aircraft, as hardware."),
@@ -62,6 +64,7 @@ def fleet(
     """Fly a whole fleet's logs: one row a flight (Parquet, CSV) and a page about packs and forecasts.
 
     A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown.
+    With --packs what the flights taught of packs with a serial is saved in the ledger.
     """
     from uavbatt.fleet.run import check_extra
 
@@ -75,7 +78,8 @@ def fleet(
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     settings = Settings(reserve_soc=reserve_soc)
-    job = Job(read_battery(battery, allow_uncertified), options, settings, _column(by), _pattern(aircraft))
+    content = read_battery(battery, allow_uncertified)
+    job = Job(content, options, settings, _column(by), _pattern(aircraft), teaches=packs is not None)
     found = find(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
@@ -87,6 +91,21 @@ def fleet(
                 remark(f"uavbatt: {output / JOURNAL}: {left_out}")
             show(finished)
     _tell(output, run.rows(output, found, job), job, flown, len(found))
+    if packs is not None:
+        _fill(packs, run.rows(output, found, job))
+
+
+def _fill(packs: Path, rows: Iterable[Row]) -> None:
+    """Save in the ledger what the flights taught."""
+    from uavbatt.fleet.ledger import fill
+    from uavbatt.packs.ledger import Ledger
+
+    with Ledger(packs) as ledger:
+        saved, left_out = fill(ledger, rows)
+        count = len(ledger.packs())
+    for words in left_out:
+        remark(f"uavbatt: {words}")
+    say(f"{saved} flights in {packs}, which remembers {count} pack{'s' * (count != 1)}; see `uavbatt packs {packs}`")
 
 
 def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) -> None:

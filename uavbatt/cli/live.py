@@ -33,6 +33,12 @@ def live(
     instance: Annotated[int | None, typer.Option("--instance", min=0, max=255, help="Only this battery.")] = None,
     vehicle: Annotated[str | None, typer.Option("--vehicle", help="Vehicle file: how this aircraft flew.")] = None,
     load: Annotated[str | None, typer.Option("--load", help="learned, recent or watts.")] = None,
+    packs: Annotated[
+        str | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")
+    ] = None,
+    pack: Annotated[
+        str | None, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")
+    ] = None,
     mission: Annotated[str | None, typer.Option("--mission", help="Mission file (.waypoints, .plan): wins.")] = None,
     record: Annotated[str | None, typer.Option("--record", metavar="DIR", help="Record into this folder.")] = None,
     state: Annotated[str | None, typer.Option("--state", metavar="FILE", help="State that survives a crash.")] = None,
@@ -53,6 +59,7 @@ def live(
         "pack": {"battery": battery, "cells": cells, "capacity_Ah": capacity_ah, "cutoff_voltage_V": cutoff_voltage}
         | {"reserve_soc": reserve_soc, "allow_uncertified": allow_uncertified, "instance": instance}
         | {"vehicle": vehicle, "load": load, "mission": mission},
+        "packs": {"file": packs, "name": pack},
         "feed": {"kinds": feed or None},
         "http": {"listen": http},
         "record": {"folder": record},

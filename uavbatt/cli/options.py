@@ -29,6 +29,8 @@ CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pa
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+PacksOption = Annotated[Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")]
+PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")]
 WindOption = Annotated[
     str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="Wind [m/s] and where it comes from, as 6@270.")
 ]

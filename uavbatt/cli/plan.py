@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli import pack_memory
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
@@ -17,6 +18,8 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    PackOption,
+    PacksOption,
     ReserveOption,
     UncertifiedOption,
     check_writable,
@@ -56,6 +59,8 @@ def plan(
     reserve_soc: ReserveOption = 0.0,
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
+    packs: PacksOption = None,
+    pack: PackOption = "",
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
@@ -69,7 +74,7 @@ def plan(
         raise UsageError("--mission: expected with --vehicle FILE, which says what this aircraft asks in each leg")
     if wind is not None and mission is None:
         raise UsageError("--wind: expected with --mission: without a route there is no airspeed")
-    check_writable(report, summary, reads=(like, vehicle, mission))
+    check_writable(report, summary, reads=(like, vehicle, mission, packs))
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
@@ -81,7 +86,9 @@ def plan(
         plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary))
         return
     load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
-    found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc)
+    with pack_memory.opened(packs, pack, only_read=True) as memory:
+        remembered = memory.recalled_now(content)
+    found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:

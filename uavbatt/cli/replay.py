@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli import pack_memory
 from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight, distinct_names
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
@@ -19,6 +20,8 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    PackOption,
+    PacksOption,
     ReserveOption,
     UncertifiedOption,
     check_apart,
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.battery.vehicle_file import VehicleFile
+    from uavbatt.cli.pack_memory import PackMemory
     from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
 
@@ -49,6 +53,8 @@ def replay(
     join: JoinOption = "",
     load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
     vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
+    packs: PacksOption = None,
+    pack: PackOption = "",
     mission: Annotated[
         Path | None, typer.Option("--mission", help="What it was to fly: a .waypoints or .plan file.")
     ] = None,
@@ -61,6 +67,7 @@ def replay(
 
     With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list; a log that
     cannot be replayed is told, the others are replayed, and the exit code is 1.
+    With --packs each flight begins with what is remembered of its pack, and is remembered itself.
 
     Example: uavbatt replay flight.BIN --report flight.html
     """
@@ -79,22 +86,24 @@ def replay(
         for folder in (jsonl, csv, report):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
-    check_writable(*outputs, reads=[*logs, vehicle, mission])
+    check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
     content = read_battery(battery, allow_uncertified)
     planned = read_mission(mission) if mission is not None else None
     flown = vehicle_file.read(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results, failed = list[dict[str, Any]](), False
-    for log, of_one in zip(logs, targets, strict=True):
-        chosen, to_come, outputs_of_one = (instance, join), (load, flown), (*of_one, summary)
-        try:
-            results.append(_one(log, content, (options, reserve_soc), to_come, chosen, outputs_of_one, planned))
-        except UavbattError as error:
-            if not several:
-                raise
-            failed = True
-            remark(f"uavbatt: {error}")
-            results.append({"log": str(log), "error": terminal_line(error)})
+    with pack_memory.opened(packs, pack) as memory:
+        for log, of_one in zip(logs, targets, strict=True):
+            chosen, to_come, outputs_of_one = (instance, join), (load, flown), (*of_one, summary)
+            stated = (options, reserve_soc)
+            try:
+                results.append(_one(log, content, stated, to_come, chosen, memory, outputs_of_one, planned))
+            except UavbattError as error:
+                if not several:
+                    raise
+                failed = True
+                remark(f"uavbatt: {error}")
+                results.append({"log": str(log), "error": terminal_line(error)})
     if summary is not None:
         from uavbatt.files import write_json
 
@@ -109,6 +118,7 @@ def _one(
     stated: tuple[PackOptions, float],
     load: tuple[str, VehicleFile | None],
     chosen: tuple[int | None, str],
+    memory: PackMemory,
     outputs: Sequence[Path | None],
     planned: PlannedFlight | None = None,
 ) -> dict[str, Any]:
@@ -130,7 +140,8 @@ def _one(
     period_s = forecast_period_s(log)
     to_come = stated_load(load[0], flight, load[1], content)
     settings = Settings(to_come, reserve_soc, period_s) if math.isfinite(period_s) else Settings(to_come, reserve_soc)
-    estimator = Estimator(content, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS))
+    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
+    estimator = Estimator(content, options, settings, engine, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -148,9 +159,10 @@ def _one(
             from uavbatt.report.page import write_page
 
             write_page(report, flight_report(flight, run, resolved, found, content))
-    for line in flight_text.lines(flight, resolved, found, run):
+    learned = memory.learn(flight, content, options)
+    for line in [*flight_text.lines(flight, resolved, found, run), *learned.lines]:
         say(line, *outputs)
-    return flight_text.summary(flight, resolved, found, run, content)
+    return {**flight_text.summary(flight, resolved, found, run, content), **learned.fields}
 
 
 def _with_progress(rows: Any, total: int, name: str) -> Any:

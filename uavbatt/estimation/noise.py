@@ -12,6 +12,7 @@ import numpy as np
 
 from uavbatt.battery import initial_state, model
 from uavbatt.battery import state_space as b
+from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, State
 from uavbatt.battery.scaling import Pack
@@ -79,21 +80,21 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     return First(initial_state.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
 
 
-def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float, capacity_sd: Array) -> Array:
+def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:
     """Covariances [members, 8, 8] of the first belief around `state`.
 
-    `charge` [2, 2] is the covariance of (soc, discrepancy), `capacity_sd` [members] that of ln of the capacity scale.
+    `charge` [2, 2] is the covariance of (soc, discrepancy), `members` the prior of the pack's scales.
     """
     sd = np.zeros(SIZE)
     sd[C.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
     sd[C.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
     sd[C.CORE] = sd[C.SENSOR] = temp_sd_K
-    sd[C.LOG_RESISTANCE] = pack.resistance_scale_sd
     covariance = np.diag(sd**2)
     covariance[np.ix_((C.SOC, C.BIAS), (C.SOC, C.BIAS))] = charge
-    members = np.tile(covariance, (capacity_sd.size, 1, 1))
-    members[:, C.LOG_CAPACITY, C.LOG_CAPACITY] = capacity_sd**2
-    return members
+    bank = np.tile(covariance, (members.sd.size, 1, 1))
+    bank[:, C.LOG_RESISTANCE, C.LOG_RESISTANCE] = members.resistance_sd**2
+    bank[:, C.LOG_CAPACITY, C.LOG_CAPACITY] = members.sd**2
+    return bank
 
 
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, before_c: float) -> Array:

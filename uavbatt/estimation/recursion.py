@@ -92,7 +92,8 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     x[:, : C.SENSOR + 1] = first.state
     x[:, C.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
     x[:, C.BIAS], x[:, C.LOG_CAPACITY] = first.mean[1], members.log_scale
-    P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members.sd)
+    x[:, C.LOG_RESISTANCE] = members.log_resistance
+    P = noise.start_covariances(first.state, first.covariance, temp_sd_K, members)
     moments = Moments(x, P, np.log(members.weight))
     ambient_C = ambient_C if math.isfinite(ambient_C) else temp_C
     state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import re
 from dataclasses import dataclass, replace
@@ -18,8 +19,10 @@ from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
 from uavbatt.log_replay import Outcome, Step, engine_for, outcome, steps
+from uavbatt.packs.exchange import plain_flight
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Flight
+from uavbatt.remembering import taught
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 
@@ -40,6 +43,7 @@ class Job:
     by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
+    teaches: bool = False  # what each flight says of its pack is worked out as well
 
 
 def fly(log: LogFile, job: Job) -> Row:
@@ -110,10 +114,19 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
         trust=info.trust,
         skipped_bytes=flight.skipped_bytes,
         warnings="; ".join(_warnings(flight, run)),
+        taught=_taught(flight, job),
         size_bytes=log.size,
     )
     row = _scored(_identified(row, job), found)
     return replace(row, look="; ".join(_reasons(row, info.reasons)))
+
+
+def _taught(flight: Flight, job: Job) -> str:
+    """What a flight of a known pack says of it, as JSON; empty where it says nothing."""
+    if not (job.teaches and flight.identity.battery_serial):
+        return ""
+    found = taught(job.battery, job.options, flight).record
+    return json.dumps(plain_flight(found)) if found is not None else ""
 
 
 def _identified(row: Row, job: Job) -> Row:

@@ -30,7 +30,7 @@ def key(log: LogFile, job_key: str) -> str:
 
 def job_key(job: Job) -> str:
     """Return a key of all that a job says and that changes its rows."""
-    said = f"{job.options!r}\0{job.settings!r}\0{job.by}\0{job.aircraft_pattern}"
+    said = f"{job.options!r}\0{job.settings!r}\0{job.by}\0{job.aircraft_pattern}\0{job.teaches}"
     return _digest(f"{__version__}\0{content_hash(job.battery)}\0{said}")
 
 

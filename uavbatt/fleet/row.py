@@ -76,6 +76,7 @@ class Row:
     trust: str = ""
     skipped_bytes: int = 0
     warnings: str = ""
+    taught: str = ""  # what the flight says of its pack, as JSON, where a ledger is to be filled
     size_bytes: int = 0
 
     def plain(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from uavbatt.errors import UavbattError
 from uavbatt.live import state
 from uavbatt.live.config import Config
 from uavbatt.live.listener import tell
+from uavbatt.live.pack_keeper import PackKeeper
 from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
@@ -53,6 +54,7 @@ class Batteries:
         self._note_until_s = now_s + NOTE_S  # how it began is of interest at the beginning
         self._problem = ""
         self._resumption = self._found(now_s)
+        self._keeper = self._opened()
 
     def begin_vehicle(self) -> None:
         """Another vehicle is followed: nothing that is known of the last one's batteries holds."""
@@ -73,6 +75,8 @@ class Batteries:
             saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
             self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
             self._note_until_s = now_s + NOTE_S
+        if self._keeper is not None:
+            self._remember(self._keeper, row, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
         facts, navigation = self._facts_of(instance), self._reader.navigation
         estimate, remaining = self.tracked[instance].step(row.sample, facts, gap_s, navigation)
@@ -99,15 +103,23 @@ class Batteries:
         return report
 
     def notes(self, now_s: float) -> list[str]:
-        """Notes for the operator about the saved state."""
-        found = [self._problem]
+        """Notes for the operator about the saved state and the pack ledger."""
+        found = [self._problem, self._keeper.note if self._keeper is not None else ""]
         if now_s <= self._note_until_s:
             found += [self._resumption.note]
             found += [f"battery {i}: {t.resumed}" for i, t in sorted(self.tracked.items()) if t.resumed]
         return [note for note in found if note]
 
+    def close(self, now_s: float) -> None:
+        """Write out what is held."""
+        self.save(now_s)
+        if self._keeper is not None:
+            self._keeper.close(now_s)
+
     def save(self, now_s: float) -> None:
         """Write out what is worth resuming, if a file is named for it and there is anything."""
+        if self._keeper is not None:
+            self._keeper.look_after(now_s)
         path = self._config.state.file
         batteries = self._saved(now_s) if path else {}
         if not batteries:
@@ -138,6 +150,27 @@ class Batteries:
             for i, tracked in self.tracked.items()
             if (saved := tracked.saved(self._facts_of(i))) is not None
         }
+
+    def _opened(self) -> PackKeeper | None:
+        packs = self._config.packs
+        if not packs.file:
+            return None
+        return PackKeeper(Path(packs.file), packs.name, self._battery, self._options, self._utc_s)
+
+    def _utc_s(self, now_s: float) -> float:
+        """Seconds since 1970 at a monotonic time [s]; NaN while the clock is not set."""
+        clock = self._clocks(now_s)
+        return clock.wall_s if clock.is_clock_set else math.nan
+
+    def _remember(self, keeper: PackKeeper, row: Row, now_s: float) -> None:
+        """On the ground the estimate begins with what is remembered of the pack; in the air its rows are kept."""
+        tracked, said = self.tracked[row.instance], self._reader.pack(row.instance)
+        known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
+        if known is not None and known.done() and not row.sample.armed:
+            tracked.remember(known.result())
+        resolved = tracked.estimator.pack_size
+        if resolved is not None:
+            keeper.step(row.instance, row.sample, now_s, resolved.cells, resolved.capacity_Ah)
 
     def _found(self, now_s: float) -> Resumption:
         """Return the state that an earlier process has left for this one."""

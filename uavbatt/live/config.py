@@ -61,6 +61,13 @@ class PackSection(Section, frozen=True):
     allow_uncertified: bool = False
 
 
+class PacksSection(Section, frozen=True):
+    """[packs]: the pack ledger; empty file: none. Without a name the pack's serial on the link names it."""
+
+    file: str = ""
+    name: str = ""
+
+
 class FeedSection(Section, frozen=True):
     """[feed]: how the ground station hears of it."""
 
@@ -102,6 +109,7 @@ class Config(Section, frozen=True):
 
     link: LinkSection = LinkSection()
     pack: PackSection = PackSection()
+    packs: PacksSection = PacksSection()
     feed: FeedSection = FeedSection()
     http: HttpSection = HttpSection()
     record: RecordSection = RecordSection()
@@ -141,6 +149,8 @@ def checked(config: Config) -> Config:
         raise UsageError("feed proxy: expected --gcs ENDPOINT, where the ground station is")
     if "battery" in config.feed.kinds and not config.link.gcs:
         raise UsageError("feed battery: expected --gcs ENDPOINT, where the ground station is")
+    if config.packs.name and not config.packs.file:
+        raise UsageError(f"--pack {config.packs.name}: expected --packs FILE as well, the ledger that remembers it")
     if config.http.listen:
         host, _ = address(config.http.listen)
         if host not in LOOPBACK and len(config.http.token) < 8:

@@ -101,7 +101,7 @@ class Daemon:
 
     def close(self) -> None:
         """Write out what is held, release everything."""
-        self.batteries.save(self._clock_s())
+        self.batteries.close(self._clock_s())
         if self._recorder is not None:
             self._recorder.close()
         if isinstance(self._link, ProxyClient):

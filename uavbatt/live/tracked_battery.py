@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions, size_of_pack
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UavbattError
@@ -38,10 +39,20 @@ class TrackedBattery:
         max_age_s: float = math.inf,
     ) -> None:
         self._battery, self._options, self._settings = battery, options, settings
-        self.estimator = Estimator(battery, options, settings)
+        self._remembered: PackHealth | None = None
+        self.estimator = self._anew()
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
+
+    def remember(self, health: PackHealth | None) -> None:
+        """Begin anew with what is remembered of the pack, if that is not what the estimate began with."""
+        if health is not None and health is not self._remembered:
+            self._remembered, self._saved = health, None
+            self.estimator = self._anew()
+
+    def _anew(self) -> Estimator:
+        return Estimator(self._battery, self._options, self._settings, remembered=self._remembered)
 
     def step(
         self, sample: Sample, facts: PackFacts, gap_s: float = NAN, navigation: Navigation = NOWHERE
@@ -56,7 +67,7 @@ class TrackedBattery:
             self.estimator.update_facts(facts)
             return self.estimator.step(sample, navigation)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
-            self.estimator = Estimator(self._battery, self._options, self._settings)
+            self.estimator = self._anew()
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
@@ -97,7 +108,7 @@ class TrackedBattery:
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
             self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s))
         except Exception as error:  # nothing that a file can hold may end the process
-            self.estimator = Estimator(self._battery, self._options, self._settings)
+            self.estimator = self._anew()
             return f"the saved state is damaged: {type(error).__name__}"
         return ""
 

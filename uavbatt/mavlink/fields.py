@@ -15,6 +15,7 @@ from typing import Any
 
 HEARTBEAT, SYS_STATUS, PARAM_VALUE, BATTERY_STATUS, BATTERY2 = 0, 1, 22, 147, 181
 AUTOPILOT_VERSION = 148
+SMART_BATTERY_INFO, BATTERY_INFO = 370, 372
 
 AUTOPILOT_PX4 = 12
 _AUTOPILOT_INVALID = 8
@@ -36,6 +37,37 @@ class BatteryFields:
     consumed_Ah: float = math.nan
     reported_soc: float = math.nan
     cell_voltages_V: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PackIdentity:
+    """What names one pack: its serial, empty where it has none, and its own count of cycles."""
+
+    id: int
+    serial: str = ""
+    cycles: int | None = None
+
+
+# Offsets of (id, cycle count, serial's first and last byte) in the payloads, and the payloads' whole lengths.
+_IDENTITY_AT = {SMART_BATTERY_INFO: (18, 8, 21, 37), BATTERY_INFO: (44, 40, 58, 90)}
+IDENTITY_LENGTH = {SMART_BATTERY_INFO: 109, BATTERY_INFO: 140}
+IDENTITY_EXTRA = {SMART_BATTERY_INFO: 75, BATTERY_INFO: 26}  # seeds of their checksums
+_NO_SERIALS = ("", "0", "-1", "65535")
+
+
+def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
+    """Who a pack is, of a payload of SMART_BATTERY_INFO or BATTERY_INFO (a work in progress that no dialect holds)."""
+    at, cycles_at, first, last = _IDENTITY_AT[message_id]
+    whole = payload.ljust(IDENTITY_LENGTH[message_id], b"\0")
+    cycles = int.from_bytes(whole[cycles_at : cycles_at + 2], "little")
+    text = whole[first:last].split(b"\0")[0].decode("latin-1")
+    return PackIdentity(whole[at], known_serial(text), None if cycles in (0, 65535) else cycles)
+
+
+def known_serial(text: str) -> str:
+    """A pack's serial, empty where it is one of the values that say that there is none."""
+    shown = "".join(letter for letter in text.strip() if letter.isprintable())
+    return "" if shown in _NO_SERIALS else shown
 
 
 def hardware(uid: int) -> str:

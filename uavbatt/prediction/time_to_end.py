@@ -28,12 +28,11 @@ JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs litt
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
 # Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
 SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain")
-KNOWN_SHARE = 0.97  # of the columns whose end must be found: the farthest point that is asked for is that of 95 %
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
 
 
 class EndTimes(NamedTuple):
-    """Seconds until the end of flight and until the low-voltage warning, per column; inf = not seen so far ahead."""
+    """Seconds until the end of flight and until the low-voltage warning, per column; inf = beyond the horizon."""
 
     end_s: Array
     low_s: Array
@@ -62,8 +61,7 @@ def time_to_end(
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
     the discrepancy decays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
-    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon. It
-    stops when KNOWN_SHARE of the columns of each have ended: of the others no end is said.
+    which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon.
     """
     cell, installation, state = unpack(pack, x)
     cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
@@ -92,7 +90,7 @@ def time_to_end(
         before = rate
         if row == recent.soc.shape[0] - 1 or k == steps - 1:
             ends = _judged(limits, ends, recent, k)
-            if np.mean(np.isfinite(ends.end_s), axis=-1).min() >= KNOWN_SHARE:
+            if np.isfinite(ends.end_s).all():
                 break
         now, asked = asked, power_W[min(k + 1, steps - 1)] / size
         if by_rows:

@@ -18,6 +18,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from uavbatt.mavlink.fields import PackIdentity
 from uavbatt.navigation import Navigation
 from uavbatt.records import NAN, Identity, Sample
 
@@ -43,6 +44,7 @@ class LogBuilder:
     counts: Counter[str] = field(default_factory=Counter)
     skipped_bytes: int = 0
     identity: Identity = field(default_factory=Identity)
+    packs: dict[int, PackIdentity] = field(default_factory=dict)  # by battery
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock

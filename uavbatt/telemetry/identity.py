@@ -1,7 +1,7 @@
 """Identity of a flight (who, with what, when) from logs of each kind.
 
     DataFlash   MSG with the firmware's name and version; GPS with week and time of week; SYSID_THISMAV
-    tlog        the frames' own system and clock; AUTOPILOT_VERSION
+    tlog        the frames' own system and clock; AUTOPILOT_VERSION; SMART_BATTERY_INFO, BATTERY_INFO of each pack
     ULog        sys_uuid, ver_sw_release; the UTC time of its GPS; MAV_SYS_ID; the smart battery's serial
 A clock that says a time before 2000 was never set.
 """
@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from uavbatt.mavlink.fields import PackIdentity, known_serial
 from uavbatt.records import NAN, Identity
 from uavbatt.telemetry.parameters import ardupilot_prefix
 
@@ -45,13 +46,18 @@ def firmware_of(messages: Iterable[str]) -> str:
     return next((m.strip() for m in messages if _VERSION.search(m)), "")
 
 
-def completed(identity: Identity, parameters: Iterable[tuple[float, str, float]], instance: int) -> Identity:
-    """The identity with what the vehicle's parameters say of its number and the serial of one battery."""
+def completed(
+    identity: Identity, parameters: Iterable[tuple[float, str, float]], instance: int, pack: PackIdentity | None = None
+) -> Identity:
+    """The identity with what one pack says of itself, and the parameters of the vehicle's number and its serial."""
+    pack = pack or PackIdentity(instance)
     said: Mapping[str, float] = {name: value for _, name, value in parameters}
     system = next((int(said[name]) for name in _SYSTEM if said.get(name, NAN) > 0), None)
     serial = said.get(ardupilot_prefix(instance) + "SERIAL_NUM", NAN)
+    stated = known_serial(f"{serial:.0f}") if serial > 0 else ""
     return replace(
         identity,
         system=system if identity.system is None else identity.system,
-        battery_serial=identity.battery_serial or (str(int(serial)) if serial > 0 else ""),
+        battery_serial=pack.serial or identity.battery_serial or stated,
+        battery_cycles=pack.cycles,
     )

@@ -42,10 +42,17 @@ class Taken(NamedTuple):
 NOTHING = Taken([], False)
 
 
+def is_sound(frame: bytes, end: int, extra: int) -> bool:
+    """Whether the checksum behind the payload, which ends at `end`, is that of a message with this seed."""
+    from pymavlink.generator.mavcrc import x25crc
+
+    crc = x25crc(frame[1:end] + bytes([extra]))
+    return bool(crc.crc == frame[end] | frame[end + 1] << 8)
+
+
 def checksum() -> Callable[[bytes], bool]:
     """Return True if a whole frame's checksum is good; a message that this dialect does not know counts as good."""
     from pymavlink.dialects.v20 import ardupilotmega
-    from pymavlink.generator.mavcrc import x25crc
 
     extras = {number: kind.crc_extra for number, kind in ardupilotmega.mavlink_map.items()}
 
@@ -53,9 +60,7 @@ def checksum() -> Callable[[bytes], bool]:
         extra = extras.get(framing.header(frame).message_id)
         if extra is None:
             return True
-        end = (6 if frame[0] == framing.V1 else framing.V2_HEADER) + frame[1]
-        crc = x25crc(frame[1:end] + bytes([extra]))
-        return bool(crc.crc == frame[end] | frame[end + 1] << 8)
+        return is_sound(frame, (6 if frame[0] == framing.V1 else framing.V2_HEADER) + frame[1], extra)
 
     return is_good
 
@@ -137,6 +142,10 @@ class LiveReader:
         """Serial number of the followed autopilot; empty until it has told it."""
         return self.followed.hardware if self.followed is not None else ""
 
+    def pack(self, instance: int) -> fields.PackIdentity:
+        """Who the pack of a battery is, as far as anybody has said."""
+        return self.followed.pack(instance) if self.followed is not None else fields.PackIdentity(instance)
+
     @property
     def version(self) -> tuple[int, int]:
         """Differs whenever parameters do."""
@@ -178,6 +187,8 @@ class LiveReader:
     def take(self, frame: bytes, header: framing.Header, stamp_s: float, sender: object = None) -> Taken:
         """Take in a frame. `stamp_s` [s]: time of reception, never falling; `sender`: who sent it, if that is known."""
         self._now_s = stamp_s
+        if header.message_id in fields.IDENTITY_LENGTH:
+            self._meet(frame, header)
         message: Any = None
         if header.message_id in WANTED:
             message = self._decode(frame)
@@ -200,6 +211,16 @@ class LiveReader:
             self._follow(vehicle, stamp_s)
         vehicle.heard_s = stamp_s
         return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
+
+    def _meet(self, frame: bytes, header: framing.Header) -> None:
+        """A pack of a vehicle says who it is; any component of the vehicle may speak for it."""
+        end = framing.V2_HEADER + frame[1]
+        if frame[0] != framing.V2 or not is_sound(frame, end, fields.IDENTITY_EXTRA[header.message_id]):
+            return
+        said = fields.pack_identity(header.message_id, frame[framing.V2_HEADER : end])
+        for (system, _), vehicle in self._vehicles.items():
+            if system == header.system and (said.serial or said.cycles is not None):
+                vehicle.packs[said.id] = said
 
     @property
     def _wanted(self) -> str:

@@ -57,7 +57,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None) -> Fligh
         duration_s=log.now_s,
         skipped_bytes=log.skipped_bytes,
         notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
-        identity=completed(log.identity, log.parameters, chosen),
+        identity=completed(log.identity, log.parameters, chosen, log.packs.get(chosen)),
         navigation=log.navigation,
     )
 

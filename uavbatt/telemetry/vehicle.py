@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, facts_timeline
+from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
     MISSION_ACK,
@@ -66,6 +67,7 @@ class Vehicle:
         self.battery_ids: set[int] = set()
         self.is_px4 = False
         self.hardware = ""  # serial number of the autopilot
+        self.packs: dict[int, fields.PackIdentity] = {}  # who the packs are by their own words
         self.speaks = False  # whether it has spoken of a battery twice
         self.heard_s = -math.inf
         self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
@@ -92,6 +94,14 @@ class Vehicle:
         """Return the vehicle's words so far about one battery."""
         said = facts_timeline(((0.0, n, v) for n, v in self.parameters.known.items()), instance, is_telemetry=True)
         return said[-1][1] if said else PackFacts()
+
+    def pack(self, instance: int) -> fields.PackIdentity:
+        """Who the pack of a battery is: by its own words, else by the parameter that holds its serial."""
+        said = self.packs.get(instance, fields.PackIdentity(instance))
+        serial = self.parameters.known.get(ardupilot_prefix(instance) + "SERIAL_NUM", math.nan)
+        if said.serial or not serial > 0.0:
+            return said
+        return replace(said, serial=fields.known_serial(f"{serial:.0f}"))
 
     def resume(self, earlier: Mapping[str, float]) -> None:
         """Take over parameters that an earlier process heard of this vehicle; what it says itself goes before."""

@@ -58,6 +58,7 @@ def read(data: bytes | memoryview) -> LogBuilder:
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
     beats = _beats(own)
     _add_parameters(own, time_s, beats, log)
+    _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
     if source != _NOBODY:
         clock = Clock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
@@ -121,6 +122,15 @@ def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder)
     for at_s, ((name, value), sequence, armed) in zip(time_s[place].tolist(), said, strict=True):
         if heard.counts(name, known(value), sequence, armed):
             log.add_parameter(at_s, name, value)
+
+
+def _add_packs(own: Frames, log: LogBuilder) -> None:
+    """Who the packs are by their own words; the first word of each counts."""
+    for message_id, length in fields.IDENTITY_LENGTH.items():
+        for payload in own.of(message_id).payloads(length):
+            said = fields.pack_identity(message_id, payload.tobytes())
+            if said.serial or said.cycles is not None:
+                log.packs.setdefault(said.id, said)
 
 
 def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:

@@ -25,7 +25,7 @@ from uavbatt.telemetry.formats.checksum import checksums
 # The dialect's seed of each wanted message's checksum.
 SEEDS = {
     fields.HEARTBEAT: 50, fields.SYS_STATUS: 124, fields.PARAM_VALUE: 220, fields.BATTERY_STATUS: 154,
-    fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178,
+    fields.BATTERY2: 174, fields.AUTOPILOT_VERSION: 178, **fields.IDENTITY_EXTRA,
     # route and place: GLOBAL_POSITION_INT, VFR_HUD, WIND, WIND_COV, HOME_POSITION, EXTENDED_SYS_STATE, MISSION_...
     33: 104, 74: 20, 168: 1, 231: 105, 242: 104, 245: 130,
     38: 9, 39: 254, 42: 28, 44: 221, 45: 232, 46: 11, 47: 153, 73: 38,
@@ -41,9 +41,9 @@ _HEAD_BYTES = 65_536
 _NO_SEED = -1
 _WINDOW = 1 << 22  # bytes; checksums are worked out window by window, and the more frames at once the better
 _BLOCK = 64  # candidates
-_SEEDS = np.full(257, _NO_SEED, np.int64)  # by message; the last stands for all beyond
+_SEEDS = np.full(max(SEEDS) + 2, _NO_SEED, np.int64)  # by message; the last stands for all beyond
 _SEEDS[list(SEEDS)] = list(SEEDS.values())
-_MAY_BE_WANTED = _SEEDS[:256] != _NO_SEED
+_MAY_BE_WANTED = np.isin(np.arange(256), [number & 0xFF for number in SEEDS])  # by the low byte
 
 Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `False` if its type is unknown
 

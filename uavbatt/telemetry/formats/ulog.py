@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from uavbatt.errors import BadInput, MissingExtra
+from uavbatt.mavlink import fields
 from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, known
 from uavbatt.telemetry.formats.ulog_route import OF_ROUTE, navigation
@@ -40,6 +41,7 @@ def read(source: str, data: bytes) -> LogBuilder:
             _add_parameter(log, time_s, *what)
         else:
             instance, row = what
+            _add_pack(log, instance, row)
             log.add(instance, _sample(row, time_s, log.armed))
     log.time_s(ulog.last_timestamp / _US)
     log.identity = _identity(ulog)
@@ -117,6 +119,14 @@ def _events(ulog: Any) -> Iterator[Event]:
 def _add_parameter(log: LogBuilder, time_s: float, name: str, value: Any) -> None:
     if isinstance(value, int | float):  # a damaged type field leaves bytes here
         log.add_parameter(time_s, name, value)
+
+
+def _add_pack(log: LogBuilder, instance: int, row: dict[str, float]) -> None:
+    """Who the pack is, by the first row that says it: a smart battery's serial, its count of cycles."""
+    serial, cycles = (row.get(name, 0.0) for name in ("serial_number", "cycle_count"))
+    if instance not in log.packs and serial == serial:
+        known = fields.known_serial(f"{serial:.0f}")
+        log.packs[instance] = fields.PackIdentity(instance, known, int(cycles) if 0 < cycles < 65535 else None)
 
 
 def _row(columns: Any, index: int) -> dict[str, float]:

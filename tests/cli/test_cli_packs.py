@@ -1,0 +1,91 @@
+"""`uavbatt packs`, and `--packs` of the commands that fly logs."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import pytest
+from command import called
+from packs.made import flight
+
+from uavbatt.packs.ledger import Ledger
+
+
+@pytest.fixture
+def run(tmp_path):
+    """The command, called in the test's own folder."""
+    return partial(called, folder=tmp_path)
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    path = tmp_path / "packs.sqlite"
+    with Ledger(path) as opened:
+        opened.save_all("A", [flight(k, 1.03**k, 0.98**k) for k in range(8)])
+        opened.save_all("B", [flight(k) for k in range(4)])
+    return path
+
+
+def test_one_line_a_pack_with_its_outlook(run, ledger):
+    said = run("packs", ledger)
+    assert said.returncode == 0
+    first, second = said.stdout.splitlines()
+    assert first.startswith("A ")
+    assert "retire in about" in first
+    assert second.startswith("B ")
+    assert "no end in sight" in second
+
+
+def test_json_and_page(run, ledger, tmp_path):
+    said = run("packs", ledger, "--json", tmp_path / "p.json", "--report", tmp_path / "p.html")
+    assert said.returncode == 0, said.stderr
+    packs = json.loads((tmp_path / "p.json").read_text("utf-8"))
+    assert [pack["name"] for pack in packs] == ["A", "B"]
+    assert packs[0]["retire_lo_flights"] <= packs[0]["retire_flights"]
+    assert packs[1]["retire_hi_flights"] is None  # beyond sight
+    page = (tmp_path / "p.html").read_text("utf-8")
+    assert "<script" not in page
+    assert "retire in about" in page
+
+
+def test_forget_export_and_import(run, ledger, tmp_path):
+    assert run("packs", ledger, "--pack", "A", "--export", tmp_path / "A.json").returncode == 0
+    assert run("packs", ledger, "--forget", "A").stdout.startswith("B ")
+    again = run("packs", ledger, "--import", tmp_path / "A.json")
+    assert [line.split()[0] for line in again.stdout.splitlines()] == ["A", "B"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["packs", "none.sqlite"], 1, "none.sqlite: expected a pack ledger, found no such file"),
+        (["packs", "{ledger}", "--pack", "C"], 1, "expected a pack named C, found none"),
+        (["packs", "{ledger}", "--forget", "C"], 1, "expected a pack named C to forget"),
+        (["packs", "{ledger}", "--export", "x.json"], 2, "expected --pack NAME as well"),
+        (["replay", "x.tlog", "--pack", "A"], 2, "expected --packs FILE as well"),
+        (
+            ["plan", "--battery", "lpab-3s", "--power-w", "100", "--capacity-ah", "5", "--packs", "{ledger}"],
+            2,
+            "--pack",
+        ),
+    ],
+)
+def test_wrong_input_is_named_in_one_line(run, ledger, arguments, code, words):
+    said = run(*(argument.replace("{ledger}", str(ledger)) for argument in arguments))
+    assert said.returncode == code
+    assert words in said.stderr
+    assert "Traceback" not in said.stderr
+
+
+def test_replay_remembers_a_flight_once(run, tmp_path):
+    log, packs = tmp_path / "a.csv", tmp_path / "packs.sqlite"
+    battery = ["--battery", "lpab-3s", "--cells", "3", "--capacity-ah", "5"]
+    assert run("simulate", "-o", log, *battery, "--power-w", "160").returncode == 0
+    for _ in range(2):
+        said = run("replay", log, *battery, "--packs", packs, "--pack", "left", "--json", tmp_path / "s.json")
+        assert said.returncode == 0, said.stderr
+        assert "1 flight remembered" in said.stdout
+    assert json.loads((tmp_path / "s.json").read_text("utf-8"))["pack_flights"] == 1
+    nameless = run("replay", log, *battery, "--packs", packs)
+    assert "not remembered: no serial in the log" in nameless.stdout

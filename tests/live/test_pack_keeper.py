@@ -1,0 +1,106 @@
+"""The pack ledger beside the companion process: a flight is saved after its landing, also when a process died in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.model import open_circuit_voltage
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.live.pack_keeper import PackKeeper
+from uavbatt.packs import airborne
+from uavbatt.packs.ledger import Ledger
+from uavbatt.simulate import Mission, fly, with_effects
+
+BATTERY = battery_file.read("lpab-3s")
+OPTIONS = PackOptions(cells=3, capacity_Ah=5.0, cutoff_V=10.0)
+FADE = 0.15
+UTC_S = 1.79e9
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """A flight of an aged pack: 20 s of rest, the flight nearly to its end, and half a minute on the ground."""
+    pack = with_effects(pack_of(BATTERY, 3, 5.0, 10.0, math.nan), {"capacity_fade": FADE})
+    flown = [replace(s, armed=s.current_A > 3.0) for s in fly(pack, Mission(power_W=160.0, rate_Hz=1.0))]
+    flown = flown[: int(0.9 * len(flown))]
+    last = flown[-1]
+    rested_V = 3.0 * float(open_circuit_voltage(pack.cell, 1.0 - last.consumed_Ah / (5.0 * (1.0 - FADE)))) - 0.1
+    rest = [replace(last, time_s=last.time_s + k, voltage_V=rested_V, current_A=0.3, armed=False) for k in range(1, 31)]
+    return [*flown, *rest]
+
+
+def keeper(path, stated="", utc=UTC_S):
+    return PackKeeper(path, stated, BATTERY, OPTIONS, lambda now_s: utc + now_s)
+
+
+def flown(kept, rows, serial="A"):
+    """Rows as they come; the clock is theirs."""
+    for row in rows:
+        kept.meet(0, serial, None, row.time_s)
+        kept.step(0, row, row.time_s, 3, 5.0)
+        kept.look_after(row.time_s)
+    return kept
+
+
+def test_a_flight_is_saved_after_its_landing(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    flown(keeper(path), rows).close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+        assert airborne.left_over(ledger) == []
+    assert found.flight.start_utc_s == pytest.approx(UTC_S, abs=5.0)
+    assert math.exp(found.flight.told.log_Ah) == pytest.approx(5.0 * (1.0 - FADE), rel=0.05)
+
+
+def test_a_process_that_dies_in_the_air_loses_seconds(tmp_path, rows):
+    path, half = tmp_path / "packs.sqlite", len(rows) // 2
+    died = flown(keeper(path), rows[:half])
+    died._worker.shutdown()  # what it had written is written, the rest is lost
+    flown(keeper(path), rows[half + 15 :]).close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+        assert airborne.left_over(ledger) == []
+    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+
+
+def test_a_flight_whose_process_never_came_back_is_saved_by_the_next_one(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    flown(keeper(path), rows[: 3 * len(rows) // 4])._worker.shutdown()
+    later = keeper(path, utc=UTC_S + 86_400.0)
+    later.look_after(0.0)
+    later.close(0.0)
+    with Ledger(path) as ledger:
+        assert len(ledger.flights("A")) == 1
+
+
+def test_what_a_flight_taught_is_known_when_the_pack_is_met_again(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    first = keeper(path)
+    assert first.meet(0, "A", None, 0.0).result() is None
+    flown(first, rows).close(rows[-1].time_s)
+    second = keeper(path, utc=UTC_S + 86_400.0)
+    health = second.meet(0, "A", None, 0.0).result()
+    assert math.exp(health.log_Ah) == pytest.approx(5.0 * (1.0 - FADE), rel=0.05)
+    assert "met before" in second.note
+    second.close(0.0)
+
+
+def test_a_pack_without_a_name_is_not_remembered(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    kept = keeper(path)
+    assert kept.meet(0, "", None, 0.0) is None
+    flown(kept, rows, serial="").close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        assert ledger.packs() == []
+
+
+def test_a_name_that_is_stated_goes_before_the_serial(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    flown(keeper(path, stated="left"), rows).close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        assert [pack.name for pack in ledger.packs()] == ["left"]

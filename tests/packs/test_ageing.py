@@ -1,0 +1,122 @@
+"""The slow filter: what flights say together, and what is never averaged in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from packs.made import RATED_AH, TYPE_OHM, flight
+
+from uavbatt.packs import ageing
+from uavbatt.packs.outlook import outlook
+
+WIGGLE = (0.01, -0.02, 0.015, -0.005, 0.02, -0.015, 0.0, 0.01, -0.01, 0.005)
+
+
+def kinds(found):
+    return [f.kind for f in found.findings]
+
+
+def charge(found):
+    return math.exp(found.known.mean[1]) / RATED_AH
+
+
+def ohms(found):
+    return math.exp(found.known.mean[0]) / TYPE_OHM
+
+
+def test_a_steady_pack_is_known_better_after_every_flight_and_has_no_findings():
+    found = ageing.history([flight(k, 1.2 + w, 0.9 + w) for k, w in enumerate(WIGGLE)])
+    sd = [math.sqrt(f.known.covariance[1, 1]) for f in found[:4]]
+    assert sd == sorted(sd, reverse=True)
+    assert charge(found[-1]) == pytest.approx(0.9, abs=0.02)
+    assert ohms(found[-1]) == pytest.approx(1.2, abs=0.05)
+    assert not any(kinds(f) for f in found)
+
+
+def test_a_flight_that_says_nothing_of_the_charge_leaves_it_where_it_was():
+    before, after = ageing.history([flight(0, 1.0, 0.9, charge_sd=0.02), flight(1, 1.0, 0.6, charge_sd=5.0)])
+    assert charge(after) == pytest.approx(charge(before), rel=0.005)
+
+
+def test_an_ageing_pack_is_followed_and_its_trend_foretells_the_end():
+    found = ageing.history([flight(k, 1.03**k, 0.98**k) for k in range(8)])
+    assert not any(kinds(f) for f in found)
+    seen = outlook(found[-1].known, RATED_AH, 8)
+    assert seen.capacity_trend == pytest.approx(math.log(0.98), abs=0.006)
+    left = math.log(0.98**7 / 0.8) / -math.log(0.98)
+    assert seen.retire_lo_flights < left < seen.retire_hi_flights
+    assert seen.capacity_lo_Ah < 0.98**7 * RATED_AH < seen.capacity_hi_Ah
+
+
+def test_no_end_in_sight_is_told_as_such():
+    found = ageing.history([flight(k, charge_sd=0.01) for k in range(10)])
+    assert outlook(found[-1].known, RATED_AH, 10).retire_hi_flights == math.inf
+
+
+def test_damage_is_named_and_believed_at_once():
+    flights = [flight(k, 1.0 + w) for k, w in enumerate(WIGGLE[:5])] + [flight(k, 1.3) for k in (5, 6)]
+    found = ageing.history(flights)
+    assert kinds(found[5]) == ["sudden_ohms"]
+    assert ohms(found[5]) == pytest.approx(1.3, abs=0.05)
+    assert kinds(found[6]) == []
+
+
+def test_damage_that_one_flight_leaves_open_is_named_after_the_second():
+    flights = [flight(k, 1.0 + w) for k, w in enumerate(WIGGLE[:5])] + [flight(k, 1.155) for k in (5, 6)]
+    found = ageing.history(flights)
+    assert kinds(found[5]) == []
+    assert kinds(found[6]) == ["sudden_ohms"]
+    assert ohms(found[6]) == pytest.approx(1.155, abs=0.03)
+
+
+def test_a_cell_that_died_is_a_sudden_loss_of_charge():
+    found = ageing.history([*(flight(k) for k in range(5)), flight(5, 1.0, 0.75)])
+    assert kinds(found[5]) == ["sudden_loss"]
+    assert charge(found[5]) < 0.85
+
+
+def test_a_better_pack_under_the_same_name_is_named_and_set_aside():
+    old = [flight(k, 1.5, 0.8) for k in range(5)]
+    *_, before, swapped, after = ageing.history([*old, flight(5, 1.0, 1.0), flight(6, 1.5, 0.8)])
+    assert kinds(swapped) == ["another_pack"]
+    assert charge(swapped) == pytest.approx(charge(before), rel=0.02)
+    assert kinds(after) == []
+    assert charge(after) == pytest.approx(0.8, abs=0.02)
+
+
+def test_a_better_pack_twice_in_a_row_is_remembered_anew():
+    old = [flight(k, 1.5, 0.8) for k in range(5)]
+    *_, swapped, again = ageing.history([*old, flight(5, 1.0, 1.0), flight(6, 1.0, 1.0)])
+    assert kinds(swapped) == kinds(again) == ["another_pack"]
+    assert charge(again) == pytest.approx(1.0, abs=0.04)
+    assert ohms(again) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_worse_pack_that_was_another_is_forgotten_when_the_old_one_comes_back():
+    flights = [*(flight(k) for k in range(5)), flight(5, 1.4, 0.8), flight(6), flight(7)]
+    *_, damaged, back, after = ageing.history(flights)
+    assert "sudden_ohms" in kinds(damaged)
+    assert kinds(back) == ["another_pack"]
+    assert kinds(after) == []
+    assert (ohms(after), charge(after)) == (pytest.approx(1.0, abs=0.03), pytest.approx(1.0, abs=0.03))
+
+
+def test_a_month_on_the_shelf_is_known_less_than_a_day():
+    known = ageing.history([flight(k) for k in range(4)])[-1].known
+    day, month = (np.diag(ageing.later(known, days).covariance) for days in (1.0, 30.0))
+    assert (month[:2] > day[:2]).all()
+
+
+def test_a_counter_that_falls_and_a_charge_that_no_charger_gives_are_named():
+    first = flight(0, cycles=40, soc_end=0.3)
+    soon = {"start_utc_s": first.start_utc_s + first.duration_s + 120.0}
+    found = ageing.history([first, flight(1, cycles=12, soc_start=1.0, **soon)])
+    assert kinds(found[1]) == ["charged_too_fast", "counter"]
+
+
+def test_a_weak_cell_is_named_with_its_number():
+    (found,) = ageing.history([flight(0, weak_cell=3, weak_cell_V=0.09)])
+    assert kinds(found) == ["weak_cell"]
+    assert "cell 3 lies 90 mV" in found.findings[0].words

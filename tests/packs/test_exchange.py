@@ -1,0 +1,63 @@
+"""One pack as a file: from one ledger to another, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from packs.made import flight
+
+from uavbatt.errors import BadInput
+from uavbatt.packs.exchange import exported, imported, text_of
+from uavbatt.packs.ledger import Ledger
+
+FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k, cycles=30 + k) for k in range(3)]
+
+
+@pytest.fixture
+def pack_file(tmp_path):
+    path = tmp_path / "A.json"
+    with Ledger(tmp_path / "first.sqlite") as ledger:
+        ledger.save_all("A", FLIGHTS)
+        path.write_text(text_of(exported(ledger, "A")), "utf-8")
+    return path
+
+
+def test_a_pack_arrives_as_it_left(tmp_path, pack_file):
+    with Ledger(tmp_path / "first.sqlite") as first, Ledger(tmp_path / "second.sqlite") as second:
+        assert imported(second, pack_file) == "A"
+        assert repr(second.pack("A")) == repr(first.pack("A"))
+
+
+def test_taking_a_pack_in_twice_counts_its_flights_once(tmp_path, pack_file):
+    with Ledger(tmp_path / "second.sqlite") as ledger:
+        imported(ledger, pack_file)
+        imported(ledger, pack_file)
+        assert ledger.pack("A").outlook.flights == len(FLIGHTS)
+
+
+def changed(content, **values):
+    return {**content, "flights": [{**content["flights"][0], **values}]}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: [], "a pack as `uavbatt packs --export` writes it"),
+        (lambda c: {**c, "version": 9}, "version 1, with at least one flight"),
+        (lambda c: changed(c, told=[0.0, 1.0, -1.0, 1.0, 0.0]), "flight 1: expected variances above zero"),
+        (lambda c: changed(c, told=[1e9, 1.0, 1.0, 1.0, 0.0]), "flight 1: expected ohms and ampere-hours"),
+        (lambda c: changed(c, cells="four"), "key flights|Expected|expected"),
+    ],
+)
+def test_a_file_that_is_no_pack_changes_nothing(tmp_path, pack_file, change, words):
+    pack_file.write_text(json.dumps(change(json.loads(pack_file.read_text("utf-8")))), "utf-8")
+    with Ledger(tmp_path / "second.sqlite") as ledger:
+        with pytest.raises(BadInput, match=words):
+            imported(ledger, pack_file)
+        assert ledger.packs() == []
+
+
+def test_a_pack_that_is_not_there_is_named_with_those_that_are(tmp_path, pack_file):
+    with Ledger(tmp_path / "first.sqlite") as ledger, pytest.raises(BadInput, match="a pack named B, found A"):
+        exported(ledger, "B")

@@ -1,0 +1,182 @@
+"""The ledger file: counted once, in order of time, whole after a kill, and refused where it cannot be."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import signal
+import sqlite3
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from packs.made import flight
+
+from uavbatt.errors import BadInput
+from uavbatt.packs import schema
+from uavbatt.packs.ledger import Ledger
+
+FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k) for k in range(4)]
+
+
+def content(path: Path) -> list[tuple[object, ...]]:
+    with sqlite3.connect(path) as connection:
+        names = [row[1] for row in connection.execute("PRAGMA table_info(flights)") if row[1] not in ("id", "pack")]
+        found = list(connection.execute(f"SELECT {', '.join(names)} FROM flights ORDER BY start_utc_s"))
+        return found + list(connection.execute("SELECT * FROM packs"))
+
+
+def test_the_order_of_replay_changes_nothing(tmp_path):
+    found = []
+    for number, order in enumerate(itertools.permutations(FLIGHTS)):
+        path = tmp_path / f"{number}.sqlite"
+        with Ledger(path) as ledger:
+            for one in order:
+                ledger.save("A", one)
+        found.append(content(path))
+    assert all(one == found[0] for one in found)
+
+
+def test_a_flight_counts_once_however_often_it_is_replayed(tmp_path):
+    path = tmp_path / "packs.sqlite"
+    with Ledger(path) as ledger:
+        for one in FLIGHTS * 3:
+            ledger.save("A", one)
+        assert ledger.pack("A").outlook.flights == len(FLIGHTS)
+
+
+def test_two_logs_of_one_flight_count_once_and_the_longer_one_stays(tmp_path):
+    whole = FLIGHTS[0]
+    cut = replace(whole, key="cut", start_utc_s=whole.start_utc_s + 30.0, duration_s=300.0)
+    for number, order in enumerate(([whole, cut], [cut, whole])):
+        with Ledger(tmp_path / f"{number}.sqlite") as ledger:
+            for one in order:
+                ledger.save("A", one)
+            (found,) = ledger.flights("A")
+            assert found.flight.key == whole.key
+
+
+def test_a_flight_comes_back_as_it_was_saved(tmp_path):
+    stated = replace(FLIGHTS[0], soc_start=0.97, cycles=12, weak_cell=2, weak_cell_V=0.05, temp_max_C=41.0)
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        after = ledger.save("A", stated)
+        (found,) = ledger.flights("A")
+    assert found.flight.cycles == 12
+    assert repr(found.flight) == repr(stated)  # NaN is not equal to itself
+    assert found.known.mean == pytest.approx(after.known.mean)
+
+
+def test_the_prior_of_a_flight_knows_nothing_of_later_ones_nor_of_itself(tmp_path):
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save_all("A", FLIGHTS)
+        last = ledger.before("A", FLIGHTS[2].start_utc_s, FLIGHTS[2].key)
+        assert last.flight.key == FLIGHTS[1].key
+        assert ledger.before("A", FLIGHTS[0].start_utc_s, FLIGHTS[0].key) is None
+        assert ledger.before("B", FLIGHTS[2].start_utc_s) is None
+
+
+def test_forgetting_a_pack_leaves_the_others(tmp_path):
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save("A", FLIGHTS[0])
+        ledger.save("B", FLIGHTS[1])
+        assert ledger.forget("A")
+        assert not ledger.forget("A")
+        assert [p.name for p in ledger.packs()] == ["B"]
+        assert ledger.flights("A") == []
+
+
+def test_a_pack_of_another_size_is_another_pack(tmp_path):
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save("A", FLIGHTS[0])
+        with pytest.raises(BadInput, match="pack A: expected flights of 4 cells as before, found 6"):
+            ledger.save("A", replace(FLIGHTS[1], cells=6))
+        assert ledger.pack("A").outlook.flights == 1
+
+
+def test_a_full_disk_changes_nothing_and_is_said(tmp_path):
+    path = tmp_path / "packs.sqlite"
+    with Ledger(path) as ledger:
+        ledger.save("A", FLIGHTS[0])
+        before = content(path)
+        pages = ledger._connection.execute("PRAGMA page_count").fetchone()[0]
+        ledger._connection.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(BadInput, match="found it full: nothing was changed"):
+            for k in range(1, 200):
+                ledger.save("A", flight(k))
+        assert ledger.pack("A").outlook.flights == len(ledger.flights("A"))
+    assert content(path)[: len(before) - 1] == before[:-1]
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda path: path.write_bytes(b"time_s,voltage_V\n" * 100), "found a file of another kind"),
+        (lambda path: sqlite3.connect(path).execute("CREATE TABLE notes (x)"), "found another SQLite database"),
+    ],
+)
+def test_another_file_is_refused_and_left_as_it_is(tmp_path, made, words):
+    path = tmp_path / "packs.sqlite"
+    made(path)
+    with pytest.raises(BadInput, match=words):
+        Ledger(path)
+
+
+def test_a_ledger_of_a_later_version_is_left_alone(tmp_path):
+    path = tmp_path / "packs.sqlite"
+    Ledger(path).close()
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"PRAGMA user_version = {len(schema.MIGRATIONS) + 1}")
+    with pytest.raises(BadInput, match="update uavbatt"):
+        Ledger(path)
+
+
+def test_a_ledger_of_the_first_version_is_brought_up_with_its_flights(tmp_path, monkeypatch):
+    path = tmp_path / "packs.sqlite"
+    with monkeypatch.context() as older:
+        older.setattr(schema, "MIGRATIONS", schema.MIGRATIONS[:1])
+        with Ledger(path) as ledger:
+            ledger.save("A", FLIGHTS[0])
+    with Ledger(path) as ledger:
+        assert schema.version(ledger._connection) == len(schema.MIGRATIONS)
+        ledger.save("A", FLIGHTS[1])
+        assert ledger.pack("A").outlook.flights == 2
+
+
+def test_reading_makes_no_file(tmp_path):
+    with pytest.raises(BadInput, match="found no such file"):
+        Ledger(tmp_path / "none.sqlite", only_read=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def write_until_killed(path: Path, first: int, saved: int) -> None:
+    """Save flight after flight, and say so after each."""
+    with Ledger(path) as ledger:
+        for number in range(first, 10_000):
+            ledger.save("A", flight(number))
+            os.write(saved, b"%d\n" % number)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked writer")
+def test_a_kill_at_any_moment_loses_nothing_that_was_said_to_be_saved(tmp_path):
+    path, chance, last = tmp_path / "packs.sqlite", random.Random(7), -1
+    for _ in range(50):
+        heard, saved = os.pipe()
+        writer = os.fork()
+        if writer == 0:
+            os.close(heard)
+            write_until_killed(path, last + 1, saved)
+        os.close(saved)
+        with os.fdopen(heard) as stream:
+            stream.readline()
+            time.sleep(0.02 * chance.random())
+            os.kill(writer, signal.SIGKILL)
+            os.waitpid(writer, 0)
+            last = max([last + 1, *(int(line) for line in stream if line.endswith("\n"))])
+        with Ledger(path) as ledger:
+            found = [int(f.flight.key, 16) for f in ledger.flights("A")]
+            assert found[: last + 1] == list(range(last + 1))
+            assert len(found) <= last + 2  # saved, and killed before it could say so
+            assert ledger.pack("A").outlook.flights == len(found)
+            last = len(found) - 1

@@ -1,0 +1,136 @@
+"""What a flight teaches of its pack, and what the next one does with it: on flights of a pack that has aged."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uavbatt import remembering
+from uavbatt.battery import battery_file
+from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike
+from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
+from uavbatt.packs.ledger import Ledger
+from uavbatt.records import Flight, Identity, PackFacts
+from uavbatt.simulate import Mission, fly, with_effects
+
+BATTERY = battery_file.read("lpab-3s")
+OPTIONS = PackOptions(cells=3, capacity_Ah=5.0, cutoff_V=10.0)
+PACK = pack_of(BATTERY, 3, 5.0, 10.0, math.nan)
+AGED = {"capacity_fade": 0.15, "resistance_growth": 0.2}
+FADED, GROWN = 1.0 - AGED["capacity_fade"], 1.0 + AGED["resistance_growth"]
+DAY_S = 86_400.0
+
+
+def flight(number: int, effects: dict[str, float] | None = None, share: float = 1.0, serial: str = "A") -> Flight:
+    """A flight of a pack with some effects, of which the log holds a share."""
+    pack = with_effects(PACK, AGED if effects is None else effects)
+    samples = fly(pack, Mission(power_W=160.0, ambient_C=25.0, rate_Hz=1.0, seed=number))
+    kept = samples[: int(share * len(samples))]
+    identity = Identity(battery_serial=serial, start_utc_s=1.79e9 + 3.0 * DAY_S * number)
+    return Flight(f"logs/{number}.tlog", "tlog", tuple(kept), identity=identity, duration_s=kept[-1].time_s)
+
+
+@pytest.fixture(scope="module")
+def emptied() -> Flight:
+    return flight(1)
+
+
+@pytest.fixture(scope="module")
+def record(emptied):
+    return remembering.taught(BATTERY, OPTIONS, emptied).record
+
+
+def test_a_flight_to_the_end_tells_capacity_and_ohms(record):
+    assert math.exp(record.told.log_Ah) == pytest.approx(5.0 * FADED, rel=0.04)
+    assert math.exp(record.told.log_ohm) == pytest.approx(type_ohm(PACK) * GROWN / FADED, rel=0.10)
+
+
+def test_a_part_of_a_flight_tells_less_of_the_capacity(record):
+    part = remembering.taught(BATTERY, OPTIONS, flight(1, share=0.5)).record
+    assert part.told.variance_Ah > 2.0 * record.told.variance_Ah
+    assert part.key == record.key
+
+
+def test_what_a_flight_drew_is_in_its_record(emptied, record):
+    rows = emptied.samples
+    assert record.charge_Ah == pytest.approx(5.0 * FADED * (record.soc_start - record.soc_end), rel=0.08)
+    assert record.duration_s == rows[-1].time_s - rows[0].time_s
+    assert record.source == "1.tlog"
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda f: replace(f, samples=tuple(replace(s, current_A=math.nan) for s in f.samples)), "no current"),
+        (lambda f: replace(f, samples=f.samples[:70]), "under load|of the charge"),
+        (lambda f: replace(f, facts=((0.0, PackFacts(sag_compensated=True)),)), "sag-compensated"),
+    ],
+)
+def test_a_flight_that_cannot_tell_says_why(emptied, changed, words):
+    import re
+
+    found = remembering.taught(BATTERY, OPTIONS, changed(emptied))
+    assert found.record is None
+    assert re.search(words, found.why_not)
+
+
+def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, record):
+    from uavbatt.plan import endurance, resolve
+    from uavbatt.prediction.load import ConstantLoad
+
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save("A", record)
+        known = remembering.recalled(ledger, "A", flight(2, share=0.1), BATTERY)
+    load, size = ConstantLoad(160.0, 0.01), resolve(BATTERY, OPTIONS)
+    true_s = flight(2).samples[-1].time_s - 40.0  # idle before the take-off and after the end
+    new, met = (endurance(BATTERY, size, load, 25.0, 1.0, 0.0, health).median_s for health in (None, known))
+    assert abs(met - true_s) < 0.06 * true_s
+    assert abs(met - true_s) < 0.5 * abs(new - true_s)
+
+
+def test_nothing_changes_without_a_name_or_for_a_pack_that_nobody_met(tmp_path, emptied):
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        assert remembering.recalled(ledger, "", emptied, BATTERY) is None
+        assert remembering.recalled(ledger, "A", emptied, BATTERY) is None
+
+
+def test_a_stated_name_goes_before_the_serial(emptied):
+    assert remembering.name_of(emptied) == "A"
+    assert remembering.name_of(emptied, "left") == "left"
+
+
+def test_the_flights_own_evidence_overrules_what_is_remembered(record):
+    """A pack remembered as aged is as good as new: at the end the flight believes its own readings."""
+    aged = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
+    estimator = Estimator(BATTERY, OPTIONS, remembered=aged)
+    for sample in flight(3, effects={}).samples:
+        estimate, _ = estimator.step(sample)
+    assert estimate.capacity_scale == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_members_of_a_remembered_pack_sum_to_what_is_remembered(record):
+    health = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
+    members = prior_of(PACK, health)
+    assert members.weight.sum() == pytest.approx(1.0)
+    likely = members.weight > 0.02
+    mean = (members.weight[likely] @ members.log_scale[likely]) / members.weight[likely].sum()
+    assert mean == pytest.approx(scales_of(PACK, health).mean[1], abs=0.01)
+
+
+def test_ohms_and_ampere_hours_are_those_of_the_scales(record):
+    health = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
+    again = health_of(PACK, scales_of(PACK, health))
+    assert again[:2] == pytest.approx(health[:2])
+    assert again.covariance == pytest.approx(health.covariance)
+
+
+def test_a_pack_that_is_not_the_one_remembered_is_noticed_by_its_ohms():
+    health = PackHealth(math.log(type_ohm(PACK)), math.log(5.0), np.diag([0.1**2, 0.05**2]))
+    assert unlike(PACK, health, wear=0.05, wear_sd=0.02) == ""
+    assert "50% more ohms than remembered" in unlike(PACK, health, wear=0.5, wear_sd=0.02)
+    assert "fewer ohms" in unlike(PACK, health, wear=-0.4, wear_sd=0.02)

@@ -1,0 +1,138 @@
+"""A pack that was met before: the prior of its next flight, as members of the filter's bank.
+
+What is remembered is a Gaussian over the pack's scales. It replaces the prior of packs in service, but never wholly: a
+contact may have burnt, a cell may have died, the label may be another pack's. So a small part of the weight stays with
+"the ohms have changed" and with "it is any pack in service", and the flight's own readings decide between them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery import model
+from uavbatt.battery.capacity_prior import OVERLAP, Capacities, capacities
+from uavbatt.battery.equations import REFERENCE_TEMP_C
+from uavbatt.battery.model import Array
+from uavbatt.battery.scaling import Pack
+
+REACH, FEWEST, LARGEST_STEP = 2.0, 5, 0.1  # members from -2 to +2 sd, at most so far apart in ln of the capacity
+CHANGED_WEIGHT, ANY_WEIGHT = 0.05, 0.03  # the ohms have changed since the last flight; any pack in service
+
+LEAST_UNLIKE, UNLIKE_SD = 0.2, 2.0
+CAUSES = "damaged, or another pack under its name?"
+
+
+class PackHealth(NamedTuple):
+    """Health of one pack at 25 °C and half charge: ln of ohms per cell, ln of Ah, and their covariance [2, 2].
+
+    In ohms and ampere-hours, so that it holds against any battery file and whatever capacity the vehicle states.
+    """
+
+    log_ohm: float
+    log_Ah: float
+    covariance: Array
+
+
+class Scales(NamedTuple):
+    """ln of the resistance scale [of ohm·Ah] and of the capacity scale against a battery file: mean [2], covariance."""
+
+    mean: Array
+    covariance: Array
+
+
+# Of a pack of which nothing is remembered nor assumed, so wide that a belief tells what the flight itself said.
+UNKNOWN = Scales(np.array([0.0, -0.05]), np.diag([0.3**2, 0.2**2]))
+HALF_CHARGE, HOVER_C_RATE = 0.5, 2.5
+REACTION_SHARE = 0.6  # more makes plans of aged packs too long in the cold, less too short in the warmth
+TO_SCALES = np.array([[1.0, 1.0], [0.0, 1.0]])  # an ohm·Ah is an ohm times an Ah
+FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
+
+
+def type_ohm(pack: Pack) -> float:
+    """Resistance of one cell [ohm] as the battery file has it, at 25 °C and half charge."""
+    resistance_ohmAh = float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
+    return resistance_ohmAh / float(pack.installation.capacity_Ah)
+
+
+def scales_of(pack: Pack, health: PackHealth) -> Scales:
+    """Ohms and ampere-hours against the battery file."""
+    own = np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
+    covariance = TO_SCALES @ health.covariance @ TO_SCALES.T
+    return Scales(TO_SCALES @ (np.array(health[:2]) - own), covariance)
+
+
+def health_of(pack: Pack, scales: Scales) -> PackHealth:
+    """Scales against the battery file as ohms and ampere-hours."""
+    log_ohm, log_Ah = FROM_SCALES @ scales.mean + np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
+    return PackHealth(float(log_ohm), float(log_Ah), FROM_SCALES @ scales.covariance @ FROM_SCALES.T)
+
+
+def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
+    """The members of a pack that was met before, or of one that nobody knows."""
+    return capacities(pack) if health is None else remembered_capacities(pack, health)
+
+
+def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
+    """The pack with the part of its additional ohms that is a sluggish reaction: a drop that does not grow at the knee.
+
+    A resistance that grows with an emptying cell would end a warm flight early; a drop that does not would hide the
+    cold. Which of the two ages a pack no flight of it tells apart, so that each gets its share.
+    """
+    if health is None:
+        return pack
+    more = math.expm1(float(scales_of(pack, health).mean[0]))
+    drop_V = REACTION_SHARE * more * HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
+    return pack._replace(cell=pack.cell._replace(transfer_V=pack.cell.transfer_V + max(drop_V, 0.0)))
+
+
+def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
+    """The members of a pack that was met before: around what is remembered, and the doubt about it."""
+    (log_resistance, log_capacity), covariance = scales_of(pack, health)
+    if log_resistance > 0.0:
+        log_resistance = math.log1p((1.0 - REACTION_SHARE) * math.expm1(log_resistance))
+    resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()
+    told_by_capacity = float(covariance[0, 1]) / capacity_sd  # ln of the resistance per sd of the capacity
+    count = max(FEWEST, math.ceil(2.0 * REACH * capacity_sd / LARGEST_STEP) + 1)
+    away = np.linspace(-REACH, REACH, count)
+    member_sd = OVERLAP * float(away[1] - away[0])
+    likely = np.exp(-0.5 * away**2 / (1.0 - member_sd**2))
+    own_sd = math.sqrt(max(resistance_sd**2 - told_by_capacity**2 * (1.0 - member_sd**2), 1e-6))
+    core = Capacities(
+        log_scale=log_capacity + capacity_sd * away,
+        sd=np.full(count, member_sd * capacity_sd),
+        weight=(1.0 - CHANGED_WEIGHT - ANY_WEIGHT) * likely / likely.sum(),
+        log_resistance=log_resistance + told_by_capacity * away,
+        resistance_sd=np.full(count, own_sd),
+    )
+    changed = Capacities(
+        log_scale=np.array([log_capacity]),
+        sd=np.array([capacity_sd]),
+        weight=np.array([CHANGED_WEIGHT]),
+        log_resistance=np.array([log_resistance]),
+        resistance_sd=np.array([math.hypot(resistance_sd, pack.resistance_scale_sd)]),
+    )
+    stranger = capacities(pack)
+    return _together(core, changed, stranger._replace(weight=ANY_WEIGHT * stranger.weight))
+
+
+def _together(*parts: Capacities) -> Capacities:
+    return Capacities(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
+    """Why a pack in flight is hardly the one that is remembered, by its ohms; empty when it may be.
+
+    wear, wear_sd: ohms above the type's, relative, as the flight has them.
+    """
+    if not wear > -1.0:
+        return ""
+    expected = health.log_ohm - math.log(type_ohm(pack))
+    apart = math.log1p(wear) - expected
+    sd = math.hypot(wear_sd / (1.0 + wear), math.sqrt(health.covariance[0, 0]))
+    if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
+        return ""
+    direction = "more" if apart > 0.0 else "fewer"
+    return f"{abs(math.expm1(apart)):.0%} {direction} ohms than remembered of this pack: {CAUSES}"

@@ -1,0 +1,114 @@
+"""`uavbatt packs`: what is remembered of each pack, what it means, and when to retire it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from uavbatt.cli.options import check_writable, remark, say
+from uavbatt.errors import UavbattError, UsageError
+
+if TYPE_CHECKING:
+    from uavbatt.packs.ledger import Ledger
+    from uavbatt.packs.records import PackRow, Remembered
+
+
+def packs(
+    ledger: Annotated[Path, typer.Argument(metavar="FILE.sqlite", help="The pack ledger.")],
+    pack: Annotated[str, typer.Option("--pack", metavar="NAME", help="Only this pack, flight by flight.")] = "",
+    summary: Annotated[Path | None, typer.Option("--json", help="The same as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    forget: Annotated[str, typer.Option("--forget", metavar="NAME", help="Delete a pack with its flights.")] = "",
+    export: Annotated[Path | None, typer.Option("--export", help="Write the pack of --pack to this file.")] = None,
+    take_in: Annotated[Path | None, typer.Option("--import", help="Add the pack of such a file.")] = None,
+) -> None:
+    """Packs and their outlook: capacity, resistance, trend, and when to retire each."""
+    from uavbatt.packs.ledger import Ledger
+
+    check_writable(summary, report, export, reads=(ledger, take_in))
+    if export is not None and not pack:
+        raise UsageError("--export: expected --pack NAME as well, the pack to write")
+    if forget or take_in is not None:
+        with Ledger(ledger) as changed:
+            _change(changed, forget, take_in)
+    with Ledger(ledger, only_read=True) as opened:
+        if export is not None:
+            _export(opened, pack, export)
+        found = _chosen(opened, pack)
+        flights = opened.flights(pack) if pack else []
+        for line in _lines(found, flights):
+            say(line, summary, report, export)
+        if summary is not None:
+            _write_summary(summary, found, flights)
+        if report is not None:
+            _write_report(report, opened, found)
+
+
+def _change(ledger: Ledger, forget: str, take_in: Path | None) -> None:
+    if forget:
+        if not ledger.forget(forget):
+            raise UavbattError(f"{ledger.path}: expected a pack named {forget} to forget, found none")
+        remark(f"{forget} is forgotten")
+    if take_in is not None:
+        from uavbatt.packs.exchange import imported
+
+        remark(f"{imported(ledger, take_in)} is taken in")
+
+
+def _export(ledger: Ledger, pack: str, path: Path) -> None:
+    from uavbatt.files import atomic_write
+    from uavbatt.packs.exchange import exported, text_of
+
+    content = exported(ledger, pack)
+    with atomic_write(path) as stream:
+        stream.write(text_of(content))
+
+
+def _chosen(ledger: Ledger, name: str) -> list[PackRow]:
+    if not name:
+        return ledger.packs()
+    found = ledger.pack(name)
+    if found is None:
+        raise UavbattError(f"{ledger.path}: expected a pack named {name}, found none")
+    return [found]
+
+
+def _lines(found: list[PackRow], flights: list[Remembered]) -> list[str]:
+    """The packs for a person, and the flights of the one that was asked for."""
+    from uavbatt.packs.words import flight_line, pack_lines
+
+    if not found:
+        return ["no packs are remembered yet: fly logs with `uavbatt replay LOG... --packs FILE`"]
+    return [line for pack in found for line in pack_lines(pack)] + [flight_line(after) for after in flights]
+
+
+def _write_summary(path: Path, found: list[PackRow], flights: list[Remembered]) -> None:
+    from uavbatt.files import write_json
+
+    packs: list[dict[str, Any]] = [_plain(pack) for pack in found]
+    if flights:
+        packs[0]["history"] = [
+            {"flight": after.flight, "known": after.known._asdict(), "findings": after.findings} for after in flights
+        ]
+    write_json(path, packs)
+
+
+def _plain(pack: PackRow) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    row = asdict(pack)
+    return {**{k: v for k, v in row.items() if k not in ("outlook", "findings")}, **row["outlook"]} | {
+        "findings": row["findings"]
+    }
+
+
+def _write_report(path: Path, ledger: Ledger, found: list[PackRow]) -> None:
+    from uavbatt.files import atomic_write
+    from uavbatt.report.packs import MOST_FIGURES, packs_report
+
+    drawn = [(pack, ledger.flights(pack.name)) for pack in found[:MOST_FIGURES]]
+    html = packs_report(str(ledger.path.name), found, drawn)
+    with atomic_write(path, "w") as stream:
+        stream.write(html)

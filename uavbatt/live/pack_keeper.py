@@ -1,0 +1,200 @@
+"""The pack ledger beside the companion process: what is known of a pack on the ground, what a flight taught after it.
+
+    serial or --pack  -> prior of the estimator, on the ground
+    rows in the air   -> the ledger's airborne rows, every few seconds: a process that dies loses none of them
+    landing           -> what the flight taught, saved
+
+The disk may be slow and another program may write: all of it is done by one thread beside the loop, which never waits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.errors import UavbattError
+from uavbatt.packs import airborne
+from uavbatt.packs.airborne import Airborne, LeftOver
+from uavbatt.packs.ledger import Ledger, prior
+from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
+from uavbatt.remembering import taught
+
+FLUSH_S = 10.0
+BEFORE_S, LANDED_S = 30.0, 20.0  # of rest before the take-off and after the landing, for the rested voltage
+SILENT_S = 120.0  # without a row a flight is over
+RESUMED_WITHIN_S = 600.0
+
+
+@dataclass(slots=True)
+class Kept:
+    """What is held of one battery's flight; changed in place by the loop alone."""
+
+    name: str
+    health: Future[PackHealth | None]
+    cycles: int | None = None
+    number: Future[int] | None = None  # in the ledger, while it flies
+    start_s: float = NAN  # monotonic
+    disarmed_s: float = NAN
+    last_s: float = NAN
+    block: list[Sample] = field(default_factory=list)
+    rows: deque[Sample] = field(default_factory=deque)  # not in the ledger yet; monotonic times
+    flushed_s: float = -math.inf
+
+
+class PackKeeper:
+    """Rows of batteries in; their packs' priors out, and their flights into the ledger."""
+
+    def __init__(
+        self,
+        path: Path,
+        stated: str,
+        battery: BatteryFile,
+        options: PackOptions,
+        utc_s: Callable[[float], float],
+    ) -> None:
+        """`utc_s` turns a monotonic time [s] into seconds since 1970, NaN while the clock is not set."""
+        self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
+        self._kept: dict[int, Kept] = {}
+        self._young: dict[str, LeftOver] = {}
+        self.note = ""
+        self._ledger = Ledger(path)
+        for left in airborne.left_over(self._ledger):
+            self._young[left.flight.name] = left
+
+    def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
+        """What is remembered of the pack of a battery, once it has a name; None while it has none."""
+        name = self._stated or serial
+        if not name:
+            return None
+        kept = self._kept.get(instance)
+        if kept is None or kept.name != name:
+            if kept is not None:
+                self._land(kept)
+            self._kept[instance] = kept = Kept(name, self._worker.submit(self._recalled, name, now_s), cycles)
+        return kept.health
+
+    def step(self, instance: int, sample: Sample, now_s: float, cells: int, capacity_Ah: float) -> None:
+        """One row of a battery, at a monotonic time [s]."""
+        kept = self._kept.get(instance)
+        if kept is None or not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
+            return
+        kept.last_s = now_s
+        kept.block.append(replace(sample, time_s=now_s))
+        if now_s - kept.block[0].time_s >= airborne.ROW_S:
+            kept.rows.append(_mean(kept.block))
+            kept.block = []
+        if kept.number is None and sample.armed:
+            self._take_off(kept, now_s, cells, capacity_Ah)
+        kept.disarmed_s = NAN if sample.armed else kept.disarmed_s if math.isfinite(kept.disarmed_s) else now_s
+        while kept.number is None and kept.rows and kept.rows[0].time_s < now_s - BEFORE_S:
+            kept.rows.popleft()
+
+    def look_after(self, now_s: float) -> None:
+        """Write what is due; see which flights are over."""
+        for kept in self._kept.values():
+            if kept.number is None:
+                continue
+            if now_s - kept.disarmed_s >= LANDED_S or now_s - kept.last_s >= SILENT_S:
+                self._land(kept)
+            elif now_s - kept.flushed_s >= FLUSH_S:
+                self._flush(kept, now_s)
+        for name, left in list(self._young.items()):
+            age_s = self._utc_s(now_s) - left.last_utc_s
+            if not 0.0 <= age_s <= RESUMED_WITHIN_S:
+                del self._young[name]
+                self._worker.submit(self._told, self._learned, left.number, left.flight)
+
+    def close(self, now_s: float) -> None:
+        """Write what is held; a flight that is still in the air stays airborne in the ledger."""
+        for kept in self._kept.values():
+            if kept.number is not None:
+                self._flush(kept, now_s)
+        self._worker.shutdown()
+        self._ledger.close()
+
+    def _take_off(self, kept: Kept, now_s: float, cells: int, capacity_Ah: float) -> None:
+        """The pack is armed: its rows go into the ledger from now on, on top of those of a process that died."""
+        left = self._young.pop(kept.name, None)
+        if left is not None:
+            kept.number = Future()
+            kept.number.set_result(left.number)
+            kept.start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
+            return
+        kept.start_s = kept.rows[0].time_s if kept.rows else now_s
+        flight = Airborne(kept.name, self._utc_s(kept.start_s), cells, capacity_Ah, kept.cycles)
+        kept.number = self._worker.submit(airborne.begun, self._ledger, flight)
+
+    def _flush(self, kept: Kept, now_s: float) -> None:
+        assert kept.number is not None
+        kept.flushed_s = now_s
+        rows = [replace(row, time_s=row.time_s - kept.start_s) for row in kept.rows]
+        kept.rows.clear()
+        if rows:
+            number = kept.number
+            self._worker.submit(self._told, lambda: airborne.add(self._ledger, number.result(), rows))
+
+    def _land(self, kept: Kept) -> None:
+        """The flight is over: what it taught is saved, and known the next time the pack is met."""
+        if kept.number is None:
+            return
+        self._flush(kept, kept.last_s)
+        number, kept.number = kept.number, None
+        self._worker.submit(self._told, lambda: self._learned(number.result(), None))
+
+    def _told(self, work: Callable[..., None], *arguments: object) -> None:
+        """Work of the thread; what goes wrong is told, and ends nothing."""
+        try:
+            work(*arguments)
+        except UavbattError as error:
+            self.note = f"pack ledger: {error}"
+        except Exception as error:  # in flight nothing ends the process
+            self.note = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
+
+    def _recalled(self, name: str, now_s: float) -> PackHealth | None:
+        try:
+            last = self._ledger.before(name, self._utc_s(now_s))
+        except UavbattError as error:
+            self.note = f"pack ledger: {error}"
+            return None
+        self.note = f"pack {name}: {'met before' if last is not None else 'new'}"
+        if last is None:
+            return None
+        return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256)
+
+    def _learned(self, number: int, known: Airborne | None) -> None:
+        left = next((one for one in airborne.left_over(self._ledger) if one.number == number), None)
+        if left is None:
+            return
+        flight = known or left.flight
+        facts = PackFacts(cells_series=flight.cells, capacity_Ah=flight.capacity_Ah)
+        identity = Identity(battery_serial=flight.name, battery_cycles=flight.cycles, start_utc_s=flight.start_utc_s)
+        log = Flight("live", "live", left.rows, facts=((0.0, facts),), identity=identity)
+        found = taught(self._battery, self._options, log)
+        if found.record is None:
+            airborne.dropped(self._ledger, number)
+            self.note = f"pack {flight.name}: nothing learned: {found.why_not}"
+            return
+        after = self._ledger.save(flight.name, found.record, landed=number)
+        words = "; ".join(finding.words for finding in after.findings)
+        self.note = f"pack {flight.name}: flight remembered" + (f"; {words}" if words else "")
+
+
+def _mean(block: list[Sample]) -> Sample:
+    """Rows together as one, at their mean time."""
+    temps = [row.temp_C for row in block if math.isfinite(row.temp_C)]
+    count = len(block)
+    return Sample(
+        time_s=sum(row.time_s for row in block) / count,
+        voltage_V=sum(row.voltage_V for row in block) / count,
+        current_A=sum(row.current_A for row in block) / count,
+        temp_C=sum(temps) / len(temps) if temps else NAN,
+        armed=block[-1].armed,
+    )

@@ -1,0 +1,1 @@
+"""The pack ledger: what every flight taught of a pack, remembered from flight to flight."""

@@ -1,0 +1,201 @@
+"""The slow filter: health of a pack from flight to flight.
+
+    x = (ln ohm, ln Ah, their change a flight);  x' = F x + w,  z = (ln ohm, ln Ah) of one flight + v
+
+w is what flights and the calendar may do to a pack unseen, v what one flight says of it. A flight that does not fit is
+never averaged in: more ohms or less charge at once is damage, and the belief begins anew there; fewer ohms or more
+charge at once no pack can do, so that it is another pack under this name, whose flight is set aside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.packs import findings as odd
+from uavbatt.packs.records import Finding, FlightRecord, Known, Remembered
+
+# A pack that nobody met is as good as new, or it is in service: shares, means and sds of (ln ohm, ln Ah) against its
+# type and its rating. From flight to flight it ages: LiPo packs lose a fifth in 50 to 300 flights, and a season of hard
+# use can take 2 % a flight.
+NEW_SHARE = 0.6
+NEW_MEAN, NEW_SD = np.array([0.0, 0.0]), np.array([0.10, 0.03])
+USED_MEAN, USED_SD = np.array([0.10, -0.12]), np.array([0.25, 0.10])
+TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.010, 0.010])
+AGED_TOGETHER = (-0.5, -0.9)  # correlations, of what is and of its change: who has lost charge has gained ohms
+FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # a flight more
+MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # a month on the shelf
+DAYS_A_MONTH, SECONDS_A_DAY = 30.4, 86_400.0
+LONGEST_DAYS = 3650.0
+# What a flight says of ohms holds at its own temperature and load: so far it may be off in the next flight's.
+OTHER_CONDITIONS_SD = np.array([0.15, 0.02])
+OTHER_FILE_SD = np.array([0.10, 0.03])  # read with another battery file
+# A flight is odd at this many sd; two in a row, taken together, at fewer.
+ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 3.0, 2.5
+DAMAGE_SD = np.array([0.30, 0.15, 0.0, 0.0])
+
+F = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+H = np.eye(2, 4)
+OHM, CHARGE = 0, 1
+
+
+def _first(flight: FlightRecord, mean: Array, sd: Array) -> Known:
+    """The belief about a pack before its first flight, if it is of one of the two kinds."""
+    type_log = np.log([flight.type_ohm, flight.rated_Ah])
+    every_sd = np.concatenate([sd, TREND_SD])
+    covariance = np.diag(every_sd**2)
+    for k, correlation in zip((0, 2), AGED_TOGETHER, strict=True):
+        covariance[k, k + 1] = covariance[k + 1, k] = correlation * every_sd[k] * every_sd[k + 1]
+    return Known(np.concatenate([type_log + mean, TREND_MEAN]), covariance)
+
+
+def first_known(flight: FlightRecord) -> Known:
+    """The belief about a pack after its first flight: the two kinds together, each as likely as the flight makes it."""
+    kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
+    likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
+    weight = likely / likely.sum() if likely.sum() > 0.0 else np.array([0.0, 1.0])
+    after = [_taken(kind, flight) for kind in kinds]
+    mean = np.asarray(sum(w * known.mean for w, known in zip(weight, after, strict=True)))
+    covariance = np.zeros((4, 4))
+    for w, known in zip(weight, after, strict=True):
+        apart = known.mean - mean
+        covariance += w * (known.covariance + np.outer(apart, apart))
+    return Known(mean, covariance)
+
+
+def _likelihood(known: Known, flight: FlightRecord) -> float:
+    """How likely a belief made what the flight says, but for a constant."""
+    spread = H @ known.covariance @ H.T + flight.told.matrix
+    apart = flight.told.mean - H @ known.mean
+    return math.exp(-0.5 * float(apart @ np.linalg.solve(spread, apart))) / math.sqrt(float(np.linalg.det(spread)))
+
+
+def later(known: Known, days: float) -> Known:
+    """The belief `days` on, before the next flight."""
+    days = min(max(days, 0.0), LONGEST_DAYS) if math.isfinite(days) else 0.0
+    walked = FLIGHT_SD**2 + MONTH_SD**2 * days / DAYS_A_MONTH
+    return Known(F @ known.mean, F @ known.covariance @ F.T + np.diag(walked))
+
+
+def days_between(earlier: FlightRecord, start_utc_s: float) -> float:
+    """Days from one flight to a time; NaN where either is unknown."""
+    return (start_utc_s - earlier.start_utc_s) / SECONDS_A_DAY
+
+
+def updated(known: Known, told_mean: Array, told_covariance: Array) -> Known:
+    """Kalman's update by what a flight says (Joseph's form is not needed: two numbers, well scaled)."""
+    spread = H @ known.covariance @ H.T + told_covariance
+    gain = np.linalg.solve(spread, H @ known.covariance).T
+    covariance = known.covariance - gain @ spread @ gain.T
+    return Known(known.mean + gain @ (told_mean - H @ known.mean), 0.5 * (covariance + covariance.T))
+
+
+def oddness(known: Known, flight: FlightRecord, doubt: Array) -> Array:
+    """How many sd each of a flight's numbers lies from what was expected, [2]."""
+    spread = np.diag(H @ known.covariance @ H.T + doubt)
+    return np.asarray((flight.told.mean - H @ known.mean) / np.sqrt(spread))
+
+
+def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -> Array:
+    """How many sd two flights in a row lie by the same step from what was expected before both, [2]."""
+    after = later(before, 0.0)
+    found = []
+    for k in (OHM, CHARGE):
+        shared, grown = float(before.covariance[k, k]), float(after.covariance[k, k])
+        spread = np.array([[shared + one.told.matrix[k, k], shared], [shared, grown + next_one.told.matrix[k, k]]])
+        step = np.array([one.told.mean[k] - before.mean[k], next_one.told.mean[k] - after.mean[k]])
+        weight = np.linalg.solve(spread, np.ones(2))
+        found.append(float(weight @ step) / math.sqrt(float(weight.sum())))
+    return np.array(found)
+
+
+class Course(NamedTuple):
+    """Where the slow filter stands: the belief, and what it needs to think again."""
+
+    known: Known
+    expected: Known  # before the last flight
+    last: FlightRecord
+    undamaged: Known | None = None  # before the last damage: it may have been another pack
+    aside: FlightRecord | None = None  # the last flight, if it was not believed to be this pack's
+    is_settled: bool = True  # the last flight was nothing odd
+
+
+def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
+    """The belief after each flight of a pack; `flights` in order of time."""
+    found: list[Remembered] = []
+    course: Course | None = None
+    for flight in flights:
+        course, findings = _begun(flight) if course is None else _next(course, flight)
+        found.append(Remembered(flight, course.known, (*findings, *odd.by_itself(flight))))
+    return found
+
+
+def _begun(flight: FlightRecord) -> tuple[Course, tuple[Finding, ...]]:
+    return Course(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
+
+
+def _taken(expected: Known, flight: FlightRecord) -> Known:
+    return updated(expected, flight.told.mean, flight.told.matrix)
+
+
+def _next(course: Course, flight: FlightRecord) -> tuple[Course, tuple[Finding, ...]]:
+    """One flight more: as expected, damaged since the last one, or not this pack at all."""
+    beside = odd.between(course.last, flight)
+    expected = later(course.known, days_between(course.last, flight.start_utc_s))
+    z = oddness(expected, flight, flight.told.matrix)
+    change = flight.told.mean - H @ expected.mean
+    if max(-z[OHM], z[CHARGE]) > ODD_ALONE:
+        course, said = _improved(course, expected, flight, odd.another(z, change))
+    elif max(z[OHM], -z[CHARGE]) > ODD_ALONE:
+        said = odd.sudden(z, change)
+        known = _taken(_shaken(expected, z), flight)
+        course = Course(known, expected, flight, undamaged=expected, is_settled=False)
+    elif course.is_settled and (both := _odd_together(course, flight)) is not None:
+        course, said = both
+    else:
+        return Course(_taken(expected, flight), expected, flight, course.undamaged), beside
+    return course, (said, *beside)
+
+
+def _shaken(expected: Known, z: Array) -> Known:
+    """The belief about a pack to which something has happened: to its ohms, or to its charge as well."""
+    sd = DAMAGE_SD * np.array([1.0, float(-z[CHARGE] > FITS_AGAIN), 0.0, 0.0])
+    return Known(expected.mean, expected.covariance + np.diag(sd**2))
+
+
+def _improved(course: Course, expected: Known, flight: FlightRecord, said: Finding) -> tuple[Course, Finding]:
+    """A flight better than the pack can be: set aside, unless it is the pack from before, or the new one again."""
+    old = course.undamaged
+    if old is not None and np.abs(oddness(later(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
+        again = "as before the damage: the flights in between were another pack's"
+        return Course(_taken(later(old, 0.0), flight), old, flight, is_settled=False), Finding(said.kind, again)
+    if course.aside is not None:
+        anew = first_known(course.aside)
+        said = Finding(said.kind, "again another pack: remembered anew under this name")
+        return Course(_taken(later(anew, 0.0), flight), anew, flight, is_settled=False), said
+    return Course(expected, expected, course.last, aside=flight, is_settled=False), said
+
+
+def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, Finding] | None:
+    """Two flights in a row that say the same: damage, of which one alone was not sure."""
+    z = oddness_together(course.expected, course.last, flight)
+    if max(z[OHM], -z[CHARGE]) <= ODD_TOGETHER:
+        return None
+    change = 0.5 * (course.last.told.mean + flight.told.mean) - H @ course.expected.mean
+    before = _taken(_shaken(course.expected, z), course.last)
+    known = _taken(later(before, 0.0), flight)
+    said = odd.sudden(z, change, " since the flight before")
+    return Course(known, before, flight, undamaged=course.expected, is_settled=False), said
+
+
+def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:
+    """The prior of the next flight, `days` after the last; `other_file`: read with another battery file."""
+    expected = later(known, days)
+    doubt = OTHER_CONDITIONS_SD**2 + (OTHER_FILE_SD**2 if other_file else 0.0)
+    log_ohm, log_Ah = (float(value) for value in expected.mean[:2])
+    return PackHealth(log_ohm, log_Ah, expected.covariance[:2, :2] + np.diag(doubt))

@@ -1,0 +1,92 @@
+"""Flights that have not landed yet: their rows in the ledger, so that a process that dies in the air loses none.
+
+A flight's rows are means over ROW_S, so that half an hour is 900 rows of 40 bytes, and are gone once it has landed.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from uavbatt.packs.ledger import Ledger
+from uavbatt.records import NAN, Sample
+
+ROW_S = 2.0
+
+
+class Airborne(NamedTuple):
+    """A flight in the air: the pack's name and size, when it began [s since 1970], NaN where no clock was set."""
+
+    name: str
+    start_utc_s: float
+    cells: int
+    capacity_Ah: float
+    cycles: int | None = None
+
+
+class LeftOver(NamedTuple):
+    """A flight of a process that did not see it land, with its rows."""
+
+    number: int
+    flight: Airborne
+    rows: tuple[Sample, ...]
+
+    @property
+    def last_utc_s(self) -> float:
+        """When its last row came [s since 1970]."""
+        return self.flight.start_utc_s + (self.rows[-1].time_s if self.rows else 0.0)
+
+
+def begun(ledger: Ledger, flight: Airborne) -> int:
+    """A flight has begun; the number that it is kept under."""
+    row = (flight.name, _stored(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
+    with ledger.writing() as connection:
+        found = connection.execute(
+            "INSERT INTO airborne (name, start_utc_s, cells, capacity_Ah, cycles) VALUES (?, ?, ?, ?, ?)", row
+        )
+    return int(found.lastrowid or 0)
+
+
+def add(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
+    """More rows of a flight; their times count from its start [s]."""
+    values = [(number, r.time_s, r.voltage_V, _stored(r.current_A), _stored(r.temp_C)) for r in rows]
+    with ledger.writing() as connection:
+        connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", values)
+
+
+def rows_of(ledger: Ledger, number: int) -> tuple[Sample, ...]:
+    """The rows of a flight."""
+    with ledger.reading() as connection:
+        return _rows(connection, number)
+
+
+def left_over(ledger: Ledger) -> list[LeftOver]:
+    """Flights that never landed here."""
+    with ledger.reading() as connection:
+        found = connection.execute("SELECT * FROM airborne ORDER BY id").fetchall()
+        return [LeftOver(int(row["id"]), _airborne(row), _rows(connection, int(row["id"]))) for row in found]
+
+
+def dropped(ledger: Ledger, number: int) -> None:
+    """A flight that taught nothing is not kept."""
+    with ledger.writing() as connection:
+        connection.execute("DELETE FROM airborne WHERE id = ?", (number,))
+
+
+def _airborne(row: sqlite3.Row) -> Airborne:
+    return Airborne(row["name"], _known(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
+
+
+def _rows(connection: sqlite3.Connection, number: int) -> tuple[Sample, ...]:
+    found = connection.execute("SELECT * FROM rows WHERE flight = ? ORDER BY time_s", (number,))
+    return tuple(Sample(r["time_s"], r["voltage_V"], _known(r["current_A"]), _known(r["temp_C"])) for r in found)
+
+
+def _stored(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _known(value: float | None) -> float:
+    return NAN if value is None else value

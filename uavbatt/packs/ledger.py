@@ -1,0 +1,243 @@
+"""The pack ledger: one SQLite file, one writer at a time, whole after every kill.
+
+A flight is saved in one transaction with all that follows from it: the beliefs after the later flights of its pack,
+and the pack's outlook. Flights are kept as they were flown, so that the order in which logs are replayed changes
+nothing: the slow filter runs over them in order of time.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.errors import BadInput
+from uavbatt.packs import ageing, rows, schema
+from uavbatt.packs.outlook import outlook
+from uavbatt.packs.records import FlightRecord, PackRow, Remembered
+
+PATIENCE_S = 10.0  # for another writer
+SHOWN_FINDINGS = 5
+LONGEST_NAME = 64
+# A log of the same flight that began a moment earlier is not before it.
+BEFORE = """
+SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack
+WHERE packs.name = :name AND key != :key
+    AND (start_utc_s IS NULL OR :start IS NULL OR start_utc_s + 0.5 * duration_s < :start)
+ORDER BY (start_utc_s IS NULL) = (:start IS NULL) DESC, start_utc_s DESC, flights.id DESC LIMIT 1
+"""
+
+
+class Ledger:
+    """A pack ledger that is open. Reading makes no file; the first flight saved does."""
+
+    def __init__(self, path: str | Path, *, only_read: bool = False) -> None:
+        self.path = Path(path)
+        self._connection = _opened(self.path, only_read)
+        with self._told():
+            now = schema.check(self._connection, self.path)
+        if not only_read and now < len(schema.MIGRATIONS):
+            with self.writing() as connection:
+                schema.migrate(connection)
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; what was saved is saved."""
+        self._connection.close()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Errors of SQLite in one line that names the file."""
+        try:
+            yield
+        except sqlite3.DatabaseError as error:
+            raise BadInput(self.path, "", _words(error)) from None
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """The connection, for reading."""
+        with self._told():
+            yield self._connection
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """The one writer: all that is done within is saved together, or nothing of it."""
+        with self._told():
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def packs(self) -> list[PackRow]:
+        """All packs, by name."""
+        with self._told():
+            return [rows.pack_of(row) for row in self._connection.execute("SELECT * FROM packs ORDER BY name")]
+
+    def pack(self, name: str) -> PackRow | None:
+        """The pack of that name, if there is one."""
+        with self._told():
+            row = self._connection.execute("SELECT * FROM packs WHERE name = ?", (name,)).fetchone()
+            return rows.pack_of(row) if row is not None else None
+
+    def flights(self, name: str) -> list[Remembered]:
+        """The flights of a pack in order of time, with what is believed after each."""
+        with self._told():
+            found = self._connection.execute(
+                "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = ?", (name,)
+            )
+            return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
+
+    def before(self, name: str, start_utc_s: float, key: str = "") -> Remembered | None:
+        """The last flight of a pack before a time [s since 1970], NaN for now, other than the flight of that key."""
+        with self._told():
+            row = self._connection.execute(
+                BEFORE, {"name": name, "key": key, "start": start_utc_s if math.isfinite(start_utc_s) else None}
+            ).fetchone()
+        return rows.remembered_of(row) if row is not None else None
+
+    def save(self, name: str, flight: FlightRecord, landed: int | None = None) -> Remembered:
+        """Save a flight of a pack; one that is in the ledger already is replaced, unless the new one knows less of it.
+
+        Returns the flight with what is believed after it. Raises BadInput for a pack of another size. `landed` is the
+        number of the airborne flight that this one was, which ends with it.
+        """
+        return self.save_all(name, [flight], landed)[-1]
+
+    def save_all(self, name: str, flights: Sequence[FlightRecord], landed: int | None = None) -> list[Remembered]:
+        """Save many flights of one pack at once, as one by one; returns those that stand in the ledger now."""
+        if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
+            raise BadInput(self.path, "pack", f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r}")
+        with self.writing() as connection:
+            pack = _pack_id(connection, self.path, name, flights)
+            kept = [_kept(connection, pack, flight) for flight in flights]
+            every = _work_out(connection, pack, name)
+            if landed is not None:
+                connection.execute("DELETE FROM airborne WHERE id = ?", (landed,))
+        after = {found.flight.key: found for found in every}
+        return [after[key] for key in kept if key in after]
+
+    def forget(self, name: str) -> bool:
+        """Delete a pack with its flights; False when there is none of that name."""
+        with self.writing() as connection:
+            connection.execute("DELETE FROM flights WHERE pack = (SELECT id FROM packs WHERE name = ?)", (name,))
+            return connection.execute("DELETE FROM packs WHERE name = ?", (name,)).rowcount > 0
+
+
+def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHealth:
+    """The prior of the flight that begins at a time, by what is believed after the last one before it."""
+    days = ageing.days_between(last.flight, start_utc_s)
+    return ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
+
+
+def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
+    if only_read and not path.exists():
+        raise BadInput(path, "", "a pack ledger, found no such file")
+    if not path.parent.is_dir():
+        raise BadInput(path, "", "an existing folder to keep the pack ledger in")
+    try:
+        mode = "ro" if only_read else "rwc"
+        connection = sqlite3.connect(
+            f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=PATIENCE_S, isolation_level=None,
+            check_same_thread=False,
+        )  # fmt: skip
+        connection.row_factory = sqlite3.Row
+        if not only_read:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = FULL")  # a commit is on the disk
+        connection.execute("PRAGMA foreign_keys = ON")
+    except sqlite3.DatabaseError as error:
+        raise BadInput(path, "", _words(error)) from None
+    return connection
+
+
+def _words(error: sqlite3.DatabaseError) -> str:
+    text = str(error)
+    if "locked" in text:
+        return f"a pack ledger that nobody else writes for {PATIENCE_S:.0f} s, found it locked"
+    if "full" in text:
+        return "room on the disk for the pack ledger, found it full: nothing was changed"
+    if "not a database" in text:
+        return "a pack ledger, found a file of another kind"
+    return f"a pack ledger that can be read and written, SQLite says: {text}"
+
+
+def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Sequence[FlightRecord]) -> int:
+    """The pack's number, made when it is new."""
+    flight = flights[0]
+    row = connection.execute("SELECT id, cells FROM packs WHERE name = ?", (name,)).fetchone()
+    cells = flight.cells if row is None else int(row["cells"])
+    for other in flights:
+        if other.cells != cells:
+            expected = f"flights of {cells} cells as before, found {other.cells}: another pack under this name?"
+            raise BadInput(path, f"pack {name}", expected)
+    if row is None:
+        nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0)
+        pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
+        found = connection.execute(*inserted("packs", rows.pack_row(pack)))
+        return int(found.lastrowid or 0)
+    return int(row["id"])
+
+
+def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
+    """Write a flight, or leave the longer record of it in place; the key under which it stands."""
+    for row in connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall():
+        other = rows.flight_of(row)
+        if not other.is_same_as(flight):
+            continue
+        if other.key != flight.key and (other.duration_s, other.key) > (flight.duration_s, flight.key):
+            return other.key
+        flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
+        connection.execute("DELETE FROM flights WHERE id = ?", (row["id"],))
+    connection.execute(*inserted("flights", {**rows.flight_row(flight), "pack": pack, "findings": ""}))
+    return flight.key
+
+
+def _work_out(connection: sqlite3.Connection, pack: int, name: str) -> list[Remembered]:
+    """Run the slow filter over the pack's flights, and write what has changed."""
+    found = sorted(connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall(), key=_moment)
+    every = ageing.history([rows.flight_of(row) for row in found])
+    for row, after in zip(found, every, strict=True):
+        now = rows.remembered_row(after)
+        if any(row[column] != value for column, value in now.items()):
+            connection.execute(*_update("flights", now, int(row["id"])))
+    last = every[-1].flight
+    findings = tuple(f for after in every for f in after.findings)[-SHOWN_FINDINGS:]
+    size = (name, last.cells, last.rated_Ah, last.type_ohm, last.start_utc_s)
+    state = PackRow(*size, outlook(every[-1].known, last.rated_Ah, len(every)), findings)
+    connection.execute(*_update("packs", rows.pack_row(state), pack))
+    return every
+
+
+def _moment(row: sqlite3.Row) -> tuple[float, int]:
+    """Order of flights: by their clock; those without one after all others, as they came."""
+    return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
+
+
+def _known(value: float, other: float) -> float:
+    return value if math.isfinite(value) else other
+
+
+def inserted(table: str, row: dict[str, object]) -> tuple[str, dict[str, object]]:
+    """The statement that inserts a row into a table, and its values."""
+    """The statement that inserts a row, and its values."""
+    names = ", ".join(row)
+    return f"INSERT INTO {table} ({names}) VALUES ({', '.join(':' + name for name in row)})", row
+
+
+def _update(table: str, row: dict[str, object], number: int) -> tuple[str, dict[str, object]]:
+    settings = ", ".join(f"{name} = :{name}" for name in row)
+    return f"UPDATE {table} SET {settings} WHERE id = :number", {**row, "number": number}

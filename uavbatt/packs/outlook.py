@@ -1,0 +1,58 @@
+"""What the belief about a pack means for its owner: health with intervals, trend, and when to retire it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uavbatt.packs.records import Known, Outlook
+
+RETIRED_AT = 0.8  # of the rated capacity
+INTERVAL_SD = 1.645  # 5 % to 95 %
+# The battery file's own error is in every flight alike, so that no number of flights takes it out.
+SHARED_SD = (0.04, 0.02)  # ln of ohms, ln of Ah
+FARTHEST_FLIGHTS = 500.0
+# 5, 15 .. 95 % points of a standard normal: an even sample of it without chance.
+LEVELS = np.array([-1.645, -1.036, -0.674, -0.385, -0.126, 0.126, 0.385, 0.674, 1.036, 1.645])
+
+
+def outlook(known: Known, rated_Ah: float, flights: int) -> Outlook:
+    """The outlook of a pack of `rated_Ah` after so many flights."""
+    sd = np.sqrt(np.diag(known.covariance))
+    ohm = np.exp(known.mean[0] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[0], SHARED_SD[0]))
+    charge = np.exp(known.mean[1] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[1], SHARED_SD[1]))
+    (ohms, ohms_lo, ohms_hi), (now, lo, hi) = ohm.tolist(), charge.tolist()
+    median, soonest, latest = retirement(known, rated_Ah)
+    return Outlook(
+        flights=flights,
+        capacity_Ah=now,
+        capacity_lo_Ah=lo,
+        capacity_hi_Ah=hi,
+        resistance_ohm=ohms,
+        resistance_lo_ohm=ohms_lo,
+        resistance_hi_ohm=ohms_hi,
+        capacity_trend=float(known.mean[3]),
+        capacity_trend_sd=float(sd[3]),
+        resistance_trend=float(known.mean[2]),
+        resistance_trend_sd=float(sd[2]),
+        retire_flights=median,
+        retire_lo_flights=soonest,
+        retire_hi_flights=latest,
+    )
+
+
+def retirement(known: Known, rated_Ah: float) -> tuple[float, float, float]:
+    """Flights until the capacity is RETIRED_AT of the rated one: median, 5 %, 95 % points; infinite beyond sight."""
+    left = known.mean[1] - math.log(RETIRED_AT * rated_Ah)
+    level_sd, trend_sd = math.hypot(math.sqrt(known.covariance[1, 1]), SHARED_SD[1]), math.sqrt(known.covariance[3, 3])
+    shared = known.covariance[1, 3] / level_sd
+    own_sd = math.sqrt(max(trend_sd**2 - shared**2, 0.0))
+    level, change = np.meshgrid(LEVELS, LEVELS)
+    above = left + level_sd * level
+    lost = -(known.mean[3] + shared * level + own_sd * change)
+    with np.errstate(divide="ignore"):
+        flights = np.where(above <= 0.0, 0.0, np.where(lost > 0.0, above / np.maximum(lost, 1e-12), np.inf))
+    found = np.quantile(flights, [0.5, 0.05, 0.95], method="nearest")
+    median, low, high = (float(n) if n <= FARTHEST_FLIGHTS else math.inf for n in found)
+    return median, low, high

@@ -1,0 +1,129 @@
+"""What the ledger holds of packs and flights: frozen values, in ohms and ampere-hours.
+
+A pack's health is ln of its resistance [ohm per cell, at 25 °C and half charge] and ln of its capacity [Ah]. Neither
+depends on the battery file that a flight was read with, so that a new file does not forget the pack.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.records import NAN
+
+
+class Told(NamedTuple):
+    """What one flight by itself says of a pack: ln of ohms and of ampere-hours, their variances, what they share."""
+
+    log_ohm: float
+    log_Ah: float
+    variance_ohm: float
+    variance_Ah: float
+    covariance: float
+
+    @property
+    def mean(self) -> Array:
+        """The mean [2]."""
+        return np.array([self.log_ohm, self.log_Ah])
+
+    @property
+    def matrix(self) -> Array:
+        """The covariance [2, 2]."""
+        return np.array([[self.variance_ohm, self.covariance], [self.covariance, self.variance_Ah]])
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRecord:
+    """One flight of one pack, whatever the flights before it were."""
+
+    key: str  # made of the log's first rows: the same log again has it again
+    told: Told
+    cells: int
+    rated_Ah: float
+    type_ohm: float  # of a cell as the battery file has it, at 25 °C and half charge
+    battery: str
+    battery_sha256: str
+    start_utc_s: float = NAN
+    duration_s: float = NAN
+    source: str = ""  # the log's name
+    soc_start: float = NAN
+    soc_end: float = NAN
+    charge_Ah: float = NAN
+    energy_Wh: float = NAN
+    temp_mean_C: float = NAN
+    temp_max_C: float = NAN
+    weak_cell: int = 0  # the cell that lies lowest under load, from 1; 0 where cells are not measured
+    weak_cell_V: float = NAN  # how far below the mean of the cells
+    cycles: int | None = None  # by the pack's own counter
+
+    def is_same_as(self, other: FlightRecord) -> bool:
+        """Whether two records are of one flight: the same log, or logs of the same time."""
+        return self.key == other.key or _overlap(self, other)
+
+
+def _overlap(a: FlightRecord, b: FlightRecord) -> bool:
+    """Whether the flights share more than half of the shorter one's time."""
+    shared_s = min(a.start_utc_s + a.duration_s, b.start_utc_s + b.duration_s) - max(a.start_utc_s, b.start_utc_s)
+    return shared_s > 0.5 * min(a.duration_s, b.duration_s)  # False where a time is unknown
+
+
+class Known(NamedTuple):
+    """The belief about a pack after a flight: mean [4] and covariance [4, 4].
+
+    ln of ohms, ln of ampere-hours, and the change of both from flight to flight.
+    """
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something odd that a flight showed of its pack: `kind` for programs, `words` for people."""
+
+    kind: str  # "sudden_ohms" | "sudden_loss" | "another_pack" | "weak_cell" | "charged_too_fast" | "counter"
+    words: str
+
+
+class Remembered(NamedTuple):
+    """A flight of the ledger with what is believed after it, and what was odd about it."""
+
+    flight: FlightRecord
+    known: Known
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What is to be expected of a pack: its health with 90 % intervals, its trend, and when to retire it."""
+
+    flights: int
+    capacity_Ah: float
+    capacity_lo_Ah: float
+    capacity_hi_Ah: float
+    resistance_ohm: float
+    resistance_lo_ohm: float
+    resistance_hi_ohm: float
+    capacity_trend: float  # relative change a flight
+    capacity_trend_sd: float
+    resistance_trend: float
+    resistance_trend_sd: float
+    retire_flights: float  # until the capacity is RETIRED_AT of the rated one; infinite where no end is in sight
+    retire_lo_flights: float
+    retire_hi_flights: float
+
+
+@dataclass(frozen=True, slots=True)
+class PackRow:
+    """One pack of the ledger, as it stands after its last flight."""
+
+    name: str
+    cells: int
+    rated_Ah: float
+    type_ohm: float
+    last_utc_s: float
+    outlook: Outlook
+    findings: tuple[Finding, ...]

@@ -1,0 +1,81 @@
+"""Values <-> rows of the ledger: columns by the names of the fields, NaN and infinity as NULL."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from uavbatt.packs.records import Finding, FlightRecord, Known, Outlook, PackRow, Remembered, Told
+from uavbatt.records import NAN
+
+OUTLOOK = tuple(field.name for field in fields(Outlook))
+RETIRE = ("retire_flights", "retire_lo_flights", "retire_hi_flights")
+KNOWN = ("known_log_ohm", "known_log_Ah", "known_ohm_trend", "known_Ah_trend")
+UPPER = np.triu_indices(4)
+
+
+def flight_row(flight: FlightRecord) -> dict[str, Any]:
+    """The columns of a flight as it was flown."""
+    row = asdict(flight)
+    row.pop("told")
+    row.update({f"told_{name}": value for name, value in flight.told._asdict().items()})
+    return {name: _stored(value) for name, value in row.items()}
+
+
+def flight_of(row: sqlite3.Row) -> FlightRecord:
+    """A flight as it was flown."""
+    told = Told(*(float(row[f"told_{name}"]) for name in Told._fields))
+    values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name != "told"}
+    unknown = {f.name: NAN for f in fields(FlightRecord) if f.default is not None and values.get(f.name, 0) is None}
+    return FlightRecord(**{**values, **unknown}, told=told)
+
+
+def remembered_row(found: Remembered) -> dict[str, Any]:
+    """The columns of what is believed after a flight."""
+    mean = dict(zip(KNOWN, (float(value) for value in found.known.mean), strict=True))
+    upper = [float(f"{value:.6g}") for value in found.known.covariance[UPPER]]
+    return {**mean, "known_covariance": json.dumps(upper), "findings": findings_text(found.findings)}
+
+
+def remembered_of(row: sqlite3.Row) -> Remembered:
+    """A flight, with what is believed after it."""
+    covariance = np.zeros((4, 4))
+    covariance[UPPER] = json.loads(row["known_covariance"])
+    covariance = covariance + np.triu(covariance, 1).T
+    known = Known(np.array([row[name] for name in KNOWN]), covariance)
+    return Remembered(flight_of(row), known, findings_of(row["findings"]))
+
+
+def pack_row(pack: PackRow) -> dict[str, Any]:
+    """The columns of a pack."""
+    row = {"name": pack.name, "cells": pack.cells, "rated_Ah": pack.rated_Ah, "type_ohm": pack.type_ohm}
+    row |= {"last_utc_s": pack.last_utc_s, **asdict(pack.outlook), "findings": findings_text(pack.findings)}
+    return {name: _stored(value) for name, value in row.items()}
+
+
+def pack_of(row: sqlite3.Row) -> PackRow:
+    """A pack as it stands."""
+    outlook = {name: row[name] for name in OUTLOOK}
+    outlook |= {name: math.inf for name in RETIRE if row[name] is None}
+    last_utc_s = NAN if row["last_utc_s"] is None else float(row["last_utc_s"])
+    size = (int(row["cells"]), float(row["rated_Ah"]), float(row["type_ohm"]))
+    return PackRow(row["name"], *size, last_utc_s, Outlook(**outlook), findings_of(row["findings"]))
+
+
+def findings_text(findings: tuple[Finding, ...]) -> str:
+    """Findings as JSON; empty text where there are none."""
+    return json.dumps([asdict(f) for f in findings], ensure_ascii=False) if findings else ""
+
+
+def findings_of(text: str) -> tuple[Finding, ...]:
+    """Findings from their JSON."""
+    return tuple(Finding(**entry) for entry in json.loads(text)) if text else ()
+
+
+def _stored(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

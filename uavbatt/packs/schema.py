@@ -1,0 +1,94 @@
+"""The ledger's tables, and how an older ledger becomes one of today.
+
+    packs      one row a pack: its size, and the outlook after its last flight, worked out already
+    flights    one row a flight: the log, what it drew, what it says of the pack by itself, what is believed after it
+    airborne   one row a flight that has not landed yet, and
+    rows       its telemetry: what a companion process would lose if it died before the landing
+
+PRAGMA user_version counts the steps in MIGRATIONS; a ledger of a later step is not touched.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+from uavbatt.errors import BadInput
+
+APPLICATION_ID = 0x75625061  # "ubPa": told by `file` and by PRAGMA application_id
+
+FIRST = """
+CREATE TABLE packs (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    cells INTEGER NOT NULL,
+    rated_Ah REAL NOT NULL,
+    type_ohm REAL NOT NULL,
+    flights INTEGER NOT NULL,
+    last_utc_s REAL,
+    capacity_Ah REAL NOT NULL, capacity_lo_Ah REAL NOT NULL, capacity_hi_Ah REAL NOT NULL,
+    resistance_ohm REAL NOT NULL, resistance_lo_ohm REAL NOT NULL, resistance_hi_ohm REAL NOT NULL,
+    capacity_trend REAL NOT NULL, capacity_trend_sd REAL NOT NULL,
+    resistance_trend REAL NOT NULL, resistance_trend_sd REAL NOT NULL,
+    retire_flights REAL, retire_lo_flights REAL, retire_hi_flights REAL,
+    findings TEXT NOT NULL
+);
+CREATE TABLE flights (
+    id INTEGER PRIMARY KEY,
+    pack INTEGER NOT NULL REFERENCES packs(id) ON DELETE CASCADE,
+    key TEXT NOT NULL,
+    start_utc_s REAL, duration_s REAL, source TEXT NOT NULL,
+    battery TEXT NOT NULL, battery_sha256 TEXT NOT NULL,
+    cells INTEGER NOT NULL, rated_Ah REAL NOT NULL, type_ohm REAL NOT NULL,
+    soc_start REAL, soc_end REAL, charge_Ah REAL, energy_Wh REAL, temp_mean_C REAL, temp_max_C REAL,
+    weak_cell INTEGER NOT NULL, weak_cell_V REAL, cycles INTEGER,
+    told_log_ohm REAL NOT NULL, told_log_Ah REAL NOT NULL,
+    told_variance_ohm REAL NOT NULL, told_variance_Ah REAL NOT NULL, told_covariance REAL NOT NULL,
+    known_log_ohm REAL, known_log_Ah REAL, known_ohm_trend REAL, known_Ah_trend REAL, known_covariance TEXT,
+    findings TEXT NOT NULL
+);
+CREATE UNIQUE INDEX flights_of_pack ON flights(pack, key);
+"""
+
+AIRBORNE = """
+CREATE TABLE airborne (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL,
+    start_utc_s REAL,
+    cells INTEGER NOT NULL, capacity_Ah REAL NOT NULL,
+    cycles INTEGER
+);
+CREATE TABLE rows (
+    flight INTEGER NOT NULL REFERENCES airborne(id) ON DELETE CASCADE,
+    time_s REAL NOT NULL, voltage_V REAL NOT NULL, current_A REAL, temp_C REAL,
+    PRIMARY KEY (flight, time_s)
+) WITHOUT ROWID;
+"""
+
+MIGRATIONS = (FIRST, AIRBORNE)
+
+
+def version(connection: sqlite3.Connection) -> int:
+    """How many steps the ledger has behind it; 0 for an empty file."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def check(connection: sqlite3.Connection, path: Path) -> int:
+    """The ledger's version; BadInput for another database, or a ledger of a later version."""
+    owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
+    now = version(connection)
+    is_empty = now == 0 and owner == 0 and connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
+    if owner != APPLICATION_ID and not is_empty:
+        raise BadInput(path, "", "a pack ledger, found another SQLite database")
+    if now > len(MIGRATIONS):
+        raise BadInput(path, "", f"a pack ledger of version {len(MIGRATIONS)}, found {now}: update uavbatt")
+    return now
+
+
+def migrate(connection: sqlite3.Connection) -> None:
+    """Take the steps that are left, each whole or not at all; the connection must hold the write lock."""
+    for step in range(version(connection), len(MIGRATIONS)):
+        for statement in filter(str.strip, MIGRATIONS[step].split(";")):
+            connection.execute(statement)
+        connection.execute(f"PRAGMA user_version = {step + 1}")
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")

@@ -1,0 +1,58 @@
+"""The outlook of a pack in words that its owner understands."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+
+from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT
+from uavbatt.packs.records import Outlook, PackRow, Remembered
+
+STEADY = 0.002  # a flight: slower ageing is a season's, and no reason to look
+
+
+def retire_words(seen: Outlook) -> str:
+    """When to retire the pack: `retire in about 12 flights (5 to 40) at 80 %`."""
+    at = f"at {RETIRED_AT:.0%}"
+    median, soonest, latest = seen.retire_flights, seen.retire_lo_flights, seen.retire_hi_flights
+    if median == 0.0:
+        return f"retire now: below {RETIRED_AT:.0%} already"
+    if math.isfinite(median):
+        until = f"to {latest:.0f}" if math.isfinite(latest) else "or many more"
+        return f"retire in about {median:.0f} flight{'s' * (round(median) != 1)} ({soonest:.0f} {until}) {at}"
+    if math.isfinite(soonest):
+        return f"no end in sight, {at} not before {soonest:.0f} flights"
+    return "no end in sight"
+
+
+def trend_words(trend: float, sd: float) -> str:
+    """How a number changes: `−1.6 % a flight`, `steady`, `cannot tell yet`."""
+    if abs(trend) > INTERVAL_SD * sd:
+        return f"{100.0 * trend:+.1f} % a flight".replace("-", "\N{MINUS SIGN}")
+    return "steady" if INTERVAL_SD * sd < STEADY else "cannot tell yet"
+
+
+def pack_lines(pack: PackRow) -> list[str]:
+    """One line of a pack, and one for each finding."""
+    seen = pack.outlook
+    charge = f"{seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
+    ohm = f"{1000.0 * seen.resistance_ohm:.1f} mohm a cell ({seen.resistance_ohm / pack.type_ohm:.0%} of its type)"
+    trend = trend_words(seen.capacity_trend, seen.capacity_trend_sd)
+    line = (
+        f"{pack.name:<16}  {seen.capacity_Ah / pack.rated_Ah:4.0%} of {pack.rated_Ah:g} Ah: {charge}; {ohm}; "
+        f"{seen.flights} flight{'s' * (seen.flights != 1)}; charge {trend}; {retire_words(seen)}"
+    )
+    return [line, *(f"{'':<16}  {finding.words}" for finding in pack.findings)]
+
+
+def flight_line(after: Remembered) -> str:
+    """One line of a flight: what it said by itself, and what is believed after it."""
+    flight, mean = after.flight, after.known.mean
+    when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if flight.start_utc_s > 0 else ""
+    told = f"says {math.exp(flight.told.log_Ah):.2f} Ah, {1000.0 * math.exp(flight.told.log_ohm):.1f} mohm"
+    known = f"known {math.exp(mean[1]):.2f} Ah, {1000.0 * math.exp(mean[0]):.1f} mohm"
+    words = "; ".join(finding.words for finding in after.findings)
+    temp = f"{flight.temp_mean_C:.0f} °C" if math.isfinite(flight.temp_mean_C) else "no temperature"
+    soc = f"charge {flight.soc_start:.2f} to {flight.soc_end:.2f}"
+    line = f"  {when or 'no date':<16}  {flight.source}: {soc}, {temp}; {told}; {known}"
+    return f"{line}; {words}" if words else line

@@ -1,0 +1,167 @@
+"""A flight and the pack ledger: whose pack it is, what was known of it before, what the flight taught.
+
+What a flight taught is worked out by a run of its own, from a prior that knows nothing of the pack. So it is the same
+whatever the ledger holds, in whatever order and on however many cores logs are read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.remembered import UNKNOWN, PackHealth, health_of, type_ohm
+from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.state_space import Belief
+from uavbatt.battery.statements import size_from_rows
+from uavbatt.estimator import Estimator
+from uavbatt.packs.evidence import told
+from uavbatt.packs.ledger import Ledger, prior
+from uavbatt.packs.records import FlightRecord, Told
+from uavbatt.prediction.forecaster import Settings
+from uavbatt.records import NAN, Estimate, Flight, Sample
+
+SILENT = Settings(forecast_period_s=1e6)  # forecasts are not asked for
+KEY_ROWS = 200
+LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
+LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
+LONGEST_STEP_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """What came of looking at a flight for the ledger: a record, or the reason why there is none."""
+
+    record: FlightRecord | None
+    why_not: str = ""
+
+
+def name_of(flight: Flight, stated: str = "") -> str:
+    """The name under which the flight's pack is known: as stated, else its serial; empty when nobody says."""
+    return stated or flight.identity.battery_serial
+
+
+def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) -> PackHealth | None:
+    """What is known of the flight's pack by the flights before it; None for a pack that nobody met."""
+    if not name:
+        return None
+    last = ledger.before(name, flight.identity.start_utc_s, key_of(flight.samples))
+    return prior(last, flight.identity.start_utc_s, battery.certificate.content_sha256) if last is not None else None
+
+
+def key_of(samples: Sequence[Sample]) -> str:
+    """What a log is known by: a hash of its first rows, so that neither its name nor where it was cut matters."""
+    text = ";".join(f"{s.voltage_V:.3f},{s.current_A:.2f}" for s in samples[:KEY_ROWS])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught:
+    """What a flight says of its pack by itself, and what it drew."""
+    rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
+    last_loaded = _last_loaded(rows)
+    if last_loaded is None:
+        return Taught(None, "no current was measured under load")
+    facts = flight.facts_at(math.inf)
+    if facts.sag_compensated:
+        return Taught(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
+    size = size_from_rows(battery, options, replace(flight, samples=tuple(rows)), facts)
+    pack = pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
+    estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
+    estimator.update_facts(facts)
+    first, loaded = _run(estimator, rows[: last_loaded + 1])
+    end, last = _run(estimator, rows[last_loaded + 1 :])
+    if loaded is None or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
+        return Taught(None, "no estimate could be made")
+    said = told(pack, loaded, last or loaded, _mean_temp_C(rows[: last_loaded + 1]))
+    estimates = [*first, *end]
+    if _drawn_Ah(rows) < LEAST_CHARGE * size.capacity_Ah:
+        return Taught(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
+    return Taught(_record(battery, size, pack, flight, rows, estimates, said))
+
+
+def _run(estimator: Estimator, rows: Sequence[Sample]) -> tuple[list[Estimate], Belief | None]:
+    """The first and the last estimate over some rows, and the belief after them."""
+    if not rows:
+        return [], None
+    estimates = [estimate for estimate, _ in estimator.run(rows)]
+    return [estimates[0], estimates[-1]], estimator.belief
+
+
+def _last_loaded(rows: Sequence[Sample]) -> int | None:
+    """Index of the last row under load; None without LEAST_LOADED_S of load."""
+    if len(rows) < 2:
+        return None
+    current_A = np.array([row.current_A for row in rows])
+    is_loaded = current_A > LOADED_SHARE * np.percentile(current_A, 90)
+    time_s = np.array([row.time_s for row in rows])
+    steps_s = np.minimum(np.diff(time_s, append=time_s[-1]), LONGEST_STEP_S)
+    if float(steps_s[is_loaded].sum()) < LEAST_LOADED_S:
+        return None
+    return int(np.flatnonzero(is_loaded)[-1])
+
+
+def _steps(rows: Sequence[Sample]) -> tuple[list[float], list[float], list[float]]:
+    time_s = np.array([row.time_s for row in rows])
+    current_A = np.array([row.current_A for row in rows])
+    power_W = np.array([row.voltage_V for row in rows]) * current_A
+    steps_s = np.minimum(np.diff(time_s), LONGEST_STEP_S)
+    between = [0.5 * (values[1:] + values[:-1]) * steps_s for values in (current_A, power_W)]
+    return steps_s.tolist(), between[0].tolist(), between[1].tolist()
+
+
+def _drawn_Ah(rows: Sequence[Sample]) -> float:
+    return sum(_steps(rows)[1]) / 3600.0
+
+
+def _mean_temp_C(rows: Sequence[Sample]) -> float:
+    temps = [row.temp_C for row in rows if math.isfinite(row.temp_C)]
+    return float(np.mean(temps)) if temps else NAN
+
+
+def _record(
+    battery: BatteryFile,
+    size: PackSize,
+    pack: Pack,
+    flight: Flight,
+    rows: Sequence[Sample],
+    estimates: Sequence[Estimate],
+    said: Told,
+) -> FlightRecord:
+    temps = [row.temp_C for row in rows if math.isfinite(row.temp_C)]
+    weak_cell, weak_V = _weak_cell(rows)
+    return FlightRecord(
+        key=key_of(flight.samples),
+        told=said,
+        cells=size.cells,
+        rated_Ah=size.capacity_Ah,
+        type_ohm=type_ohm(pack),
+        battery=size.battery,
+        battery_sha256=battery.certificate.content_sha256,
+        start_utc_s=flight.identity.start_utc_s,
+        duration_s=rows[-1].time_s - rows[0].time_s,
+        source=flight.source.replace("\\", "/").rpartition("/")[2],
+        soc_start=estimates[0].soc,
+        soc_end=estimates[-1].soc,
+        charge_Ah=_drawn_Ah(rows),
+        energy_Wh=sum(_steps(rows)[2]) / 3600.0,
+        temp_mean_C=_mean_temp_C(rows),
+        temp_max_C=max(temps, default=NAN),
+        weak_cell=weak_cell,
+        weak_cell_V=weak_V,
+        cycles=flight.identity.battery_cycles,
+    )
+
+
+def _weak_cell(rows: Sequence[Sample]) -> tuple[int, float]:
+    """The cell that lies lowest in the last third of the flight, from 1, and how far below the mean [V]."""
+    late = [row.cell_voltages_V for row in rows[2 * len(rows) // 3 :] if len(row.cell_voltages_V) > 1]
+    counts = {len(cells) for cells in late}
+    if len(counts) != 1:
+        return 0, NAN
+    means = np.median(np.array(late), axis=0)
+    return int(np.argmin(means)) + 1, float(np.mean(means) - np.min(means))

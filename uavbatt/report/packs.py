@@ -1,0 +1,128 @@
+"""The page of the pack ledger: which pack to retire first, all packs side by side, and the trend of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uavbatt import __version__
+from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
+from uavbatt.packs.records import PackRow, Remembered
+from uavbatt.packs.words import retire_words, trend_words
+from uavbatt.report import plot
+from uavbatt.report.page import Html, bullets, figure, grid, number, page, paragraph, section, strong, table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_FIGURES = 40  # packs with figures of their own; the table holds all
+MOST_BARS = 40
+OHM, CHARGE = 0, 1
+
+
+def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[PackRow, Sequence[Remembered]]]) -> str:
+    """The whole page; `drawn` are the packs with their flights."""
+    in_order = sorted(packs, key=lambda pack: (pack.outlook.retire_flights, pack.outlook.capacity_Ah / pack.rated_Ah))
+    return page(
+        f"Packs of {ledger}",
+        "uavbatt packs",
+        _headline(in_order),
+        section("All packs", _side_by_side(in_order), _table(in_order)),
+        *(_of_one(pack, flights) for pack, flights in drawn),
+        footer=f"uavbatt {__version__}. Bands: 5 % to 95 %.",
+    )
+
+
+def _headline(packs: Sequence[PackRow]) -> Html:
+    if not packs:
+        return paragraph("No packs are remembered yet.")
+    first = packs[0]
+    count = f"{len(packs)} pack{'s' * (len(packs) != 1)} remembered. "
+    if not math.isfinite(first.outlook.retire_flights):
+        return paragraph(count, "No end in sight for any of them.")
+    return paragraph(count, strong(f"{first.name}: {retire_words(first.outlook)}."))
+
+
+def _table(packs: Sequence[PackRow]) -> Html:
+    head = ("pack", "charge", "of rated", "5 % to 95 %", "ohms of its type", "flights", "charge changes", "outlook")
+    rows = []
+    for pack in packs:
+        seen = pack.outlook
+        words = [retire_words(seen), *(finding.words for finding in pack.findings)]
+        rows.append(
+            (
+                pack.name,
+                number(seen.capacity_Ah, 2, "Ah"),
+                f"{seen.capacity_Ah / pack.rated_Ah:.0%}",
+                f"{seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f} Ah",
+                f"{seen.resistance_ohm / pack.type_ohm:.0%}",
+                str(seen.flights),
+                trend_words(seen.capacity_trend, seen.capacity_trend_sd),
+                "; ".join(words),
+            )
+        )
+    return table(head, rows, text_columns=(0, 6, 7))
+
+
+def _side_by_side(packs: Sequence[PackRow]) -> Html:
+    """Charge of all packs against their ratings, with intervals; the weakest on top."""
+    shown = list(packs[:MOST_BARS])[::-1]
+    if not shown:
+        return Html("")
+
+    def draw(axes: Axes) -> None:
+        axes.axvline(RETIRED_AT, color=plot.RED, linewidth=1.0, label=f"retired at {RETIRED_AT:.0%}")
+        for place, pack in enumerate(shown):
+            seen, rated = pack.outlook, pack.rated_Ah
+            axes.plot([seen.capacity_lo_Ah / rated, seen.capacity_hi_Ah / rated], [place, place], color=plot.BLUE)
+            axes.plot([seen.capacity_Ah / rated], [place], "o", color=plot.BLUE, markersize=4.0)
+        axes.set_yticks(range(len(shown)), [plot.literal(pack.name)[:9] for pack in shown])
+        axes.set_ylim(-0.6, len(shown) - 0.4)
+
+    height = 80.0 + 17.0 * len(shown)
+    svg = plot.panel(draw, "Charge of all packs against their ratings", x="charge / rated", y="", height=height)
+    return figure(svg, "Charge, pack by pack", "Dot: most likely; line: 5 % to 95 %.")
+
+
+def _of_one(pack: PackRow, flights: Sequence[Remembered]) -> Html:
+    """The trend of one pack, with what its flights showed."""
+    if not flights:
+        return Html("")
+    seen = pack.outlook
+    words = f"{retire_words(seen)}; charge: {trend_words(seen.capacity_trend, seen.capacity_trend_sd)}; "
+    words += f"ohms: {trend_words(seen.resistance_trend, seen.resistance_trend_sd)}."
+    found = [
+        f"flight {k} ({after.flight.source}): {finding.words}"
+        for k, after in enumerate(flights, 1)
+        for finding in after.findings
+    ]
+    figures = grid(_trend(flights, CHARGE, pack.rated_Ah), _trend(flights, OHM, pack.type_ohm))
+    return section(pack.name, paragraph(words[0].upper() + words[1:]), bullets(found), figures)
+
+
+def _trend(flights: Sequence[Remembered], which: int, unit: float) -> Html:
+    """Charge or ohms from flight to flight: what each flight says by itself, and what is believed after it."""
+    place = np.arange(1, len(flights) + 1)
+    told = np.exp([after.flight.told[which] for after in flights]) / unit
+    known = np.exp([after.known.mean[which] for after in flights]) / unit
+    variance = np.array([after.known.covariance[which, which] for after in flights])
+    factor = np.exp(INTERVAL_SD * np.sqrt(variance + SHARED_SD[which] ** 2))
+    odd: Any = [k for k, after in enumerate(flights) if after.findings]
+    name, colour = ("charge / rated", plot.BLUE) if which == CHARGE else ("ohms / type's", plot.AMBER)
+
+    def draw(axes: Axes) -> None:
+        if which == CHARGE:
+            axes.axhline(RETIRED_AT, color=plot.RED, linewidth=1.0)
+        axes.fill_between(place, known / factor, known * factor, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(place, known, color=colour, label="believed")
+        axes.plot(place, told, "o", color=colour, markersize=3.5, label="the flight itself")
+        if odd:
+            axes.plot(place[odd], told[odd], "x", color=plot.RED, markersize=7.0, label="odd")
+        low, high = float(np.min(known / factor)), float(np.max(known * factor))
+        axes.set_ylim(min(0.75 if which == CHARGE else 0.9, low, 0.98 * told.min()), max(1.1, high, 1.02 * told.max()))
+
+    svg = plot.panel(draw, f"{name} from flight to flight", x="flight", y=name, height=200.0)
+    return figure(svg, "Charge" if which == CHARGE else "Ohms")
