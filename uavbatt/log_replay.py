@@ -239,16 +239,20 @@ class Replay:
         return [output.line(step.estimate, step.remaining) for step in self.steps]
 
     def to_frame(self) -> DataFrame:
-        """Return the rows as a pandas DataFrame: the columns of `output.COLUMNS`, NaN for what is not known.
+        """Return the rows as a pandas DataFrame, NaN for what is not known.
 
-        Raises MissingExtra without pandas.
+        Its columns are `output.COLUMNS`, and `output.ROUTE_COLUMNS` where a route or home is known. Raises MissingExtra
+        without pandas.
         """
         try:
             import pandas
         except ImportError:
             raise MissingExtra("pandas", "to_frame()") from None
-        table = pandas.DataFrame(self.rows, columns=list(output.COLUMNS))
-        return table.astype({key: float for key, digits in output.COLUMNS.items() if digits is not None})
+        rows = self.rows
+        has_route = any("load" in row for row in rows)
+        columns = {**output.COLUMNS, **(output.ROUTE_COLUMNS if has_route else {})}
+        table = pandas.DataFrame(rows, columns=list(columns))
+        return table.astype({key: float for key, digits in columns.items() if digits is not None})
 
 
 def replay(
