@@ -29,9 +29,23 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             name = Path(nodeid.partition("::")[0]).stem
+            if name == "test_faults_flown":  # the longest file; what shares a flight is named by its scenario
+                return nodeid.rpartition("[")[2]
             return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
 
     return ByFile(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark a test by what it asks for: measured data, a judged study (half a minute), or the live process."""
+    for item in items:
+        asked = getattr(item, "fixturenames", ())
+        if "shared_data" in asked:
+            item.add_marker(pytest.mark.data)
+        if "judged_study" in asked:
+            item.add_marker(pytest.mark.slow)
+        if item.path.parent.name == "live":
+            item.add_marker(pytest.mark.live)
 
 
 @pytest.fixture(scope="session")
@@ -42,6 +56,18 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the measured data are not here: set UAVBATT_DATA to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tlog of six minutes from full to the cut-off, its pack in its parameters, for tests that want any flight."""
+    from factories import generic_pack
+
+    from uavbatt.simulate import Mission, fly, write
+
+    path, pack = tmp_path_factory.mktemp("short") / "short.tlog", generic_pack(capacity_Ah=2.0)
+    write(path, fly(pack, Mission(power_W=300.0, rate_Hz=1.0)), pack)
+    return path
 
 
 @pytest.fixture

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
 import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay import outcome, steps
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
-from uavbatt.replay import outcome, steps
 from uavbatt.simulate import Mission, fly, write
 from uavbatt.telemetry import read_log
 
@@ -32,7 +32,7 @@ EVERY_20_S = Settings(forecast_period_s=20.0)
 
 @cache
 def flown() -> tuple[Sample, ...]:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     return tuple(fly(pack, Mission(400.0, 12.0, rate_Hz=1.0, seed=4)))
 
 
@@ -68,7 +68,7 @@ def whole_simulated() -> list[str]:
 @pytest.mark.parametrize("share", [0.31, 0.77])
 def test_a_log_cut_by_bytes_has_the_same_lines(suffix: str, share: float, tmp_path: Path) -> None:
     """Through the file: parameters, arming and a torn last record included."""
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     whole_log, cut_log = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
     write(whole_log, list(flown()), pack)
     data = whole_log.read_bytes()
@@ -127,7 +127,7 @@ def test_garbage_in_the_autopilots_charge_changes_nothing(kind: str) -> None:
 
 
 def test_garbage_in_a_tlog_changes_nothing(tmp_path: Path) -> None:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     told = nonsense("backwards")
     for name, samples in (("a", flown()), ("b", [told(k, s) for k, s in enumerate(flown())])):
         write(tmp_path / f"{name}.tlog", list(samples), pack)

@@ -13,6 +13,8 @@ import math
 import pytest
 from scoring.scenarios import MID_S, SCENARIOS, SOUND, TOO_LONG_S, is_heard, lo_excess_s, said
 
+pytestmark = pytest.mark.slow
+
 # What is wrong here by a factor of two or more shows only in the knee; until then the lower end is too long by so much.
 HARDLY_KNOWN = {
     "current_half": 60.0, "swap_silent_small_pack": 65.0, "param_default_3300_of_2200": 30.0,

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import msgspec
 import numpy as np
 import pytest
+from factories import generic_pack
 from typer.testing import CliRunner
 
 from uavbatt.battery import battery_file, vehicle_file
@@ -174,13 +175,13 @@ def test_what_nobody_says_is_refused_in_one_line(arguments: tuple[str, ...], wor
 
 @cache
 def samples() -> list[Sample]:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     return fly(pack, Mission(260.0, 20.0, rate_Hz=1.0, seed=8))
 
 
 def test_like_a_past_flight(tmp_path: Path) -> None:
     pack, log, summary = (
-        pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0),
+        generic_pack(),
         tmp_path / "past.BIN",
         tmp_path / "j",
     )

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from factories import generic_pack as pack
 from typer.testing import CliRunner
 
-from uavbatt.battery import battery_file
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.cli.app import app
 from uavbatt.errors import UsageError
 from uavbatt.records import Sample
@@ -22,11 +21,6 @@ from uavbatt.telemetry import read_log
 from uavbatt.telemetry.info import describe
 
 LOGS = Path(__file__).parents[1] / "logs"
-
-
-@cache
-def pack() -> Pack:
-    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
 
 
 @cache

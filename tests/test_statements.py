@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from command import called
 from daemon_bench import Bench
+from factories import generic_pack
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.battery.vehicle_file import write as write_vehicle
@@ -46,7 +46,7 @@ LOGS = Path(__file__).parents[1] / "logs"
 @cache
 def flown() -> tuple[Sample, ...]:
     """Four minutes of a flight of the pack, the ground before it included."""
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     return tuple(fly(pack, Mission(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
 
 
@@ -396,7 +396,7 @@ ABSURD = [
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flown") / "flight.tlog"
-    write(path, list(flown()), pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0))
+    write(path, list(flown()), generic_pack())
     return path
 
 
@@ -479,7 +479,7 @@ def test_one_damaged_current_moves_nothing() -> None:
 
 
 def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 3.3, 14.0)  # the log's BATT_CRT_VOLT is a cell's value
+    pack = generic_pack(4, 5.0, 3.3, 14.0)  # the log's BATT_CRT_VOLT is a cell's value
     write(tmp_path / "f.tlog", list(flown()), pack)
     done = called(
         "replay", "f.tlog", "--load", "recent", "--jsonl", "f.jsonl", "--json", "f.json", "--report", "f.html",
@@ -507,7 +507,7 @@ def test_a_table_in_milliseconds_is_refused_with_its_column(tmp_path: Path) -> N
 
 
 def test_info_uses_the_same_limits(tmp_path: Path) -> None:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 3.3, 25.0)
+    pack = generic_pack(4, 5.0, 3.3, 25.0)
     samples = [replace(s, current_A=-s.current_A, temp_C=298.0) for s in flown()]
     write(tmp_path / "f.tlog", samples, pack)
     told = called("info", "f.tlog", folder=tmp_path).stdout

@@ -4,21 +4,49 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
-__all__ = ["Estimate", "Estimator", "Flight", "Remaining", "Sample", "__version__", "read_log"]
+__version__ = "0.1.0"  # pyproject.toml reads it here
+__all__ = [
+    "BadInput",
+    "Estimate",
+    "Estimator",
+    "Flight",
+    "MissingExtra",
+    "NotEnoughData",
+    "Remaining",
+    "Replay",
+    "Sample",
+    "Status",
+    "UavbattError",
+    "Uncertified",
+    "UsageError",
+    "__version__",
+    "read_log",
+    "replay",
+]
 
 if TYPE_CHECKING:
+    from uavbatt.errors import BadInput, MissingExtra, NotEnoughData, UavbattError, Uncertified, UsageError
     from uavbatt.estimator import Estimator
-    from uavbatt.records import Estimate, Flight, Remaining, Sample
+    from uavbatt.log_replay import Replay, replay
+    from uavbatt.records import Estimate, Flight, Remaining, Sample, Status
     from uavbatt.telemetry import read_log
 
 _HOMES = {
-    "Estimator": "uavbatt.estimator",
-    "read_log": "uavbatt.telemetry",
+    "BadInput": "uavbatt.errors",
     "Estimate": "uavbatt.records",
+    "Estimator": "uavbatt.estimator",
     "Flight": "uavbatt.records",
+    "MissingExtra": "uavbatt.errors",
+    "NotEnoughData": "uavbatt.errors",
     "Remaining": "uavbatt.records",
+    "Replay": "uavbatt.log_replay",
     "Sample": "uavbatt.records",
+    "Status": "uavbatt.records",
+    "UavbattError": "uavbatt.errors",
+    "Uncertified": "uavbatt.errors",
+    "UsageError": "uavbatt.errors",
+    "read_log": "uavbatt.telemetry",
+    "replay": "uavbatt.log_replay",
 }
 
 
@@ -29,3 +57,8 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """The public names alone: what a prompt completes."""
+    return sorted(__all__)

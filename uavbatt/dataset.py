@@ -93,6 +93,10 @@ class DataSet:
     path: str
     flags: tuple[Flag, ...] = ()
 
+    def __repr__(self) -> str:
+        """Return one line: the runs are tables."""
+        return f"<DataSet {self.name} of {self.path}: {len(self.runs)} runs, {len(self.ambients_C)} temperatures>"
+
     def at(self, ambient_C: float, tolerance_C: float = 0.25) -> tuple[Run, ...]:
         """The runs at one ambient temperature [°C]."""
         return tuple(r for r in self.runs if abs(r.ambient_C - ambient_C) <= tolerance_C)

@@ -38,7 +38,7 @@ from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
-from uavbatt.limits import HIGHEST_C_RATE, Doubt, Seen
+from uavbatt.limits import HIGHEST_C_RATE, Doubt, Names, Seen
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
 from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
@@ -130,7 +130,7 @@ class Estimator:
         cells in series, capacity_Ah [Ah], cutoff_V [V of the pack] and reserve_soc (0..1) are what the caller states.
         Raises UsageError for a number that cannot be, BadInput or Uncertified for a file that is not what it should be.
         """
-        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
+        options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, spelt=Names())
         content = battery_file.read(battery, allow_uncertified=allow_uncertified)
         return cls(content, options, Settings(reserve_soc=reserve_soc))
 
@@ -302,7 +302,7 @@ class Estimator:
         before, self._statements = self._statements, self._statements.after(raw, sample, self.pack_size)
         seen, cells = self._statements.seen, self.pack_size.cells
         if seen is not before.seen:
-            if self.pack_size.cells_from != "--cells" and self._statements.denies(cells, self._resting):
+            if self.options.cells is None and self._statements.denies(cells, self._resting):
                 self._size_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
             elif math.isnan(before.seen.rested_V) and math.isfinite(seen.rested_V):
                 self._size_again(cells)  # a cut-off may lie above it

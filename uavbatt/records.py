@@ -32,10 +32,17 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One telemetry row of one battery.
+    """One telemetry row of one battery; NaN is not measured.
 
-    time_s counts from the first record of the log (live: a monotonic clock). consumed_Ah and
-    reported_soc are the autopilot's own words: at most a starting hint, never a measurement.
+    Attributes:
+        time_s: since the first record of the log [s]; live, a monotonic clock.
+        voltage_V: of the pack [V].
+        current_A: positive discharges [A].
+        temp_C: of the pack [°C].
+        consumed_Ah: charge drawn by the autopilot's counter [Ah]: at most a starting hint, never a measurement.
+        reported_soc: the autopilot's own state of charge, 0 to 1: at most a starting hint.
+        armed: motors armed, None where it is not known.
+        cell_voltages_V: of each cell [V], where the vehicle tells them.
     """
 
     time_s: float
@@ -90,6 +97,13 @@ class Flight:
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)
 
+    def __repr__(self) -> str:
+        """Return one line: a flight has thousands of rows, and a prompt or a traceback needs none of them."""
+        return (
+            f"<Flight {self.source}: {self.kind}, battery {self.instance}, {len(self.samples)} rows, "
+            f"{self.duration_s:.0f} s>"
+        )
+
     def facts_at(self, time_s: float) -> PackFacts:
         """The facts known at `time_s` [s]; an empty `PackFacts` before the first."""
         known = PackFacts()
@@ -107,7 +121,30 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The filter's belief after one sample."""
+    """The filter's belief after one sample; NaN is not known.
+
+    Attributes:
+        time_s: of the sample [s].
+        soc: state of charge, 0 to 1 of the pack's present capacity.
+        soc_sd: its standard deviation.
+        voltage_V: of the pack, as measured [V].
+        current_A: as measured [A]; NaN without a sensor.
+        temp_C: of the pack, as the filter used it [°C].
+        power_W: voltage times current [W].
+        innovation_V: measured voltage less its prediction, of the pack [V].
+        nis: the innovation squared over its variance; 1 is what the filter expects.
+        status: may the number be shown.
+        reason: why it is not `ok`, in words.
+        warnings: what must be known beside the number.
+        predicted_voltage_V: of the pack, before the sample was used [V].
+        core_temp_C: of the cells' core [°C].
+        resistance_scale: this pack's ohm·Ah against its type's.
+        capacity_scale: this pack's capacity against what is stated.
+        resistance_scale_sd: standard deviation.
+        capacity_scale_sd: standard deviation.
+        wear: ohms above the type's, relative: what age, cold and bad contacts have in common.
+        wear_sd: standard deviation.
+    """
 
     time_s: float
     soc: float
@@ -123,11 +160,11 @@ class Estimate:
     warnings: tuple[str, ...] = ()
     predicted_voltage_V: float = NAN
     core_temp_C: float = NAN
-    resistance_scale: float = NAN  # this pack's ohm·Ah against its type's
+    resistance_scale: float = NAN
     capacity_scale: float = NAN
     resistance_scale_sd: float = NAN
     capacity_scale_sd: float = NAN
-    wear: float = NAN  # ohms above the type's, relative: what age, cold and bad contacts have in common
+    wear: float = NAN
     wear_sd: float = NAN
 
 
@@ -170,9 +207,17 @@ def _less(time_s: float, age_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Remaining:
-    """Seconds until the end of flight: median, 5 % and 95 % points; NaN with a reason when refused.
+    """The time until the end of flight; NaN with a reason when it is refused.
 
-    remaining_alarm_s is the point that the time undercuts with ALARM_RISK: alarms go by it.
+    Attributes:
+        time_s: of the sample [s].
+        remaining_s: until the end of flight [s], median.
+        remaining_lo_s: 5 % point [s]: 19 of 20 such flights last longer.
+        remaining_hi_s: 95 % point [s].
+        remaining_to_low_s: until the low-voltage warning [s], median; NaN where nobody states one.
+        status: may the number be shown.
+        reason: why it is not `ok`, in words.
+        remaining_alarm_s: the time is shorter than that with the probability ALARM_RISK [s]: alarms go by it.
     """
 
     time_s: float

@@ -26,13 +26,13 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.log_replay import steps
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, Settings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import Wander, time_to_end
 from uavbatt.records import Flight, Sample
-from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly
 
 Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio

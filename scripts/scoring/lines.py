@@ -11,10 +11,10 @@ from peers.columns import FloatArray
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay import Step, steps
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
-from uavbatt.replay import Step, steps
 from uavbatt.scoring.scores import FlightScore, score_flight
 
 

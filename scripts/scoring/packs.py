@@ -21,12 +21,12 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.log_replay import steps
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import Remembered
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
-from uavbatt.replay import steps
 from uavbatt.telemetry import read_log
 
 PERIOD_S = 10.0

@@ -26,11 +26,11 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.log_replay import Step, steps
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import LearnedLoad, learned_load
 from uavbatt.records import Flight, Route
-from uavbatt.replay import Step, steps
 from uavbatt.scoring.scores import FlightScore, end_of_flight, pool
 from uavbatt.telemetry import read_log
 

@@ -17,8 +17,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay import Outcome, Step, outcome, steps
 from uavbatt.prediction.forecaster import Settings
-from uavbatt.replay import Outcome, Step, outcome, steps
 from uavbatt.telemetry import read_log
 
 EMPTIED = "quad_3s_2650_emptied.BIN"

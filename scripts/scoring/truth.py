@@ -16,10 +16,10 @@ from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.log_replay import Step
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight
-from uavbatt.replay import Step
 from uavbatt.scoring.scores import end_of_flight
 from uavbatt.telemetry import read_log
 

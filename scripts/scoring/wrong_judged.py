@@ -18,9 +18,9 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay import Step, steps
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.last_wall import FALLS_FASTER
-from uavbatt.replay import Step, steps
 
 PERIOD_S = 5.0
 BEFORE_END_S = (120.0, 60.0, 20.0, 5.0)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from factories import generic_pack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +16,7 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery.model import SOC_GRID, Parameters, State
 from uavbatt.battery.openloop import simulate
 from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage, true_current, weak_soc
-from uavbatt.battery.scaling import Pack, dense, dense_resistance, monotone_cubic, pack_of
+from uavbatt.battery.scaling import Pack, dense, dense_resistance, monotone_cubic
 
 STEPS_S = (0.05, 0.2, 1.0, 2.5, 5.0, 12.0, 30.0, 60.0)
 
@@ -27,7 +28,7 @@ def cell(**changes: float) -> Parameters:
 
 def generic() -> Parameters:
     """The packaged generic cell: tables and every base effect."""
-    return pack_of(battery_file.read("lipo-generic"), 1, 1.0, 3.3, 3.5).cell
+    return generic_pack(1, 1.0, 3.3, 3.5).cell
 
 
 def end_state(p: Parameters, start: State, c_rate: float, ambient_C: float, step_s: float, total_s: float) -> State:
@@ -212,7 +213,7 @@ def test_the_monotone_cubic_is_scipys(knots: int) -> None:
 
 
 def pack(cells: int = 4, capacity_Ah: float = 5.0, **installed: float) -> Pack:
-    made = pack_of(battery_file.read("lipo-generic"), cells, capacity_Ah, 3.3 * cells, 3.5 * cells)
+    made = generic_pack(cells, capacity_Ah, 3.3 * cells, 3.5 * cells)
     return made._replace(installation=made.installation._replace(**installed))
 
 

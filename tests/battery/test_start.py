@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
-from uavbatt.battery import battery_file, initial_state, model
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery import initial_state, model
+from uavbatt.battery.scaling import Pack
 from uavbatt.estimation.noise import first_state
 
 
 def generic() -> Pack:
-    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return generic_pack()
 
 
 @pytest.mark.parametrize("rate", [1.0, 2.0, 4.0])

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from factories import generic_pack
 from typer.testing import CliRunner
 
 from uavbatt.battery import battery_file
 from uavbatt.battery import vehicle_file as vehicle
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.cli.app import app
@@ -27,7 +27,7 @@ OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 
 @cache
 def flight(seed: int = 1, power_W: float = 300.0, rate_Hz: float = 1.0) -> Flight:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     return Flight(f"flight {seed}", "csv", tuple(fly(pack, Mission(power_W, rate_Hz=rate_Hz, seed=seed))))
 
 
@@ -152,7 +152,7 @@ def assert_refused(path: Path, words: str) -> None:
 
 
 def test_fit_learns_a_vehicle_and_replay_takes_it(tmp_path: Path) -> None:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     logs = []
     for seed in (1, 2):
         logs.append(str(tmp_path / f"{seed}.BIN"))

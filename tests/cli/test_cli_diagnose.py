@@ -9,9 +9,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from factories import generic_pack
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
 from uavbatt.simulate import Mission, fly, with_effects, write
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 4, 5.0, 13.2, 14.0
@@ -27,7 +27,7 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two flights whose current sensor reads a quarter too much."""
     folder = tmp_path_factory.mktemp("logs")
-    pack = pack_of(battery_file.read("lipo-generic"), CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    pack = generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
     pack = with_effects(pack, {"current_gain": 1.25})
     paths = []
     for i, (power_W, ambient_C) in enumerate([(170.0, 22.0), (150.0, 12.0)]):
@@ -106,10 +106,10 @@ def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: l
 
 def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: Path) -> None:
     other = tmp_path / "other.tlog"
-    pack = pack_of(battery_file.read("lipo-generic"), 6, 8.0, 19.8, 21.0)
+    pack = generic_pack(6, 8.0, 19.8, 21.0)
     write(other, fly(pack, Mission(350.0, 22.0, rate_Hz=1.0, seed=3)), pack)
     first = tmp_path / "first.tlog"
-    pack = pack_of(battery_file.read("lipo-generic"), CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
+    pack = generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
     write(first, fly(pack, Mission(170.0, 22.0, rate_Hz=1.0, seed=1)), pack)
     done = run("diagnose", first, other, "--battery", "lipo-generic")
     assert done.returncode == 4

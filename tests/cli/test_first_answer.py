@@ -14,8 +14,8 @@ import pytest
 from command import UAVBATT, called
 
 from uavbatt import Estimator, Sample
+from uavbatt.log_replay import Landing, Outcome, outcome, steps
 from uavbatt.records import Flight
-from uavbatt.replay import Landing, Outcome, outcome, steps
 from uavbatt.report.flight_answer import answer
 from uavbatt.telemetry import read_log
 

@@ -11,25 +11,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
 import uavbatt
 from uavbatt import compiled
 from uavbatt.battery import battery_file, model, openloop
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.compiled import cache as compiled_cache
 from uavbatt.estimation.filter import Filtered, SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.recursion import filter_window
 from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.log_replay import engine_for, steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
-from uavbatt.replay import engine_for, steps
 from uavbatt.simulate import Mission, fly, with_effects
 
 pytest.importorskip("numba", reason="the extra `fast` is not installed")
@@ -38,7 +39,7 @@ CLOSE = 1e-9
 
 
 def pack_4s() -> Pack:
-    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return generic_pack()
 
 
 @cache
@@ -97,7 +98,7 @@ def test_the_filter_on_a_simulated_flight_with_holes() -> None:
 @pytest.mark.parametrize("name", ["quad_4s.tlog", "quad_3s.BIN", "hexa_6s_cold.csv"])
 def test_the_filter_on_the_sample_logs(name: str) -> None:
     cells = int(name.split("_")[1][0])
-    pack = pack_of(battery_file.read("lipo-generic"), cells, 5.0, 3.3 * cells, 3.5 * cells)
+    pack = generic_pack(cells, 5.0, 3.3 * cells, 3.5 * cells)
     assert_same_rows(pack, list(uavbatt.read_log(LOGS / name).samples[:1200]))
 
 
@@ -105,9 +106,7 @@ def test_the_filter_on_flown_flights(shared_data: Path) -> None:
     logs = sorted((shared_data / "flights" / "m100").glob("m100_0*.csv"))[:3]
     assert logs
     for log in logs:
-        assert_same_rows(
-            pack_of(battery_file.read("lipo-generic"), 6, 5.7, 20.4, 21.0), list(uavbatt.read_log(log).samples)
-        )
+        assert_same_rows(generic_pack(6, 5.7, 20.4, 21.0), list(uavbatt.read_log(log).samples))
 
 
 @pytest.mark.parametrize("name", sorted(set(EFFECTS) - {"current_delay"}))  # which the filter undoes before the twin

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
-from uavbatt.battery import battery_file
 from uavbatt.battery.model import Array, open_circuit_voltage, rate_at_power, transfer_drop
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.estimation import SocFilter
 from uavbatt.records import Sample
 from uavbatt.simulate import Mission, fly, with_effects
 
 
 def pack(**effects: float) -> Pack:
-    return with_effects(pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0), effects)
+    return with_effects(generic_pack(), effects)
 
 
 def innovations(made: Pack, samples: list[Sample]) -> Array:

@@ -18,8 +18,8 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import close, gate
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight
+from uavbatt.log_replay import engine_for
 from uavbatt.records import Flight
-from uavbatt.replay import engine_for
 from uavbatt.simulate import Mission, fly, with_effects, write
 from uavbatt.telemetry import read_log
 

@@ -8,14 +8,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from factories import generic_pack as pack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavbatt.battery import battery_file
 from uavbatt.battery import state_space as b
 from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, C
 from uavbatt.estimation import SocFilter, noise, recursion
 from uavbatt.estimation.filter import estimate_of
@@ -36,11 +36,6 @@ def plain_noise(monkeypatch: pytest.MonkeyPatch) -> None:
 def with_plain_noise(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(noise, "process_variances", lambda made, mean, rate_c, dt_s, before_c: WALK**2 * dt_s)
     patch.setattr(noise, "voltage_variance", lambda *_, **__: READING_SD_V**2)
-
-
-@cache
-def pack() -> Pack:
-    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
 
 
 def known_pack() -> Pack:

@@ -21,9 +21,10 @@ from scoring.other_pack import CUTOFF_V, FULL_AH, Flown
 from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
+from uavbatt.log_replay import Step, steps
 from uavbatt.records import Flight
-from uavbatt.replay import Step, steps
 
+pytestmark = pytest.mark.slow
 IN_TIME_S, EARLIEST_S = {GENERIC: 45.0, FITTED: 60.0}, 180.0
 GENERIC_LONG_S, FITTED_LONG_S = 25.0, 15.0
 STEADY_S = 5.0  # between two packs: a forecast is as old as that

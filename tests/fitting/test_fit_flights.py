@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
-from uavbatt.battery import battery_file
 from uavbatt.battery.model import SOC_GRID
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.fitting import observed, prior, solve
 from uavbatt.fitting.battery import Fitted, Size, fit_battery
 from uavbatt.records import Flight, Sample
@@ -24,7 +24,7 @@ COARSE = 6  # of rows 2 s apart
 @cache
 def planted() -> Pack:
     """The generic pack with 30 % more ohms, other lags, and an OCV that bulges by 20 mV in the middle."""
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     bulge_V = 0.02 * np.exp(-(((SOC_GRID - 0.5) / 0.15) ** 2))
     cell = pack.cell._replace(
         resistance_gain=1.3, polarisation_ratio=0.65, diffusion_ratio=0.56, ocv_V=pack.cell.ocv_V + bulge_V

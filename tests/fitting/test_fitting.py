@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
 from uavbatt.battery import battery_file, model
 from uavbatt.battery.model import LONGEST_STEP_S, SOC_GRID, Array, Parameters, open_circuit_voltage
@@ -172,7 +173,7 @@ def test_a_held_load_loses_its_noise_and_keeps_its_steps() -> None:
 
 @cache
 def flight() -> Flight:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     facts = ((0.0, PackFacts(4, 5.0, critical_voltage_V=13.2)),)
     return Flight("f", "csv", tuple(fly(pack, Mission(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts)
 

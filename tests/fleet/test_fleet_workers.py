@@ -13,12 +13,12 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
+from factories import generic_pack
 from live_rig import until
 
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import JOURNAL, LogFile, find
@@ -33,7 +33,7 @@ LISTENS = "0A"
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short flight to its end."""
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, math.nan)
+    pack = generic_pack(4, 5.0, 13.2, math.nan)
     path = tmp_path_factory.mktemp("logs") / "a.tlog"
     write(path, fly(pack, Mission(power_W=700.0, rate_Hz=0.2)), pack)
     return path

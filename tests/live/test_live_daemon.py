@@ -17,10 +17,10 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.web import content, metrics
+from uavbatt.log_replay import steps
 from uavbatt.mavlink import framing
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import Sample
-from uavbatt.replay import steps
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.recording import forecast_period_s
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat

@@ -14,19 +14,19 @@ from pathlib import Path
 
 import pytest
 from daemon_bench import Bench
+from factories import generic_pack
 from live_rig import ROOT
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt import output
 from uavbatt.battery import battery_file, model
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
+from uavbatt.log_replay import steps
 from uavbatt.records import Sample
-from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -37,7 +37,7 @@ GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three mi
 
 @cache
 def flight(start_soc: float = 1.0, seed: int = 1) -> tuple[Sample, ...]:
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, math.nan)
+    pack = generic_pack(4, 5.0, 13.2, math.nan)
     return tuple(fly(pack, Mission(power_W=180.0, start_soc=start_soc, seed=seed))[: GROUND_ROWS + FLIGHT_ROWS])
 
 
@@ -136,7 +136,7 @@ def test_a_changed_pack_is_noticed_on_the_ground(tmp_path: Path, new_soc: float,
 
 def test_the_same_pack_after_a_rest_is_no_other() -> None:
     """Landed, silent for a minute while its voltage recovers, and heard again: the belief goes on."""
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, math.nan)
+    pack = generic_pack(4, 5.0, 13.2, math.nan)
     cell, state = pack.cell, model.rested(1.0, 20.0)
     bench, rows = Bench(OPTIONS), []
     for k in range(1000):

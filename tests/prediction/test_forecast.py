@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from factories import generic_pack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.estimator import Estimator
@@ -33,7 +34,7 @@ MEAN_LAG_S = 2.5  # the end is judged by a 5 s mean, whose middle lies this far 
 
 @cache
 def pack() -> Pack:
-    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return generic_pack()
 
 
 def belief(soc: float = 0.7, temp_C: float = 25.0, soc_sd: float = 0.01, exact: bool = False) -> Belief:
@@ -100,8 +101,8 @@ def test_a_steady_power_needs_no_finer_steps(power_W: float, temp_C: float) -> N
 
 
 def test_twice_the_pack_at_twice_the_power_lasts_as_long() -> None:
-    large = pack_of(battery_file.read("lipo-generic"), 8, 5.0, 26.4, 28.0)
-    heavy = pack_of(battery_file.read("lipo-generic"), 4, 10.0, 13.2, 14.0)
+    large = generic_pack(8, 5.0, 26.4, 28.0)
+    heavy = generic_pack(4, 10.0, 13.2, 14.0)
     base = forecast(pack(), belief(), 250.0)
     assert forecast(large, belief(), 500.0).median_s == pytest.approx(base.median_s, rel=1e-6)
     assert forecast(heavy, belief(), 500.0).median_s == pytest.approx(base.median_s, rel=1e-6)

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.state_space import SIZE, Belief, C
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
@@ -192,7 +191,7 @@ def width(load: Load, recent: RecentLoad = CALM) -> float:
 def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     mean, sd = np.zeros(SIZE), np.full(SIZE, 1e-6)
     mean[C.SOC], mean[C.CORE], mean[C.SENSOR], sd[C.SOC] = 0.7, 25.0, 25.0, 0.01
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    pack = generic_pack()
     forecaster = Forecaster(pack, Settings(load))
     forecaster._load, forecaster._flown_s, forecaster._flown_J = recent, 200.0, 56000.0
     forecaster._took_off_s = -200.0

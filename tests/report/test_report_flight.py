@@ -11,8 +11,8 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Checkpoint, Outcome, Step
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
-from uavbatt.replay import Checkpoint, Outcome, Step
 from uavbatt.report.flight import flight_report
 from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
 

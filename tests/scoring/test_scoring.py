@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 import score
+from factories import generic_pack
 from scoring import data, lines, m100, m100_tables, table, truth
 
 from uavbatt import simulate
@@ -21,11 +22,11 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
+from uavbatt.log_replay import Step, steps
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
-from uavbatt.replay import Step, steps
 from uavbatt.simulate import Mission, fly, with_effects
 
 # --- tables ------------------------------------------------------------------------------------------------------
@@ -50,7 +51,7 @@ def test_unknown_is_never_zero() -> None:
 @cache
 def benchmark() -> tuple[Any, ...]:
     """Three flights of aircraft A and two of B, a row every 12 s, flown to below 21.6 V."""
-    pack = pack_of(battery_file.read("lipo-generic"), 6, 5.45, 21.6, 22.0)
+    pack = generic_pack(6, 5.45, 21.6, 22.0)
     flights = []
     for k, aircraft in enumerate("AAABB"):
         rows = fly(pack, Mission(420.0 + 20.0 * k, rate_Hz=0.5, seed=50 + k))[::6]

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from factories import generic_pack
 
 from uavbatt.battery import battery_file
-from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay import steps
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.replay import steps
 from uavbatt.simulate import Mission, fly
 from uavbatt.telemetry.join import Wiring, joined, read_joined
 
@@ -64,7 +64,7 @@ def test_a_row_hangs_on_nothing_that_comes_later() -> None:
 
 def test_two_packs_last_as_long_as_one_of_their_size() -> None:
     """A flight on one 10 Ah pack, and the same flight told as two 5 Ah packs that share its current unevenly."""
-    rows = fly(pack_of(battery_file.read("lipo-generic"), 4, 10.0, 13.2, 14.0), Mission(450.0, rate_Hz=0.5))
+    rows = fly(generic_pack(4, 10.0, 13.2, 14.0), Mission(450.0, rate_Hz=0.5))
     shares = (0.55, 0.45)
     halves = [
         battery(i, *(replace(s, current_A=share * s.current_A, consumed_Ah=NAN) for s in rows))

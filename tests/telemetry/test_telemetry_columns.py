@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from factories import generic_pack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.DFReader import FORMAT_TO_STRUCT
@@ -100,10 +101,8 @@ def test_checksums_of_many_lengths_at_once() -> None:
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The same simulated flight as it is written by both writers."""
-    from uavbatt.battery import battery_file
-    from uavbatt.battery.scaling import pack_of
 
-    pack = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, math.nan)
+    pack = generic_pack(4, 5.0, 13.2, math.nan)
     samples = fly(pack, Mission(power_W=250.0, rate_Hz=5.0))
     folder = tmp_path_factory.mktemp("flown")
     for name in ("a.tlog", "a.BIN"):

@@ -114,7 +114,7 @@ def _decoded(text: bytes, origin: str) -> BatteryFile:
     try:
         return msgspec.toml.decode(text, type=BatteryFile)
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:
-        raise misread(origin, error, "a battery file (see README, `battery file`)") from None
+        raise misread(origin, error, "a battery file (see docs/formats.md)") from None
 
 
 def _why_uncertified(file: BatteryFile) -> str:

@@ -151,6 +151,10 @@ class BatteryFile(Record, frozen=True):
     certificate: Certificate
     corridor: Corridor | None = None
 
+    def __repr__(self) -> str:
+        """Return one line: the tables of the file are long."""
+        return f"<BatteryFile {self.battery.name}: {self.battery.cells_series}S, {self.status}>"
+
     @property
     def status(self) -> str:
         """`certified`, `fitted`, `generic`, or `edited`: let through although it is not what was sealed or passed."""

@@ -8,7 +8,7 @@ asked; the caller means what he says, so that there is no number for him but the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from uavbatt.errors import UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
     LOWEST_CELL_V,
+    OPTIONS,
     RESTING_SLACK_V,
     Doubt,
+    Names,
     Resting,
     Seen,
     capacity_doubt,
@@ -32,18 +34,23 @@ from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
+CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
 
 
 @dataclass(frozen=True, slots=True)
 class PackOptions:
-    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number cannot be."""
+    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number cannot be.
+
+    spelt : the caller knows these numbers by such names; what is said of them later uses the names.
+    """
 
     cells: int | None = None
     capacity_Ah: float = NAN
     cutoff_V: float = NAN
     low_V: float = NAN
     ambient_C: float = NAN
+    spelt: Names = field(default=OPTIONS, repr=False)
 
     def __post_init__(self) -> None:
         check_stated(self.cells, self.capacity_Ah, self.cutoff_V, self.low_V, self.ambient_C)
@@ -95,21 +102,22 @@ def size_of_pack(
         said = replace(said, critical_voltage_V=NAN)
     said, notices = believed(said, cells, seen)
     capacity_Ah, capacity_from = _first(
-        (given.capacity_Ah, "--capacity-ah"), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
+        (given.capacity_Ah, _by(given.spelt.capacity)),
+        (said.capacity_Ah, "vehicle"),
+        (typed.capacity_Ah, "battery file"),
     )
     if not math.isfinite(capacity_Ah):
         why = "".join(f"{notice}; " for notice in notices if notice.startswith(CAPACITY))
-        raise UsageError(
-            f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give --capacity-ah"
-        )
+        by = _by(given.spelt.capacity)
+        raise UsageError(f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give {by}")
     share = cells / typed.cells_series
     cutoff_V, cutoff_from = _first(
-        (given.cutoff_V, "--cutoff-voltage"),
+        (given.cutoff_V, _by(given.spelt.cutoff)),
         (said.critical_voltage_V, "vehicle"),
         (typed.cutoff_V * share, "battery file"),
     )
     low_V, low_from = _first(
-        (given.low_V, "--low-voltage"),
+        (given.low_V, _by(given.spelt.low)),
         (said.low_voltage_V, "vehicle"),
         (None if typed.low_V is None else typed.low_V * share, "battery file"),
         (NAN, "nobody"),
@@ -144,9 +152,9 @@ def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
     """Return `pack` if what the caller states of it fits the voltages that were seen; raises UsageError if not."""
     if pack.refusal:
         raise UsageError(pack.refusal)
-    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from == "--cells" else None
+    doubt = cells_doubt(pack.cells, seen, resting(battery)) if pack.cells_from in CALLERS_CELLS else None
     if doubt is not None and doubt.is_certain:
-        raise UsageError(f"--cells: {doubt.words}")
+        raise UsageError(f"{pack.cells_from}: {doubt.words}")
     return pack
 
 
@@ -184,16 +192,23 @@ def _cells(
 ) -> tuple[int, str, tuple[str, ...]]:
     """The count of cells, where it came from, and the vehicle's own if it was not believed."""
     if given.cells is not None:
+        by = _by(given.spelt.cells)
         if said.cells_series in (None, given.cells):
-            return int(given.cells), "--cells", ()
-        notice = f"--cells {given.cells}: the vehicle states {said.cells_series}, whose critical voltage is not used"
-        return int(given.cells), "--cells", (notice,)
+            return int(given.cells), by, ()
+        stated = f"{given.spelt.cells}{given.cells}"
+        notice = f"{stated}: the vehicle states {said.cells_series}, whose critical voltage is not used"
+        return int(given.cells), by, (notice,)
     if said.cells_series is None:
         return int(guess[0]), guess[1], ()
     doubt = cells_doubt(said.cells_series, seen, cell)
     if doubt is None or not doubt.is_certain:
         return said.cells_series, "vehicle", ()
     return int(guess[0]), guess[1], (f"the vehicle states {doubt.words}: not used, nor its critical voltage",)
+
+
+def _by(name: str) -> str:
+    """Return the name alone of an option (`--cells `) or an argument (`cells=`)."""
+    return name.rstrip(" =")
 
 
 def _oddities(doubts: list[Doubt | None]) -> tuple[str, ...]:

@@ -72,6 +72,10 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     powers: Powers | None = None  # over airspeed and climb; None where no flight told them
     speeds: Speeds | None = None
 
+    def __repr__(self) -> str:
+        """Return one line: past flights have thousands of points."""
+        return f"<VehicleFile {self.name}: {len(self.traces)} flights, {self.phases.flight_W:.0f} W>"
+
 
 def write(file: VehicleFile, path: Path) -> Path:
     """Write the file, whole or not at all; returns the path."""

@@ -106,7 +106,7 @@ def _run(
     from uavbatt.diagnosis.diagnosis import diagnose as find
     from uavbatt.diagnosis.gate import verdicts
     from uavbatt.fitting import observed
-    from uavbatt.replay import engine_for
+    from uavbatt.log_replay import engine_for
 
     tests = data.load(gate) if gate is not None else None
     sizes = {_flown_size(f, content, stated) for f in flights} | {_tested_size(d, content, stated) for d in datasets}

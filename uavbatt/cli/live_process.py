@@ -79,8 +79,8 @@ def stated(pack: PackSection) -> tuple[PackOptions, Settings]:
     """The pack and the forecasts as the configuration states them, for the estimator."""
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.cli.loads import stated_load
     from uavbatt.prediction.forecaster import Settings
+    from uavbatt.prediction.load_options import stated_load
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":

@@ -125,10 +125,10 @@ def _one(
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
     from uavbatt.battery.statements import check
-    from uavbatt.cli.loads import stated_load
     from uavbatt.estimator import Estimator
+    from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps, with_mission
     from uavbatt.prediction.forecaster import Settings
-    from uavbatt.replay import MANY_ROWS, engine_for, outcome, steps, with_mission
+    from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
     from uavbatt.telemetry.formats.recording import forecast_period_s
 

@@ -28,10 +28,10 @@ from uavbatt.diagnosis.problem import Refit
 from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.fitting.assemble import rounded
+from uavbatt.log_replay import steps
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
-from uavbatt.replay import steps
 from uavbatt.scoring.scores import end_of_flight
 
 ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0

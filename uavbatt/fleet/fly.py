@@ -18,11 +18,11 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
+from uavbatt.log_replay import Outcome, Step, engine_for, outcome, steps
 from uavbatt.packs.exchange import plain_flight
 from uavbatt.prediction.forecaster import Settings
 from uavbatt.records import NAN, Flight
 from uavbatt.remembering import taught
-from uavbatt.replay import Outcome, Step, engine_for, outcome, steps
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.read import read_bytes
 

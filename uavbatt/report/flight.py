@@ -9,8 +9,8 @@ from pathlib import PurePath
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Checkpoint, Outcome, Step
 from uavbatt.records import Flight, Status
-from uavbatt.replay import Checkpoint, Outcome, Step
 from uavbatt.report.flight_answer import answer
 from uavbatt.report.flight_figures import figures
 from uavbatt.report.page import (

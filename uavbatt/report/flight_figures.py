@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Outcome
 from uavbatt.records import Status
-from uavbatt.replay import Outcome
 from uavbatt.report import plot
 from uavbatt.report.page import Html, figure, number, paragraph
 from uavbatt.report.series import Array, Rows, Stretch, outer, thinned

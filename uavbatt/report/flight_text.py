@@ -8,8 +8,8 @@ from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Landing, Outcome, Step
 from uavbatt.records import Flight
-from uavbatt.replay import Landing, Outcome, Step
 from uavbatt.report.flight_answer import answer
 
 

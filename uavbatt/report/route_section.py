@@ -6,9 +6,9 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
+from uavbatt.log_replay import Step
 from uavbatt.prediction.route_path import Point, path, place
 from uavbatt.records import Flight, Route
-from uavbatt.replay import Step
 from uavbatt.report.page import Html, duration, paragraph, section
 from uavbatt.report.route_map import route_map
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.log_replay import Step
 from uavbatt.records import Status
-from uavbatt.replay import Step
 
 Array = NDArray[np.float64]
 BUCKETS = 360

@@ -1,4 +1,4 @@
-"""`--load`: how the load to come is known."""
+"""The words that a caller says for the load to come, on the command line (`--load`) or in Python (`load=`)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,19 @@ from uavbatt.records import Flight
 
 
 def stated_load(
-    text: str, flight: Flight, vehicle: VehicleFile | None = None, battery: BatteryFile | None = None
+    text: str,
+    flight: Flight,
+    vehicle: VehicleFile | None = None,
+    battery: BatteryFile | None = None,
+    name: str = "--load ",
 ) -> Load:
-    """The load that `--load TEXT` means for a flight; the battery file's sensor effects correct the logged power."""
+    """Return the load to come that a caller's word means for a flight.
+
+    text: `learned` (from the vehicle file, else that of an unknown aircraft), `recent`, `log` or a power [W].
+    battery: its sensor effects correct the logged power of `log`.
+    name: how the caller spells the option, for the error.
+    Raises UsageError for another word, and for `log` where the flight has no power.
+    """
     if text == "learned":
         return UnknownAircraft() if vehicle is None else learned_load(vehicle)
     if text == "recent":
@@ -27,7 +37,7 @@ def stated_load(
     if text == "log":
         rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
         if len(rows) < 2:
-            raise UsageError(f"{flight.source}: --load log: expected rows with voltage and current")
+            raise UsageError(f"{flight.source}: {name}log: expected rows with voltage and current")
         sensors = Installation(1, 1.0) if battery is None else installation_of(battery, 1, 1.0)
         volts = np.array([s.voltage_V for s in rows])
         amps = true_current(sensors, np.array([s.current_A for s in rows]), volts)
@@ -37,5 +47,5 @@ def stated_load(
     except ValueError:
         watts = math.nan
     if not (math.isfinite(watts) and watts > 0.0):
-        raise UsageError(f"--load {text}: expected learned, recent, log or a positive number of watts")
+        raise UsageError(f"{name}{text}: expected learned, recent, log or a positive number of watts")
     return ConstantLoad(watts, STATED_SPREAD)

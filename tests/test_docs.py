@@ -1,0 +1,239 @@
+"""The documentation holds: examples are read, tables of keys are the code's, links lead somewhere, names are there."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import typing
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+
+import msgspec
+import pytest
+from command import called
+
+import uavbatt
+from uavbatt import dataset, output
+from uavbatt.battery import battery_file, sections, vehicle_file
+from uavbatt.battery.effects import EFFECTS, unit_words
+from uavbatt.cli.app import app
+from uavbatt.dataset_csv import COLUMNS as DISCHARGE_COLUMNS
+from uavbatt.diagnosis.classes import EffectClass
+from uavbatt.fleet.row import COLUMNS as FLEET_COLUMNS
+from uavbatt.live import config
+from uavbatt.live.report import Report
+from uavbatt.live.web import content
+from uavbatt.records import Status
+from uavbatt.telemetry.formats import csv_table
+
+ROOT = Path(__file__).resolve().parents[1]
+FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+
+def agree(documented_keys: Iterable[str], keys: Iterable[str]) -> None:
+    """The table has every key of the code and none besides."""
+    told, real = set(documented_keys), set(keys)
+    assert not real - told, f"docs/formats.md lacks {sorted(real - told)}"
+    assert not told - real
+
+
+def example(title: str) -> str:
+    """The text of the example of that title."""
+    found = re.search(rf'^```\w+ title="{re.escape(title)}"\n(.*?)^```$', FORMATS, re.MULTILINE | re.DOTALL)
+    assert found is not None, f"docs/formats.md has no example {title}"
+    return found[1]
+
+
+def written(tmp_path: Path, *titles: str) -> Path:
+    """The examples as files in a folder."""
+    for title in titles:
+        path = tmp_path / title
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(example(title), encoding="utf-8")
+    return tmp_path
+
+
+def documented(heading: str, table: int = 0) -> list[str]:
+    """The first column of a table of keys below a heading of docs/formats.md."""
+    section = re.split(r"^## ", FORMATS, flags=re.MULTILINE)
+    text = next(part for part in section if part.startswith(f"{heading}\n"))
+    tables = re.findall(r"^\| (?:key|column) \|.*\n\|[-| :]+\n((?:\|.*\n)+)", text, flags=re.MULTILINE)
+    return [row.split("|")[1].strip().strip("`") for row in tables[table].splitlines()]
+
+
+def keys_of(record: type, prefix: str = "") -> list[str]:
+    """Every key of a file that msgspec reads, sections by their path."""
+    hints = typing.get_type_hints(record)
+    found = []
+    for name in record.__struct_fields__:
+        inner = [t for t in _types(hints[name]) if isinstance(t, type) and issubclass(t, msgspec.Struct)]
+        found += keys_of(inner[0], f"{prefix}{name}.") if inner else [f"{prefix}{name}"]
+    return found
+
+
+def _types(hint: object) -> Iterable[object]:
+    yield hint
+    for inner in typing.get_args(hint):
+        yield from _types(inner)
+
+
+def keys_in(value: object, prefix: str = "") -> set[str]:
+    """Every key of a JSON document, those in lists and objects by their path."""
+    if isinstance(value, list):
+        return set().union(*(keys_in(entry, prefix) for entry in value))
+    if not isinstance(value, dict):
+        return set()
+    return {f"{prefix}{key}" for key in value}.union(*(keys_in(v, f"{prefix}{key}.") for key, v in value.items()))
+
+
+def test_the_data_set_of_the_page_is_read(tmp_path: Path) -> None:
+    folder = written(tmp_path, "dataset/battery.toml", "dataset/discharge.csv", "dataset/flags.toml") / "dataset"
+    found = dataset.load(folder)
+    assert (found.name, found.cells_series, len(found.runs), len(found.flags)) == ("acme-4s-5000", 4, 2, 1)
+    assert found.uncertainty == dataset.Uncertainty(
+        voltage_resolution_V=0.01, voltage_calibration_V=0.02, current_resolution_A=0.1, current_calibration_A=0.2,
+        reading_time_s=1.0, temperature_resolution_C=0.1, temperature_calibration_C=0.5,
+    )  # fmt: skip
+
+
+def test_the_keys_of_a_data_set() -> None:
+    assert sorted(documented("Discharge data set")) == sorted(keys_of(dataset._Battery))
+    assert documented("Discharge data set", 1) == list(DISCHARGE_COLUMNS)
+    assert sorted(documented("Discharge data set", 2)) == sorted(keys_of(dataset._Flags))
+
+
+def test_the_telemetry_csv(tmp_path: Path) -> None:
+    flight = uavbatt.read_log(written(tmp_path, "flight.csv") / "flight.csv")
+    assert (len(flight.samples), flight.notes) == (3, ())
+    assert documented("Telemetry CSV") == [*csv_table.REQUIRED, *csv_table.OPTIONAL]
+
+
+def test_the_battery_file(tmp_path: Path) -> None:
+    found = battery_file.read(written(tmp_path, "acme.battery.toml") / "acme.battery.toml")
+    assert (found.status, found.battery.capacity_Ah) == ("fitted", 5.0)
+    listed = keys_of(sections.BatteryFile)
+    agree(documented("Battery file"), {*listed, "certificate.verdicts"})
+    shown = keys_in(msgspec.toml.decode(example("acme.battery.toml"))) & set(listed)
+    assert set(listed) - shown == {key for key in listed if key.startswith("discrepancy.wander.")}  # its own section
+
+
+def test_the_vehicle_file(tmp_path: Path) -> None:
+    assert vehicle_file.read(written(tmp_path, "quad.vehicle.toml") / "quad.vehicle.toml").phases.flight_W == 250.0
+    agree(documented("Vehicle file"), keys_of(vehicle_file.VehicleFile))
+
+
+def test_the_configuration(tmp_path: Path) -> None:
+    assert example("uavbatt.toml") == (ROOT / "scripts" / "uavbatt.toml").read_text(encoding="utf-8")
+    stated = config.read(written(tmp_path, "uavbatt.toml") / "uavbatt.toml")
+    endpoint = msgspec.structs.replace(config.LinkSection(), endpoint=stated.link.endpoint)
+    assert stated == config.Config(link=endpoint)  # what the sample shows is the default
+    agree(documented("Configuration"), keys_of(config.Config))
+
+
+def test_a_replay_s_rows_and_summary(tmp_path: Path, short_log: Path) -> None:
+    assert documented("Replay: JSON Lines and CSV") == list(output.COLUMNS)
+    along_a_route = documented("Replay: JSON Lines and CSV", 1)
+    assert along_a_route == list(getattr(output, "ROUTE_COLUMNS", along_a_route))
+    assert list(json.loads(example("row.jsonl"))) == list(output.COLUMNS)
+    assert called("replay", short_log, "--json", "s.json", folder=tmp_path).returncode == 0
+    said = keys_in(json.loads((tmp_path / "s.json").read_text()))
+    agree(documented("Replay: summary"), said)
+    agree(keys_in(json.loads(example("summary.json"))), said)
+
+
+def test_a_plan_s_summary(tmp_path: Path) -> None:
+    pack = ("--cells", "4", "--capacity-ah", "5", "--power-w", "250")
+    assert called("plan", *pack, "--json", "p.json", folder=tmp_path).returncode == 0
+    said = keys_in(json.loads((tmp_path / "p.json").read_text()))
+    agree(keys_in(json.loads(example("plan.json"))), said)
+    agree(documented("Plan: summary"), {key for key in said if not key.startswith("planned.")})
+
+
+def test_a_diagnosis() -> None:
+    said = keys_in(json.loads(example("diagnosis.json")))
+    of_a_class = {f"classes.{field.name}" for field in fields(EffectClass)}
+    assert set(documented("Diagnosis")) == {key for key in said if key.count(".") < 1} | of_a_class
+
+
+def test_the_fleet_s_table() -> None:
+    agree(documented("Fleet table"), [name for name, _ in FLEET_COLUMNS])
+
+
+def test_the_page_s_json() -> None:
+    estimate = uavbatt.Estimate(0.0, 0.5, 0.1, 15.0, 10.0, 25.0, 150.0, 0.0, 1.0, Status.OK)
+    report = Report(0, 1, 1, estimate, uavbatt.Remaining(0.0, 60.0, 30.0, 90.0, 50.0, Status.OK), 0.0)
+
+    class Board:
+        reports, notes, said, counts = (report,), ("a note",), ((0.0, "a text"),), {"rows": 1}
+
+    said = content(Board, 1.0)  # type: ignore[arg-type]
+    of_a_battery = [f"batteries.{key}" for key in said["batteries"][0] if key not in output.COLUMNS]
+    assert sorted(documented("Live: now.json")) == sorted([*said, *of_a_battery])
+
+
+def test_the_effects_of_the_nomenclature() -> None:
+    text = (ROOT / "docs" / "nomenclature.md").read_text(encoding="utf-8").partition("## Effects")[2]
+    rows = [[cell.strip().strip("`") for cell in row.split("|")[1:-1]] for row in re.findall(r"^\|.*`.*$", text, re.M)]
+    told = [(row[2], "" if row[3] == "–" else row[3], row[4], row[5]) for row in rows]
+    quantities = [quantity for effect in EFFECTS.values() for quantity in effect.quantities]
+    assert told == [(q.name, unit_words(q.unit), f"{q.low:g} to {q.high:g}", f"{q.neutral:g}") for q in quantities]
+    assert [row[0] for row in rows if row[0]] == list(EFFECTS)
+
+
+def test_every_public_name_is_in_the_api() -> None:
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8").replace("\\", "")
+    assert sorted(re.findall(r"^### uavbatt\.(\w+)$", text, re.M)) == sorted(uavbatt.__all__)
+
+
+def test_the_readme_s_table_is_that_of_the_scores() -> None:
+    """Six rows of docs/scores.md: whoever measures anew changes both."""
+    scores = (ROOT / "docs" / "scores.md").read_text(encoding="utf-8")
+    tables = {name: _score_rows(scores, name) for name in ("mean absolute error", "bias [s]", "the 90 % interval")}
+    rows = [row for row in _rows((ROOT / "README.md").read_text(encoding="utf-8")) if len(row) == 7][1:]
+    assert len(rows) == 6
+    for method, *cells in rows:
+        error, bias = tables["mean absolute error"][method], tables["bias [s]"][method]
+        inside = tables["the 90 % interval"].get(f"{method}: inside", ["–"] * 7)
+        assert cells == [error[2], bias[2], inside[2], error[5], bias[5], inside[5]], method
+
+
+def _score_rows(text: str, title: str) -> dict[str, list[str]]:
+    table = text.partition(f"**M100: {title}")[2].partition("\n\n")[2].partition("\n\n")[0]
+    return {name: cells for name, *cells in _rows(table)}
+
+
+def _rows(text: str) -> list[list[str]]:
+    cells = ([cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|")
+    return [row for row in cells if set("".join(row)) - set("-:")]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files_of_the_checkout(page: Path) -> None:
+    """For readers of the checkout; `scripts/docs` does the same for the site, anchors included."""
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", re.sub(r"```.*?```", "", page.read_text("utf-8"), flags=re.S)):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_python_of_the_pages_is_python_and_names_what_there_is(page: Path) -> None:
+    for code in re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.M | re.S):
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "uavbatt":
+                assert node.attr in uavbatt.__all__, node.attr
+
+
+def test_every_command_stands_in_the_readme() -> None:
+    named = re.findall(
+        r"^\| `(\w+)[ `].*\|$", (ROOT / "README.md").read_text("utf-8").partition("## Commands")[2], re.M
+    )
+    assert sorted(named) == sorted(str(command.name) for command in app.registered_commands)
+
+
+def test_the_mission_file(tmp_path: Path) -> None:
+    mission_file = pytest.importorskip("uavbatt.telemetry.formats.mission_file", reason="missions are not read yet")
+    planned = mission_file.read_mission(written(tmp_path, "round.waypoints") / "round.waypoints")
+    assert planned.home is not None and len(planned.mission.items) >= 3

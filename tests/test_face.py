@@ -1,0 +1,96 @@
+"""The public face: what a prompt shows, what a notebook gets, and how a wrong argument is answered."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from command import called
+
+import uavbatt
+from uavbatt.battery import battery_file
+from uavbatt.dataset import load
+
+
+@pytest.fixture(scope="module")
+def flown(short_log: Path) -> uavbatt.Replay:
+    return uavbatt.replay(short_log, cells=4, capacity_Ah=2.1, cutoff_V=13.0)
+
+
+def test_python_and_the_command_say_the_same(flown: uavbatt.Replay, short_log: Path, tmp_path: Path) -> None:
+    pack = ("--cells", "4", "--capacity-ah", "2.1", "--cutoff-voltage", "13")
+    assert called("replay", short_log, *pack, "--jsonl", "l.jsonl", folder=tmp_path).returncode == 0
+    lines = [json.loads(line) for line in (tmp_path / "l.jsonl").read_text().splitlines()]
+    assert flown.rows == lines and len(flown) == len(lines) > 100
+
+
+def test_the_rows_are_a_table_of_numbers(flown: uavbatt.Replay) -> None:
+    pytest.importorskip("pandas", reason="needs the extra pandas")
+    table = flown.to_frame()
+    assert list(table.columns) == list(max(flown.rows, key=len)) and len(table) == len(flown)
+    assert table["remaining_s"].dtype == float and table["soc"].dtype == float
+    refused = [row["remaining_s"] is None for row in flown.rows]
+    assert any(refused) and table["remaining_s"].isna().tolist() == refused  # unknown is never zero
+
+
+def test_without_pandas_the_extra_is_named(flown: uavbatt.Replay) -> None:
+    with patch.dict(sys.modules, {"pandas": None}), pytest.raises(uavbatt.MissingExtra, match=r"uavbatt\[pandas\]"):
+        flown.to_frame()
+
+
+def test_what_was_read_serves_as_well_and_a_power_is_a_number_or_text(short_log: Path) -> None:
+    by_name = uavbatt.replay(short_log, load="300", forecast_period_s=60.0)
+    read = uavbatt.read_log(short_log), battery_file.read("lipo-generic")
+    assert uavbatt.replay(*read, load=300.0, forecast_period_s=60.0).rows == by_name.rows
+
+
+def test_big_values_show_one_short_line(flown: uavbatt.Replay) -> None:
+    for value in (flown, flown.flight, battery_file.read("lpab-3s"), load()):
+        assert len(repr(value)) < 250 and "\n" not in repr(value)
+    assert "short.tlog" in repr(flown.flight) and f"{len(flown.flight.samples)} rows" in repr(flown.flight)
+
+
+def test_a_prompt_completes_the_public_names_alone() -> None:
+    assert dir(uavbatt) == sorted(uavbatt.__all__)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"cells": 0}, "cells=0"),
+        ({"cells": 4.5}, "cells=4.5"),
+        ({"capacity_Ah": -5.0}, "capacity_Ah=-5"),
+        ({"capacity_Ah": 5000.0}, "mAh"),
+        ({"capacity_Ah": "5"}, "capacity_Ah='5'"),
+        ({"cutoff_V": 3.3}, "cutoff_V=3.3"),
+        ({"reserve_soc": 20}, "reserve_soc=20"),
+        ({"load": "fast"}, "load=fast"),
+        ({"load": -5.0}, "load=-5"),
+        ({"instance": 3}, "instance 3"),
+        ({"forecast_period_s": -1.0}, "forecast_period_s=-1"),
+        ({"forecast_period_s": "often"}, "forecast_period_s='often'"),
+    ],
+)
+def test_an_argument_that_cannot_be_is_named(short_log: Path, given: dict[str, object], named: str) -> None:
+    stated = {"cells": 4, "capacity_Ah": 2.0, "cutoff_V": 13.2, **given}
+    with pytest.raises(uavbatt.UsageError) as error:
+        uavbatt.replay(short_log, **stated)  # type: ignore[arg-type]
+    assert named in str(error.value) and "\n" not in str(error.value)
+
+
+def test_what_the_log_denies_is_named_in_python_s_words(short_log: Path) -> None:
+    with pytest.raises(uavbatt.UsageError, match=r"short.tlog: cells: 9 cells in series: 16"):
+        uavbatt.replay(short_log, cells=9)
+    assert uavbatt.replay(short_log, capacity_Ah=2.1, forecast_period_s=600.0).pack.capacity_from == "capacity_Ah"
+
+
+def test_an_estimator_names_them_too() -> None:
+    with pytest.raises(uavbatt.UsageError, match=r"states one: give capacity_Ah$"):
+        uavbatt.Estimator.from_battery("lipo-generic").step(uavbatt.Sample(0.0, 15.6, 10.0))
+    with pytest.raises(uavbatt.UsageError, match="reserve_soc=20"):
+        uavbatt.Estimator.from_battery("lipo-generic", reserve_soc=20)
+    with pytest.raises(uavbatt.BadInput, match="lpab-3s"):
+        uavbatt.Estimator.from_battery("nothing")
