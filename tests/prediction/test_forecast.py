@@ -257,7 +257,7 @@ def test_between_two_forecasts_it_counts_down() -> None:
 
 def test_refused_on_the_ground() -> None:
     for estimate, remaining in run(flown(1)[:15]):
-        assert remaining.status is Status.REFUSED and "ground" in remaining.reason
+        assert remaining.status is Status.REFUSED and "not flying" in remaining.reason
         assert math.isfinite(estimate.soc)
 
 

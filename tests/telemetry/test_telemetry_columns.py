@@ -80,7 +80,11 @@ def test_payloads_mean_what_messages_mean(mV: Any, ext: Any, cA: int, mAh: int, 
 
 
 def test_own_tables_are_those_of_pymavlink() -> None:
-    assert {number: dialect.mavlink_map[number].crc_extra for number in tlog_frames.SEEDS} == tlog_frames.SEEDS
+    known = tlog_frames.SEEDS.keys() & dialect.mavlink_map.keys()
+    assert {number: dialect.mavlink_map[number].crc_extra for number in known} == {
+        number: tlog_frames.SEEDS[number] for number in known
+    }
+    assert tlog_frames.SEEDS.keys() - known <= {372}  # BATTERY_INFO: younger than some releases of pymavlink
     for character, (code, scale, _) in FORMAT_TO_STRUCT.items():
         ours, divisor = dataflash_binary.CHARACTERS[character]
         assert np.dtype(ours).itemsize == struct.calcsize("<" + code), character

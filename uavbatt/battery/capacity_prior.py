@@ -19,6 +19,7 @@ from uavbatt.battery.scaling import Pack
 MEMBERS = 13
 SMALLEST, LARGEST = math.log(0.35), math.log(1.25)
 NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the pack is as good as new
+SHARPEST = 0.02  # a narrower mode would fall between two members and be lost
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP, UNKNOWN_MAKE_OVERLAP = 0.35, 0.6  # sd of a member as a share of the distance to the next
 # A capacity stated ten times too large, and what lies between.
@@ -50,7 +51,7 @@ def capacities(pack: Pack) -> Capacities:
     scale = np.linspace(min(SMALLEST, -REACH * widest), max(LARGEST, REACH * widest), MEMBERS)
     weight = np.zeros(MEMBERS)
     for share, mean, own_sd in prior:
-        above = math.hypot(own_sd, pack.capacity_scale_sd)
+        above = max(math.hypot(own_sd, pack.capacity_scale_sd), SHARPEST)
         short_sd = pack.capacity_short_sd * (1.0 if mean < 0.0 else NEW_SHORT)
         sd = np.where(scale > mean, above, math.hypot(above, short_sd))
         weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())

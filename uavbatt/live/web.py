@@ -116,7 +116,7 @@ def is_own_name(asked: str, listens: str) -> bool:
     """
     name = asked.rsplit(":", 1)[0] if asked.count(":") == 1 or "]" in asked else asked
     name = name.strip("[]").lower()
-    if name in ("", "localhost", listens.lower(), socket.gethostname().lower()) or name.endswith(".local"):
+    if ("." not in name and ":" not in name) or name == listens.lower() or name.endswith(".local"):
         return True
     try:
         ipaddress.ip_address(name)
