@@ -15,7 +15,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
-from uavbatt.diagnosis.rivals import RIVAL, related, seated, weights
+from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
@@ -66,7 +66,10 @@ class Trial:
     def rivals(self) -> list[int]:
         """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
         places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
-        return [i for i in places if self.worths[i].value > least and not at_bound(self.fits[i])]
+        possible = [i for i in places if not at_bound(self.fits[i])]
+        worthy = [i for i in possible if self.worths[i].value > least]
+        # What leaves the same as the best by another name is a rival whatever it is worth alone.
+        return [i for i in possible if i in worthy or (worthy and same(self.fits[i], self.fits[worthy[0]]))]
 
 
 def search(
