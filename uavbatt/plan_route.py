@@ -57,7 +57,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class LegEnd:
-    """Where a leg ends, when [s from take-off], and the charge then."""
+    """The end of a leg: place, time [s from take-off], and the charge then."""
 
     item: int  # -1 on the way home
     end_s: float
@@ -69,7 +69,7 @@ class LegEnd:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What becomes of the mission at one ambient temperature; `spare_s` is the hover left at home after touchdown."""
+    """The mission at one ambient temperature; `spare_s` is the hover left at home after touchdown."""
 
     ambient_C: float
     route: Route
@@ -80,13 +80,13 @@ class Fit:
 
     @property
     def fits(self) -> bool:
-        """Whether the end of flight comes after touchdown with 95 % probability."""
+        """Return True if the end of flight comes after touchdown with 95 % probability."""
         return self.route.risk <= IN_TIME
 
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """What was asked and what came of it."""
+    """A plan of a mission: what was asked and what came of it."""
 
     resolved: PackSize
     planned: Planned
@@ -155,7 +155,7 @@ def _fit(
 
 
 def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
-    """When and with what charge each leg ends."""
+    """Return when and with what charge each leg ends."""
     last = [i for i, piece in enumerate(ahead.pieces) if i + 1 == len(ahead.pieces) or _ends_leg(ahead, i)]
     ends_s: Array = ahead.ends_s[last]
     going = begun(flying.pack, flying.x, flying.ambient_C)
@@ -167,7 +167,7 @@ def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
 
 
 def _ends_leg(ahead: Ahead, index: int) -> bool:
-    """Whether the next piece goes somewhere else: a wait belongs to the leg before it."""
+    """Return True if the next piece goes somewhere else: a wait belongs to the leg before it."""
     here, following = ahead.pieces[index], ahead.pieces[index + 1]
     return here.end != following.end or here.seq != following.seq
 

@@ -170,7 +170,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """What is known of the way to come: which load was used, the route's end, the way home, and when to turn back.
+    """The way to come: which load was used, the route's end, the way home, and when to turn back.
 
     Times are seconds from now, charges 0..1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown, and
     `reason` says why. `risk` is the probability that the end of flight comes before the route's touchdown.

@@ -35,7 +35,7 @@ LONGEST_STEP_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Taught:
-    """What came of looking at a flight for the ledger: a record, or the reason why there is none."""
+    """The result of looking at a flight for the ledger: a record, or the reason why there is none."""
 
     record: FlightRecord | None
     why_not: str = ""
@@ -47,7 +47,7 @@ def name_of(flight: Flight, stated: str = "") -> str:
 
 
 def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) -> PackHealth | None:
-    """What is known of the flight's pack by the flights before it; None for a pack that nobody met."""
+    """Return what is known of the flight's pack by the flights before it; None for a pack that nobody met."""
     if not name:
         return None
     last = ledger.before(name, flight.identity.start_utc_s, key_of(flight.samples))
@@ -55,13 +55,15 @@ def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) ->
 
 
 def key_of(samples: Sequence[Sample]) -> str:
-    """What a log is known by: a hash of its first rows, so that neither its name nor where it was cut matters."""
+    """Return what a log is known by: a hash of its first rows, so that neither its name nor where it was cut
+    matters.
+    """
     text = ";".join(f"{s.voltage_V:.3f},{s.current_A:.2f}" for s in samples[:KEY_ROWS])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught:
-    """What a flight says of its pack by itself, and what it drew."""
+    """Return what a flight says of its pack by itself, and what it drew."""
     rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
     last_loaded = _last_loaded(rows)
     if last_loaded is None:

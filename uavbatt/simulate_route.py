@@ -53,7 +53,7 @@ class RouteFlight:
         return watts(position.airspeed_ms, position.up_ms, leg.phase)
 
     def position(self, time_s: float) -> Position:
-        """Where the aircraft is at a time [s], and how it moves."""
+        """Return where the aircraft is at a time [s], and how it moves."""
         leg, since_s = self._leg(time_s), time_s - self.begins_s[self._index(time_s)]
         is_moving = 0.0 <= since_s < leg.moving_s and time_s < self.lands_s
         share = min(max(since_s / leg.moving_s, 0.0), 1.0) if leg.moving_s > 0.0 else 1.0

@@ -30,7 +30,7 @@ Spread = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 
 
 class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What an aircraft asks over airspeed and climb; all but `hover_W` and `induced_ms` are shares of the hover.
+    """The power asked over airspeed and climb; all but `hover_W` and `induced_ms` are shares of the hover.
 
     `climb` and `descent` are per m/s; the spreads are relative standard deviations between flights (`level_sd`: payload
     and pack; `fast_sd`: wind and attitude in fast flight or climb) and from row to row within a leg (`row_sd`).

@@ -123,7 +123,7 @@ def _together(*parts: Capacities) -> Capacities:
 
 
 def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
-    """Why a pack in flight is hardly the one that is remembered, by its ohms; empty when it may be.
+    """Return why a pack in flight is hardly the one that is remembered, by its ohms; empty when it may be.
 
     wear, wear_sd: ohms above the type's, relative, as the flight has them.
     """

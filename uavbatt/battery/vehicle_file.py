@@ -45,7 +45,7 @@ class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
-    """How the vehicle flies routes and comes home, by its own parameters; what they do not say is left out.
+    """The speeds of routes and of the way home, by the vehicle's parameters; what they do not say is left out.
 
     The names are those of `navigation.ReturnSettings`.
     """

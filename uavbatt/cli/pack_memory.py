@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What became of a flight in the ledger: lines for a person, fields for a program."""
+    """The fate of a flight in the ledger: lines for a person, fields for a program."""
 
     lines: tuple[str, ...] = ()
     fields: dict[str, Any] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class PackMemory:
     stated: str = ""
 
     def recalled(self, flight: Flight, battery: BatteryFile) -> PackHealth | None:
-        """What is known of the flight's pack by the flights before it; None where nothing is."""
+        """Return what is known of the flight's pack by the flights before it; None where nothing is."""
         from uavbatt.remembering import name_of, recalled
 
         if self.ledger is None:
@@ -43,7 +43,7 @@ class PackMemory:
         return recalled(self.ledger, name_of(flight, self.stated), flight, battery)
 
     def recalled_now(self, battery: BatteryFile) -> PackHealth | None:
-        """What is known today of the pack that --pack names. UsageError when the ledger does not know it."""
+        """Return what is known today of the pack that --pack names. UsageError when the ledger does not know it."""
         from uavbatt.packs.ledger import prior
 
         if self.ledger is None:

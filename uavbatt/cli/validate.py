@@ -159,7 +159,7 @@ def _paper(tests: DataSet, json_file: Path | None) -> None:
 
 
 def _paper_lines(name: str, replayed: PaperReplay) -> list[str]:
-    """Where the study's equations meet its printed tables, then each column."""
+    """Return where the study's equations meet its printed tables, then each column."""
     lines = [f"{name}: the study's equations (1)-(17) as printed", "agreement with the printed tables"]
     for found in replayed.agreements:
         lines.append(f"  {found.table}: {found.agree} of {found.total} ({found.counted})")

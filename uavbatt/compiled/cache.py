@@ -1,4 +1,4 @@
-"""Where compiled code is kept: in the user's cache folder, in one folder per state of the sources, so that neither a
+"""Folder of the compiled code: in the user's cache folder, in one folder per state of the sources, so that neither a
 read-only installation nor a new version of the package goes wrong.
 """
 

@@ -1,4 +1,4 @@
-"""Where in the records the evidence lies: chi-square that the best model saves, by block of the flight."""
+"""Evidence by block of the flight: chi-square that the best model saves, by block of the flight."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Candidate:
         return self.sizes[-1] if self.sizes else 0
 
     def places(self, name: str) -> slice:
-        """Where the quantities of an effect stand among the freed."""
+        """Return where the quantities of an effect stand among the freed."""
         k = self.names.index(name)
         first = sum(self.sizes[:k])
         return slice(first, first + self.sizes[k])

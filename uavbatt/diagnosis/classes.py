@@ -61,7 +61,7 @@ def start_class(problem: Problem, nothing: Refit) -> EffectClass:
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """How much of an effect could be there without being seen: its first quantity's 95 % interval."""
+    """The size of an effect that could be there without being seen: its first quantity's 95 % interval."""
 
     name: str
     quantity: str

@@ -39,7 +39,7 @@ RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What was found, with the model before and after."""
+    """The diagnosis: what was found, with the model before and after."""
 
     verdict: Verdict
     classes: tuple[EffectClass, ...]
@@ -160,7 +160,7 @@ class Left(NamedTuple):
 
 
 def left_per_number(problem: Problem, best: Refit) -> Left:
-    """What is left of voltage and temperature once the file's stated errors are at their most probable.
+    """Return what is left of voltage and temperature once the file's stated errors are at their most probable.
 
     What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
     """
@@ -183,7 +183,7 @@ def per_number(problem: Problem, fit: Refit) -> Left:
 def _doubts(
     problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str], floor: float
 ) -> tuple[str, ...]:
-    """Why the model after all is not believed to be complete; empty when it is."""
+    """Return why the model after all is not believed to be complete; empty when it is."""
     doubts = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
     if left.voltage > LEFT:

@@ -83,7 +83,7 @@ class Evidence:
 
     @property
     def has_temperature(self) -> bool:
-        """Whether every record has a temperature."""
+        """Return True if every record has a temperature."""
         return all(t is not None for t in self.temps)
 
 

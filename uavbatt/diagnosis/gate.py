@@ -45,7 +45,7 @@ def verdicts(tests: DataSet, file: BatteryFile) -> list[Verdict]:
 
 
 def _same_cells(one: BatteryFile, other: BatteryFile) -> bool:
-    """Whether two files hold the same cell."""
+    """Return True if two files hold the same cell."""
     pairs = zip(cell_parameters(one), cell_parameters(other), strict=True)
     return all(np.array_equal(a, b) for a, b in pairs)
 

@@ -117,13 +117,13 @@ class _Batch:
 
 
 def at_best(problem: Problem, fit: Refit) -> Shown:
-    """What the sensors should show with the refit's values (one variant)."""
+    """Return what the sensors should show with the refit's values (one variant)."""
     batch = _Batch(problem, [fit.candidate])
     return batch.shown(fit.u[None, None], fit.v[None, None])
 
 
 def slopes_on_file(problem: Problem, fit: Refit) -> Array:
-    """What one sd of each error of the battery file does to `fit.residual`, [records, numbers, errors]."""
+    """Return what one sd of each error of the battery file does to `fit.residual`, [records, numbers, errors]."""
     batch = _Batch(problem, [fit.candidate])
     u = np.zeros((1, len(fit.u), batch.size))
     batch.place(u[0], fit)

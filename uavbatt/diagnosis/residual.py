@@ -1,4 +1,4 @@
-"""What the model leaves: per record and split by what might cause it.
+"""Residual of the model: per record, and split by what might cause it.
 
 The size of a residual is that of its slow part, the mean of products of neighbouring rows: what is uncorrelated from
 row to row is the sensor's noise. Rows count by how flat the voltage is there, as in the [discrepancy] of a file.
@@ -84,7 +84,7 @@ def size_K(found: list[Residual]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Where the residual lives: shares of its variance that one variable explains, and how long it lasts."""
+    """The shape of a residual: shares of its variance that one variable explains, and how long it lasts."""
 
     variable: str
     share: float

@@ -34,13 +34,15 @@ FAMILIES = (
 
 
 def related(new: Sequence[str], old: Sequence[str]) -> bool:
-    """Whether an effect is in the model already, or one that it could not be told from."""
+    """Return True if an effect is in the model already, or one that it could not be told from."""
     own = set(new).union(*(family for family in FAMILIES if family & set(new)))
     return bool(own & set(old))
 
 
 def weights(problem: Problem, fits: list[Refit]) -> Array:
-    """How likely each of `fits` is, of the first, which has the smallest chi-square; their quantities are as many."""
+    """Return how likely each of `fits` is, of the first, which has the smallest chi-square; their quantities are as
+    many.
+    """
     best = fits[0].residual
     slopes = slopes_on_file(problem, fits[0])
     resting = _at_rest(problem.evidence, best.shape[1])
@@ -57,7 +59,7 @@ def weights(problem: Problem, fits: list[Refit]) -> Array:
 
 
 def _at_rest(evidence: Evidence, width: int) -> Array:
-    """Whether a whitened number is of the rest before take-off, [records, numbers]."""
+    """Return True if a whitened number is of the rest before take-off, [records, numbers]."""
     out = np.zeros((len(evidence.names), width), dtype=bool)
     for j, volts in enumerate(evidence.volts):
         out[j, : volts.rows.size] = volts.rest
@@ -65,7 +67,7 @@ def _at_rest(evidence: Evidence, width: int) -> Array:
 
 
 def same(one: Refit, other: Refit) -> bool:
-    """Whether two refits leave the same: one effect by two names, as a gain below one and a faded pack are."""
+    """Return True if two refits leave the same: one effect by two names, as a gain below one and a faded pack are."""
     return float(np.sum((one.residual - other.residual) ** 2)) < SAME
 
 

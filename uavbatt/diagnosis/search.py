@@ -45,7 +45,7 @@ class Finding:
 
     @property
     def steady(self) -> bool:
-        """Whether the records agree on its value."""
+        """Return True if the records agree on its value."""
         return _steady(self.worth.constancy)
 
 
@@ -59,7 +59,7 @@ class Trial:
 
     @property
     def most(self) -> float:
-        """What the worthiest of them is worth."""
+        """Return what the worthiest of them is worth."""
         return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
 
     @property

@@ -1,4 +1,6 @@
-"""What to do next, in a crew chief's words: what each effect means, and the reading that tells it from its rivals."""
+"""Words for a crew chief about what to do next: what each effect means, and the reading that tells it from its
+rivals.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an effect is worth: the one unit in which every decision is taken.
+"""Worth of an effect: the one unit in which every decision is taken.
 
     worth = (chi-square saved on records left out) · (variance of the estimate / variance with the file's errors)
 
@@ -28,7 +28,7 @@ WEAK = 0.05  # information that stands for the prior where the other records tel
 
 @dataclass(frozen=True, slots=True)
 class Constancy:
-    """Whether the records agree on an effect's first quantity (Cochran's Q, as a spread).
+    """The agreement of the records on an effect's first quantity (Cochran's Q, as a spread).
 
     The spread is the sd between records, relative to the change or to what errors of the file make of nothing.
     """
@@ -53,7 +53,7 @@ class Worth:
 
 
 def at_bound(fit: Refit) -> bool:
-    """Whether a quantity ran into the end of what is physical: then it stands for something else."""
+    """Return True if a quantity ran into the end of what is physical: then it stands for something else."""
     return any(
         value > f.high - 1e-3 * (f.high - f.low)
         or (value < f.low + 1e-3 * (f.high - f.low) and abs(f.low - f.start) > 1e-3 * (f.high - f.low))
@@ -62,7 +62,7 @@ def at_bound(fit: Refit) -> bool:
 
 
 def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
-    """What an effect of the refit is worth over `before`, which lacks it; the one added last if not named."""
+    """Return what an effect of the refit is worth over `before`, which lacks it; the one added last if not named."""
     name = name or fit.candidate.name
     gains = left_out_chi2(before) - left_out_chi2(fit)
     if name == "initial_charge":  # what the records' own starts save says nothing of a start that they share
@@ -87,7 +87,7 @@ def _free(fit: Refit) -> Rows:
 
 
 def shifts_u(fit: Refit) -> Array:
-    """How far the optimum of the other records is from the common one, [records, columns]."""
+    """Return how far the optimum of the other records is from the common one, [records, columns]."""
     out = np.zeros_like(fit.u)
     free = _free(fit)
     if len(out) < 2 or not free.size:

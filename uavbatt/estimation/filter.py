@@ -198,7 +198,7 @@ def known_only_to(soc_sd: float) -> str:
 
 
 def _why_nothing(sample: Sample) -> str:
-    """Why a row moved nothing."""
+    """Return why a row moved nothing."""
     if is_complete(sample):
         return "time went backwards"
     return "no voltage in this row" if not math.isfinite(sample.voltage_V) else "no current in this row"

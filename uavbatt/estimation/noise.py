@@ -1,4 +1,4 @@
-"""How uncertain the start, the model's steps and the readings are: every number with its reason.
+"""Uncertainty of the start, of the model's steps and of the readings: every number with its reason.
 
 All per cell and per C, so that they hold for any pack. Variances are returned ready for the filter.
 """
@@ -98,7 +98,7 @@ def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Ca
 
 
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, before_c: float) -> Array:
-    """What the model's step from `mean` over `dt_s` at C-rate `rate_c`, `before_c` before it, leaves open.
+    """Return what the model's step from `mean` over `dt_s` at C-rate `rate_c`, `before_c` before it, leaves open.
 
     mean and result [8] or [8, members]. Over a long gap nothing says that the load went on.
     """

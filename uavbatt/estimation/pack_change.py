@@ -26,7 +26,7 @@ ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 
 
 class Bounds(NamedTuple):
-    """What the believed pack can show at rest, per cell [V]."""
+    """The bounds of what the believed pack can show at rest, per cell [V]."""
 
     low_V: float = -math.inf
     high_V: float = math.inf
@@ -45,11 +45,11 @@ class SwapWatch(NamedTuple):
 
     @property
     def is_another(self) -> bool:
-        """Whether enough rows have shown another pack."""
+        """Return True if enough rows have shown another pack."""
         return self.rows >= SWAP_ROWS
 
     def after(self, estimate: Estimate, belief: Belief, pack: Pack) -> SwapWatch:
-        """What is known after one more row, whose estimate and belief are given."""
+        """Return what is known after one more row, whose estimate and belief are given."""
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         cell_V, current_A = estimate.voltage_V / cells, estimate.current_A
         if not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
@@ -69,7 +69,7 @@ class SwapWatch(NamedTuple):
         return SwapWatch(estimate.time_s, current_A, belief, row_s, bounds, rows, rested_V)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
-        """What the pack that was seen last can show at rest after a silence of `gap_s`."""
+        """Return what the pack that was seen last can show at rest after a silence of `gap_s`."""
         if gap_s > SETTLED_S or self.belief is None:
             return Bounds(predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V)
         mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[C.SOC, C.SOC])

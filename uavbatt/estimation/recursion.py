@@ -34,7 +34,7 @@ ROOM_TEMP_C = 22.0
 
 
 class FilterState(NamedTuple):
-    """Where the filter stands between two rows."""
+    """The state of the filter between two rows."""
 
     moments: Moments  # after the last block
     time_s: float  # of the last row

@@ -77,7 +77,9 @@ def _blocks(table: Array) -> Rows:
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """Whether the aircraft keeps its velocity: in a corner the power belongs to the turn and not to the airspeed."""
+    """Return True if the aircraft keeps its velocity: in a corner the power belongs to the turn and not to the
+    airspeed.
+    """
     if before is None or now is None or not now.time_s > before.time_s:
         return now is None or now is before
     change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
@@ -119,7 +121,7 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
 
 
 def _unusual(told: list[Rows], columns: list[Array], left: list[Array]) -> Array:
-    """What remains of each flight's mean power where it flies far from its hover: fast or climbing."""
+    """Return what remains of each flight's mean power where it flies far from its hover: fast or climbing."""
     means = []
     for rows, misfit in zip(told, left, strict=True):
         far = (rows.airspeed_ms > 8.0) | (rows.climb_ms > 1.0)

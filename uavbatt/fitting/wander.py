@@ -1,4 +1,4 @@
-"""How what a model leaves hangs together along a record: learned from records in which nothing is wrong.
+"""Correlation of what a model leaves along a record: learned from records in which nothing is wrong.
 
 No circuit is the cell, so that its misfit is no white noise. It is described as a process that forgets itself,
 

@@ -122,7 +122,7 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
 
 
 def _taught(flight: Flight, job: Job) -> str:
-    """What a flight of a known pack says of it, as JSON; empty where it says nothing."""
+    """Return what a flight of a known pack says of it, as JSON; empty where it says nothing."""
     if not (job.teaches and flight.identity.battery_serial):
         return ""
     found = taught(job.battery, job.options, flight).record

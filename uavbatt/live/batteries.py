@@ -195,7 +195,7 @@ class Batteries:
 
 
 def _is_worth_keeping(parameter: str) -> bool:
-    """Whether a parameter says what pack this is, or how the vehicle flies and returns."""
+    """Return True if a parameter says what pack this is, or how the vehicle flies and returns."""
     return parameter.startswith(BATTERY_NAMES) or parameter in NAMES
 
 

@@ -34,7 +34,7 @@ RESUMED_WITHIN_S = 600.0
 
 @dataclass(slots=True)
 class Kept:
-    """What is held of one battery's flight; changed in place by the loop alone."""
+    """The rows that are held of one battery's flight; changed in place by the loop alone."""
 
     name: str
     health: Future[PackHealth | None]
@@ -70,7 +70,7 @@ class PackKeeper:
             self._young[left.flight.name] = left
 
     def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
-        """What is remembered of the pack of a battery, once it has a name; None while it has none."""
+        """Return what is remembered of the pack of a battery, once it has a name; None while it has none."""
         name = self._stated or serial
         if not name:
             return None

@@ -41,7 +41,7 @@ class BatteryFields:
 
 @dataclass(frozen=True, slots=True)
 class PackIdentity:
-    """What names one pack: its serial, empty where it has none, and its own count of cycles."""
+    """The identity of one pack: its serial, empty where it has none, and its own count of cycles."""
 
     id: int
     serial: str = ""
@@ -56,7 +56,9 @@ _NO_SERIALS = ("", "0", "-1", "65535")
 
 
 def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
-    """Who a pack is, of a payload of SMART_BATTERY_INFO or BATTERY_INFO (a work in progress that no dialect holds)."""
+    """Return who a pack is, of a payload of SMART_BATTERY_INFO or BATTERY_INFO (a work in progress that no dialect
+    holds).
+    """
     at, cycles_at, first, last = _IDENTITY_AT[message_id]
     whole = payload.ljust(IDENTITY_LENGTH[message_id], b"\0")
     cycles = int.from_bytes(whole[cycles_at : cycles_at + 2], "little")

@@ -69,7 +69,7 @@ def first_known(flight: FlightRecord) -> Known:
 
 
 def _likelihood(known: Known, flight: FlightRecord) -> float:
-    """How likely a belief made what the flight says, but for a constant."""
+    """Return how likely a belief made what the flight says, but for a constant."""
     spread = H @ known.covariance @ H.T + flight.told.matrix
     apart = flight.told.mean - H @ known.mean
     return math.exp(-0.5 * float(apart @ np.linalg.solve(spread, apart))) / math.sqrt(float(np.linalg.det(spread)))
@@ -96,13 +96,13 @@ def updated(known: Known, told_mean: Array, told_covariance: Array) -> Known:
 
 
 def oddness(known: Known, flight: FlightRecord, doubt: Array) -> Array:
-    """How many sd each of a flight's numbers lies from what was expected, [2]."""
+    """Return how many sd each of a flight's numbers lies from what was expected, [2]."""
     spread = np.diag(H @ known.covariance @ H.T + doubt)
     return np.asarray((flight.told.mean - H @ known.mean) / np.sqrt(spread))
 
 
 def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -> Array:
-    """How many sd two flights in a row lie by the same step from what was expected before both, [2]."""
+    """Return how many sd two flights in a row lie by the same step from what was expected before both, [2]."""
     after = later(before, 0.0)
     found = []
     for k in (OHM, CHARGE):
@@ -115,7 +115,7 @@ def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -
 
 
 class Course(NamedTuple):
-    """Where the slow filter stands: the belief, and what it needs to think again."""
+    """The state of the slow filter: the belief, and what it needs to think again."""
 
     known: Known
     expected: Known  # before the last flight

@@ -35,7 +35,7 @@ class LeftOver(NamedTuple):
 
     @property
     def last_utc_s(self) -> float:
-        """When its last row came [s since 1970]."""
+        """Return when its last row came [s since 1970]."""
         return self.flight.start_utc_s + (self.rows[-1].time_s if self.rows else 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What one flight by itself says of a pack, out of the filter's belief at its end.
+"""Evidence of one flight about a pack, out of the filter's belief at its end.
 
 The flight is run from a prior so wide (`remembered.UNKNOWN`) that what is believed at the end is nearly the
 flight's own word; the little that the prior had in it is taken out again:
@@ -37,7 +37,7 @@ SMALLEST_SHARE, LARGEST_SHARE, MAGNIFIED_SHARE = 1e-6, 0.98, 0.5
 
 
 def told(pack: Pack, loaded: Belief, last: Belief, temp_C: float) -> Told:
-    """What the flight says, from the beliefs at its last row under load and at its last row of all.
+    """Return what the flight says, from the beliefs at its last row under load and at its last row of all.
 
     `temp_C` is the pack's mean temperature under load [°C]; NaN where it was not measured.
     """
@@ -50,13 +50,15 @@ def told(pack: Pack, loaded: Belief, last: Belief, temp_C: float) -> Told:
 
 
 def _prior(pack: Pack) -> Scales:
-    """What the flight's run began with: nothing known of the pack, and the discrepancy that its type may have."""
+    """Return what the flight's run began with: nothing known of the pack, and the discrepancy that its type may
+    have.
+    """
     discrepancy_sd = _ohms_per_volt(pack) * math.hypot(pack.bias_sd_V, ELECTRODE_SD_V)
     return Scales(UNKNOWN.mean, UNKNOWN.covariance + np.diag([discrepancy_sd**2, 0.0]))
 
 
 def _ohms_per_volt(pack: Pack) -> float:
-    """How much a volt of discrepancy counts in ln of the resistance: as at the current of a hover.
+    """Return how much a volt of discrepancy counts in ln of the resistance: as at the current of a hover.
 
     Less where the battery file's own discrepancy is so large that it would drown the ohms.
     """
@@ -74,7 +76,7 @@ def scales(pack: Pack, belief: Belief) -> Scales:
 
 
 def _without_prior(belief: Scales, prior: Scales) -> Scales:
-    """What a belief says beyond its prior: along the axes on which it knows more than that.
+    """Return what a belief says beyond its prior: along the axes on which it knows more than that.
 
     Where it hardly does, its distance from the prior is chance, and is not magnified without bound.
     """
@@ -89,7 +91,7 @@ def _without_prior(belief: Scales, prior: Scales) -> Scales:
 
 
 def _with_rest(said: Scales, loaded: Belief, last: Belief) -> Scales:
-    """What the rows after the load say of the capacity besides: the rested voltage after landing."""
+    """Return what the rows after the load say of the capacity besides: the rested voltage after landing."""
     k = C.LOG_CAPACITY
     before, after = float(loaded.covariance[k, k]), float(last.covariance[k, k])
     if not after < LARGEST_SHARE * before:

@@ -67,7 +67,7 @@ def flight_of(entry: dict[str, Any]) -> FlightRecord:
 
 
 def _implausible(flight: FlightRecord) -> str:
-    """What of a flight cannot be; empty when it may be one."""
+    """Return what of a flight cannot be; empty when it may be one."""
     told = flight.told
     if not (1e-5 < math.exp(min(told.log_ohm, 50.0)) < 10.0 and 0.01 < math.exp(min(told.log_Ah, 50.0)) < 1e4):
         return "ohms and ampere-hours of a pack"

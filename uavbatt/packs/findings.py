@@ -13,7 +13,7 @@ HELD_TEXT = "another pack under this name?"
 
 
 def by_itself(flight: FlightRecord) -> tuple[Finding, ...]:
-    """What one flight shows alone."""
+    """Return what one flight shows alone."""
     if not flight.weak_cell_V > WEAK_CELL_V:
         return ()
     words = f"cell {flight.weak_cell} lies {1000.0 * flight.weak_cell_V:.0f} mV below the others under load"
@@ -21,7 +21,7 @@ def by_itself(flight: FlightRecord) -> tuple[Finding, ...]:
 
 
 def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[Finding, ...]:
-    """What two flights of one name, the one after the other, show together."""
+    """Return what two flights of one name, the one after the other, show together."""
     found = []
     hours = (flight.start_utc_s - earlier.start_utc_s - earlier.duration_s) / 3600.0
     charged = flight.soc_start - earlier.soc_end
@@ -45,7 +45,7 @@ def sudden(z: Array, change: Array, words: str = "") -> Finding:
 
 
 def another(z: Array, change: Array) -> Finding:
-    """What no pack can do, so that it is another one; z and change as in `sudden`."""
+    """Return what no pack can do, so that it is another one; z and change as in `sudden`."""
     if -z[0] >= z[1]:
         what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
     else:

@@ -1,4 +1,4 @@
-"""What the belief about a pack means for its owner: health with intervals, trend, and when to retire it."""
+"""Outlook of a pack for its owner: health with intervals, trend, and when to retire it."""
 
 from __future__ import annotations
 

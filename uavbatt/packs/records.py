@@ -1,4 +1,4 @@
-"""What the ledger holds of packs and flights: frozen values, in ohms and ampere-hours.
+"""Records of the ledger about packs and flights: frozen values, in ohms and ampere-hours.
 
 A pack's health is ln of its resistance [ohm per cell, at 25 °C and half charge] and ln of its capacity [Ah]. Neither
 depends on the battery file that a flight was read with, so that a new file does not forget the pack.
@@ -16,7 +16,7 @@ from uavbatt.records import NAN
 
 
 class Told(NamedTuple):
-    """What one flight by itself says of a pack: ln of ohms and of ampere-hours, their variances, what they share."""
+    """The evidence of one flight about a pack: ln of ohms and of ampere-hours, their variances, what they share."""
 
     log_ohm: float
     log_Ah: float
@@ -60,12 +60,12 @@ class FlightRecord:
     cycles: int | None = None  # by the pack's own counter
 
     def is_same_as(self, other: FlightRecord) -> bool:
-        """Whether two records are of one flight: the same log, or logs of the same time."""
+        """Return True if two records are of one flight: the same log, or logs of the same time."""
         return self.key == other.key or _overlap(self, other)
 
 
 def _overlap(a: FlightRecord, b: FlightRecord) -> bool:
-    """Whether the flights share more than half of the shorter one's time."""
+    """Return True if the flights share more than half of the shorter one's time."""
     shared_s = min(a.start_utc_s + a.duration_s, b.start_utc_s + b.duration_s) - max(a.start_utc_s, b.start_utc_s)
     return shared_s > 0.5 * min(a.duration_s, b.duration_s)  # False where a time is unknown
 
@@ -98,7 +98,7 @@ class Remembered(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """What is to be expected of a pack: its health with 90 % intervals, its trend, and when to retire it."""
+    """The outlook of a pack: its health with 90 % intervals, its trend, and when to retire it."""
 
     flights: int
     capacity_Ah: float

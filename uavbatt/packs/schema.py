@@ -69,7 +69,7 @@ MIGRATIONS = (FIRST, AIRBORNE)
 
 
 def version(connection: sqlite3.Connection) -> int:
-    """How many steps the ledger has behind it; 0 for an empty file."""
+    """Return how many steps the ledger has behind it; 0 for an empty file."""
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 

@@ -12,7 +12,7 @@ STEADY = 0.002  # a flight: slower ageing is a season's, and no reason to look
 
 
 def retire_words(seen: Outlook) -> str:
-    """When to retire the pack: `retire in about 12 flights (5 to 40) at 80 %`."""
+    """Return when to retire the pack: `retire in about 12 flights (5 to 40) at 80 %`."""
     at = f"at {RETIRED_AT:.0%}"
     median, soonest, latest = seen.retire_flights, seen.retire_lo_flights, seen.retire_hi_flights
     if median == 0.0:
@@ -26,7 +26,7 @@ def retire_words(seen: Outlook) -> str:
 
 
 def trend_words(trend: float, sd: float) -> str:
-    """How a number changes: `−1.6 % a flight`, `steady`, `cannot tell yet`."""
+    """Return how a number changes: `−1.6 % a flight`, `steady`, `cannot tell yet`."""
     if abs(trend) > INTERVAL_SD * sd:
         return f"{100.0 * trend:+.1f} % a flight".replace("-", "\N{MINUS SIGN}")
     return "steady" if INTERVAL_SD * sd < STEADY else "cannot tell yet"

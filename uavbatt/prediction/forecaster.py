@@ -310,7 +310,7 @@ class Forecaster:
 
 
 def _step_s(load: Load, typical_s: float) -> float:
-    """How long the steps of a simulation are whose end is about `typical_s` away [s]."""
+    """Return how long the steps of a simulation are whose end is about `typical_s` away [s]."""
     is_steady = isinstance(load, ConstantLoad)
     steps, longest_s = (STEADY_STEPS, LONGEST_STEADY_STEP_S) if is_steady else (STEPS, LONGEST_STEP_S)
     return min(max(typical_s / steps, SHORTEST_STEP_S), longest_s)

@@ -47,7 +47,7 @@ class Scenarios(NamedTuple):
 
 
 class Now(NamedTuple):
-    """Where the flight stands: log time, time since take-off [s], charge, mean power since take-off [W], and place."""
+    """The state of the flight: log time, time since take-off [s], charge, mean power since take-off [W], and place."""
 
     time_s: float
     since_take_off_s: float

@@ -53,7 +53,7 @@ class Ahead(NamedTuple):
 
     @property
     def ends_s(self) -> Array:
-        """When each piece ends [s] from now."""
+        """Return when each piece ends [s] from now."""
         return np.cumsum([piece.length_s for piece in self.pieces])
 
     @property
@@ -69,7 +69,7 @@ class Ahead(NamedTuple):
         return math.hypot(LEAST_TIMING_SD, sd_s / total_s if total_s > 0.0 else 0.0)
 
     def point(self, time_s: float) -> Point:
-        """Where the aircraft is after `time_s` [s]."""
+        """Return where the aircraft is after `time_s` [s]."""
         ends_s = np.concatenate([[0.0], self.ends_s])
         places = np.array([self.begin, *(piece.end for piece in self.pieces)])
         return Point(*(float(np.interp(time_s, ends_s, column)) for column in places.T))
@@ -86,7 +86,7 @@ class Ahead(NamedTuple):
 
 
 class Way(NamedTuple):
-    """What turns legs into pieces: the timing of short and long legs, and the velocity of the air [m/s]."""
+    """The means that turn legs into pieces: the timing of short and long legs, and the velocity of the air [m/s]."""
 
     short: Timing = Timing()
     long: Timing = Timing()
@@ -112,7 +112,7 @@ class Way(NamedTuple):
         return moved, Piece(leg.hold_s, math.hypot(*self.wind), 0.0, False, is_landing, leg.seq, leg.end, 0.0)
 
     def time_s(self, leg: Leg) -> tuple[float, float]:
-        """How long the movement takes, and its sd [s]."""
+        """Return how long the movement takes, and its sd [s]."""
         planned_s, speed_ms = leg.moving_s, leg.fastest_ms
         if not planned_s > 0.0:
             return 0.0, 0.0
@@ -226,7 +226,7 @@ def _is_behind(leg: Leg, here: Point) -> bool:
 
 
 def _waiting(leg: Leg, waited_s: float) -> Leg:
-    """What is left of the wait at a leg's end."""
+    """Return what is left of the wait at a leg's end."""
     return leg._replace(begin=leg.end, run_m=0.0, hold_s=max(leg.hold_s - waited_s, 0.0))
 
 

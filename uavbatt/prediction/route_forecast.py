@@ -1,4 +1,4 @@
-"""What a forecast asks and answers beside the time left: the end of the route, the way home, the turn-back."""
+"""Answers of a forecast beside the time left: the end of the route, the way home, the turn-back."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ToCome(NamedTuple):
 
 
 class RouteAsked(NamedTuple):
-    """What one forecast knows of route and home before the ends of its draws are simulated."""
+    """The knowledge of one forecast about route and home before the ends of its draws are simulated."""
 
     load: str
     reason: str

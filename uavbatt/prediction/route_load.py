@@ -49,7 +49,7 @@ class RouteLoad:
 
     @property
     def noise(self) -> Swings:
-        """What the power does from row to row within a leg."""
+        """Return what the power does from row to row within a leg."""
         return Swings(0.0, self.powers.row_sd)
 
     def steady(self, dt_s: Array) -> Scenarios:

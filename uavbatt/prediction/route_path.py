@@ -232,7 +232,7 @@ def _at_height(item: MissionItem, at: Point) -> MissionItem:
 
 
 def _target(item: MissionItem, at: Point, home: Home) -> Point | str:
-    """Where an item ends, or why that is not known."""
+    """Return where an item ends, or why that is not known."""
     height_m = item.alt_m if math.isfinite(item.alt_m) else at.height_m
     if item.frame is Frame.TERRAIN:
         return "its height is above terrain that is not known"

@@ -1,4 +1,4 @@
-"""Where the aircraft is on its route, and what the legs flown so far tell of the rest: timing, power level, wind.
+"""Progress on the route, and what the legs flown so far tell of the rest: timing, power level, wind.
 
 Two things lengthen a leg beyond its plan: a stretch of its time and the speeding up and slowing down,
 
@@ -36,7 +36,7 @@ TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 
 
 class Timing(NamedTuple):
-    """What is known of stretch s and speeding e: precision matrix (ss, se, ee) and its product with the means."""
+    """The belief about stretch s and speeding e: precision matrix (ss, se, ee) and its product with the means."""
 
     ss: float = 1.0 / STRETCH_SD**2
     se: float = 0.0
@@ -70,7 +70,7 @@ class Timing(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """How the aircraft flies at one row."""
+    """The aircraft's movement at one row."""
 
     airspeed_ms: float
     climb_ms: float
@@ -79,7 +79,7 @@ class Flown(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """What is remembered of the route; a value, replaced by `after`."""
+    """The memory of the route; a value, replaced by `after`."""
 
     known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
     path: Path = Path()
@@ -146,7 +146,7 @@ class Progress(NamedTuple):
         return self
 
     def timing(self, leg: Leg) -> Timing:
-        """What is known of the timing of such a leg."""
+        """Return what is known of the timing of such a leg."""
         return self.short if leg.moving_s < SHORT_LEG_S else self.long
 
     def _blown(self, navigation: Navigation, row_s: float) -> Progress:
@@ -173,7 +173,7 @@ class Progress(NamedTuple):
         return self if is_there else self._replace(arrived_s=NAN)
 
     def flown(self, time_s: float, navigation: Navigation) -> Flown | None:
-        """How the aircraft flies now: by its position, else by the plan of its leg; None where neither tells."""
+        """Return how the aircraft flies now: by its position, else by the plan of its leg; None where neither tells."""
         position = navigation.position
         if position is not None and time_s - position.time_s <= STALE_POSITION_S and math.isfinite(position.up_ms):
             if not position.height_m > AIRBORNE_M:
@@ -231,7 +231,7 @@ def _leg_of(way: Path, current: int | None, at: int) -> int | None:
 
 
 def here_at(time_s: float, navigation: Navigation) -> Point | None:
-    """Where the aircraft is; None where nobody says it or has not for a while."""
+    """Return where the aircraft is; None where nobody says it or has not for a while."""
     position, home = navigation.position, navigation.home
     if position is None or home is None or time_s - position.time_s > STALE_POSITION_S:
         return None
@@ -246,7 +246,7 @@ def _is_over_home(navigation: Navigation) -> bool:
 
 
 def overdue(progress: Progress, time_s: float, navigation: Navigation) -> str:
-    """Why the progress that the autopilot reports cannot be believed; empty when it can."""
+    """Return why the progress that the autopilot reports cannot be believed; empty when it can."""
     heard_s = time_s - navigation.current_heard_s
     if heard_s > SILENT_PROGRESS_S:
         return f"the autopilot has not said for {heard_s:.0f} s where on its mission it is"

@@ -1,4 +1,4 @@
-"""How long packs last under power to come: the simulation behind every forecast.
+"""Endurance of packs under power to come: the simulation behind every forecast.
 
 Constant power within a step, not constant current: a sinking voltage draws more current, which is what empties a
 pack sooner than charge counting says. Each step solves V I = P and advances the model exactly.
@@ -124,7 +124,7 @@ class _Limits(NamedTuple):
 
 
 def _times(dt_s: Array, dimensions: int) -> Array:
-    """When each step begins [s], to broadcast over a batch of so many dimensions."""
+    """Return when each step begins [s], to broadcast over a batch of so many dimensions."""
     at_s = np.concatenate([np.zeros_like(dt_s[:1]), np.cumsum(dt_s, axis=0)[:-1]])
     return at_s.reshape(at_s.shape + (1,) * (1 + dimensions - at_s.ndim))
 

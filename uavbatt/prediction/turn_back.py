@@ -29,7 +29,7 @@ ROUGH = 2.0  # sds: the highest of some twenty powers in a row, each judged by i
 
 
 class TurnBack(NamedTuple):
-    """What came of turning at some instants: how far above the cut-off each draw stayed on its way home."""
+    """The results of turning at some instants: how far above the cut-off each draw stayed on its way home."""
 
     look_s: Array  # [looks] from now
     above_V: Array  # [looks, draws]

@@ -26,7 +26,7 @@ def route_section(flight: Flight, steps: Sequence[Step]) -> list[Html]:
 
 
 def _place(time_s: float, flight: Flight) -> Point | None:
-    """Where the aircraft was; None where nobody said it."""
+    """Return where the aircraft was; None where nobody said it."""
     known = flight.navigation_at(time_s) if math.isfinite(time_s) else None
     if known is None or known.position is None or known.home is None:
         return None

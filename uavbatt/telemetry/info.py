@@ -196,7 +196,7 @@ def _temperature(info: LogInfo) -> str:
 
 
 def _route(navigation: Sequence[Navigation]) -> str:
-    """What a log tells of route and place, in words."""
+    """Return what a log tells of route and place, in words."""
     last = navigation[-1] if navigation else NOWHERE
     mission = last.mission
     said = [

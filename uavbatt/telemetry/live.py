@@ -43,7 +43,7 @@ NOTHING = Taken([], False)
 
 
 def is_sound(frame: bytes, end: int, extra: int) -> bool:
-    """Whether the checksum behind the payload, which ends at `end`, is that of a message with this seed."""
+    """Return True if the checksum behind the payload, which ends at `end`, is that of a message with this seed."""
     from pymavlink.generator.mavcrc import x25crc
 
     crc = x25crc(frame[1:end] + bytes([extra]))
@@ -114,7 +114,7 @@ class LiveReader:
 
     @property
     def navigation(self) -> Navigation:
-        """What is known of the vehicle's route and place; a mission that a file plans wins over what passes."""
+        """Return what is known of the vehicle's route and place; a mission that a file plans wins over what passes."""
         known = self.followed.route.now if self.followed is not None else NOWHERE
         if self.planned is None:
             return known
@@ -143,7 +143,7 @@ class LiveReader:
         return self.followed.hardware if self.followed is not None else ""
 
     def pack(self, instance: int) -> fields.PackIdentity:
-        """Who the pack of a battery is, as far as anybody has said."""
+        """Return who the pack of a battery is, as far as anybody has said."""
         return self.followed.pack(instance) if self.followed is not None else fields.PackIdentity(instance)
 
     @property

@@ -96,7 +96,7 @@ class Vehicle:
         return said[-1][1] if said else PackFacts()
 
     def pack(self, instance: int) -> fields.PackIdentity:
-        """Who the pack of a battery is: by its own words, else by the parameter that holds its serial."""
+        """Return who the pack of a battery is: by its own words, else by the parameter that holds its serial."""
         said = self.packs.get(instance, fields.PackIdentity(instance))
         serial = self.parameters.known.get(ardupilot_prefix(instance) + "SERIAL_NUM", math.nan)
         if said.serial or not serial > 0.0:

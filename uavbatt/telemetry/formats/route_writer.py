@@ -25,7 +25,7 @@ FIX_3D, SATELLITES, HDOP = 3, 12, 80
 
 
 class RouteRow(NamedTuple):
-    """Where a simulated aircraft is at one instant; `mode` is ArduCopter's number, `seq` the item that is flown."""
+    """A simulated aircraft at one instant; `mode` is ArduCopter's number, `seq` the item that is flown."""
 
     position: Position
     seq: int

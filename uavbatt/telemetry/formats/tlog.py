@@ -125,7 +125,7 @@ def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder)
 
 
 def _add_packs(own: Frames, log: LogBuilder) -> None:
-    """Who the packs are by their own words; the first word of each counts."""
+    """Add the packs by their own words; the first word of each counts."""
     for message_id, length in fields.IDENTITY_LENGTH.items():
         for payload in own.of(message_id).payloads(length):
             said = fields.pack_identity(message_id, payload.tobytes())

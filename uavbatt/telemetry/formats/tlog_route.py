@@ -127,7 +127,7 @@ def _of_autopilot(own: Frames, clock: Clock, listener: NavigationListener) -> li
 
 
 def _of_others(found: Frames, source: int, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
-    """What other stations said of missions to the autopilot."""
+    """Return what other stations said of missions to the autopilot."""
     others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
     told = []
     for message_id in messages.OF_OTHERS if len(others.start) else ():

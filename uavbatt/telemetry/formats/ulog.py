@@ -122,7 +122,7 @@ def _add_parameter(log: LogBuilder, time_s: float, name: str, value: Any) -> Non
 
 
 def _add_pack(log: LogBuilder, instance: int, row: dict[str, float]) -> None:
-    """Who the pack is, by the first row that says it: a smart battery's serial, its count of cycles."""
+    """Add the pack by the first row that names it: a smart battery's serial, its count of cycles."""
     serial, cycles = (row.get(name, 0.0) for name in ("serial_number", "cycle_count"))
     if instance not in log.packs and serial == serial:
         known = fields.known_serial(f"{serial:.0f}")

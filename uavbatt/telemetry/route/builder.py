@@ -28,7 +28,7 @@ class NavigationBuilder:
 
     @property
     def now(self) -> Navigation:
-        """What is known at present."""
+        """Return what is known at present."""
         if self._built is None:
             self._built = Navigation(**self._known)
         return self._built
@@ -136,10 +136,10 @@ class NavigationBuilder:
 
 
 def _is_place(lat_deg: float, lon_deg: float) -> bool:
-    """Whether this is a place on Earth; latitude and longitude 0 are what a receiver says that has no fix."""
+    """Return True if this is a place on Earth; latitude and longitude 0 are what a receiver says that has no fix."""
     return abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and not (lat_deg == 0.0 and lon_deg == 0.0)
 
 
 def _is_same(one: object, other: object) -> bool:
-    """Whether two values are equal, an unknown (NaN) being equal to an unknown."""
+    """Return True if two values are equal, an unknown (NaN) being equal to an unknown."""
     return repr(one) == repr(other)

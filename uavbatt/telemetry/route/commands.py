@@ -57,12 +57,12 @@ class Fields(NamedTuple):
 
 
 def is_flown(command: int) -> bool:
-    """Whether an autopilot calls an item of this command its current one: it flies to it or waits at it."""
+    """Return True if an autopilot calls an item of this command its current one: it flies to it or waits at it."""
     return command <= _LAST_NAVIGATION_COMMAND
 
 
 def needs_height(command: int) -> bool:
-    """Whether an item of this command is flown to at a height of its own."""
+    """Return True if an item of this command is flown to at a height of its own."""
     return command in _AT_A_PLACE and command != LAND
 
 

@@ -1,4 +1,4 @@
-"""What a log tells of route and place as events in the order of time, played into a `NavigationBuilder`."""
+"""Route and place of a log as events in the order of time, played into a `NavigationBuilder`."""
 
 from __future__ import annotations
 

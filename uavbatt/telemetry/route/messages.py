@@ -62,12 +62,12 @@ class NavigationListener:
 
     @property
     def now(self) -> Navigation:
-        """What is known at present."""
+        """Return what is known at present."""
         return self.builder.now
 
     @property
     def wants_mission(self) -> bool:
-        """Whether the mission that the autopilot holds is not known."""
+        """Return True if the mission that the autopilot holds is not known."""
         return self.builder.held is None or self._is_outdated or self.transfer.is_open
 
     def take(self, time_s: float, message_id: int, message: Any) -> None:

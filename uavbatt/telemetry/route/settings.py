@@ -89,7 +89,7 @@ def _cone_slope(known: Mapping[str, float]) -> float:
 
 
 def _reason(known: Mapping[str, float]) -> str:
-    """Why the way home is not the straight one, if it is not."""
+    """Return why the way home is not the straight one, if it is not."""
     if known.get(_RALLY, 0.0) > 0.0:
         return f"the vehicle has rally points (RALLY_TOTAL {known[_RALLY]:g}): it may return to one of them"
     if known.get(_TERRAIN, 0.0) > 0.0:

@@ -35,11 +35,11 @@ class Transfer:
 
     @property
     def is_open(self) -> bool:
-        """Whether a mission is passing, or one that passed was left half written."""
+        """Return True if a mission is passing, or one that passed was left half written."""
         return self._count is not None or self._in_doubt
 
     def is_others(self, time_s: float) -> bool:
-        """Whether another station has been transferring a mission in the last seconds before `time_s` [s]."""
+        """Return True if another station has been transferring a mission in the last seconds before `time_s` [s]."""
         return time_s - self._others_heard_s <= SILENT_S
 
     def of_another(self, time_s: float) -> None:
@@ -84,7 +84,7 @@ class Transfer:
         return None if self._is_upload else self._finished(source, has_home_item)
 
     def explains_acknowledgement(self, time_s: float) -> bool:
-        """Whether a writing transfer was heard that the autopilot may be acknowledging at `time_s` [s]."""
+        """Return True if a writing transfer was heard that the autopilot may be acknowledging at `time_s` [s]."""
         return self._is_clearing or time_s - self._written_s <= SILENT_S
 
     def acknowledged(self, result: int, source: str, has_home_item: bool) -> Mission | None:
