@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import operator
-from typing import NamedTuple
+from contextlib import suppress
+from typing import NamedTuple, SupportsFloat, SupportsIndex
 
 from uavbatt.errors import UsageError
 
@@ -153,17 +154,17 @@ def _check_between(name: str, value: float, low: float, high: float, unit: str =
 
 
 def _whole(name: str, value: object) -> int:
-    try:
-        return operator.index(value)  # type: ignore[arg-type]  # that is the question
-    except TypeError:
-        raise UsageError(f"{name}{value!r}: expected a whole number from 1 to {MOST_CELLS}, or None") from None
+    if isinstance(value, SupportsIndex):
+        with suppress(TypeError):  # an array of several
+            return operator.index(value)
+    raise UsageError(f"{name}{value!r}: expected a whole number from 1 to {MOST_CELLS}, or None")
 
 
 def _number(name: str, value: object) -> float:
-    try:
-        return float(value) if not isinstance(value, str) else float(None)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        raise UsageError(f"{name}{value!r}: expected a number, or NaN where it is not known") from None
+    if isinstance(value, SupportsFloat):  # a text is none, whatever it says
+        with suppress(TypeError, ValueError):  # an array of several
+            return float(value)
+    raise UsageError(f"{name}{value!r}: expected a number, or NaN where it is not known")
 
 
 def _count(cells: int) -> str:

@@ -293,9 +293,7 @@ def replay(
         UsageError: an argument cannot be; the message names it and its bounds.
     """
     flight = _flight(log, instance)
-    content = (
-        battery if isinstance(battery, BatteryFile) else battery_file.read(battery, allow_uncertified=allow_uncertified)
-    )
+    content = _read(battery, allow_uncertified)
     flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read(vehicle)
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
     statements.check(content, options, flight)

@@ -132,5 +132,5 @@ def one(
 
 @compiled
 def crossing(k: int, above: float, under: float, earlier_s: float, at_s: float) -> float:
-    """As `time_to_end._mean_crossing`: when the fall from `above` to `under` passed zero, and the lag of the mean."""
+    """Return the instant [s] at which the fall from `above` to `under` passed zero (`time_to_end._mean_crossing`)."""
     return earlier_s + above / (above - under) * (at_s - earlier_s) + MEAN_LAG_S if k > 0 else 0.0
