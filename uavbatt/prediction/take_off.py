@@ -39,7 +39,7 @@ class FromTakeOff:
 
 
 def before_take_off(load: Load, pack: Pack) -> Load:
-    """Return the load to come as it is known on the ground: a stated power, past flights, else one by the pack's size."""
+    """Return the load as it is known on the ground: a stated power, past flights, else one by the pack's size."""
     if isinstance(load, ConstantLoad):
         return load
     if isinstance(load, LearnedLoad):
