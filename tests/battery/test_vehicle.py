@@ -42,7 +42,7 @@ def learned() -> VehicleFile:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    path = vehicle.write(learned(), tmp_path / "quad.vehicle.toml")
+    path = vehicle.write_vehicle(learned(), tmp_path / "quad.vehicle.toml")
     assert vehicle.read_vehicle(path) == learned()
     assert path.stat().st_size < 30_000 and list(tmp_path.iterdir()) == [path]
 
