@@ -9,10 +9,15 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
+from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
 
 from command import Judged, called
+
+# The same examples on every machine: a run that fails can be run again. HYPOTHESIS_PROFILE=default looks for new ones.
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 ASK_FOR_THE_STUDY = {"test_cli_validate", "test_gate", "test_validate", "test_temperature_loop"}
 
