@@ -24,8 +24,8 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import Step, engine_for, outcome, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import ReplayedRow, engine_for, outcome, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight, Remaining
@@ -69,7 +69,7 @@ class First:
 
 def generic(data: Path) -> Iterator[Set]:
     """Every shared flight, by the packaged battery and an aircraft that nobody knows."""
-    battery, load = battery_file.read("lipo-generic"), UnknownAircraft()
+    battery, load = battery_file.read_battery("lipo-generic"), UnknownAircraft()
     packs, missions = _pack_ends_s(data), _mission_ends_s(data)
     for name, places, pack, ends_s in (
         ("real logs", ("flights/ardupilot/*", "flights/px4/hexa*.ulg"), PackOptions(), {}),
@@ -138,13 +138,13 @@ def _first(flown: Set, path: Path) -> First | None:
     return First(flown.name, name, shown, _ends(last), False)
 
 
-def _flown(flight: Flight, flown: Set, pack: PackOptions) -> tuple[list[Step], float]:
-    estimator = Estimator(flown.battery, pack, Settings(flown.load), engine_for(is_long=True))
+def _flown(flight: Flight, flown: Set, pack: PackOptions) -> tuple[list[ReplayedRow], float]:
+    estimator = Estimator(flown.battery, pack, ForecastSettings(flown.load), engine_for(is_long=True))
     run = list(steps(flight, estimator))
     return run, estimator.pack_size.cutoff_V if estimator.pack_size is not None else math.nan
 
 
-def _in_force(run: list[Step], time_s: float) -> tuple[float, float] | None:
+def _in_force(run: list[ReplayedRow], time_s: float) -> tuple[float, float] | None:
     last = [step.remaining for step in run if step.remaining.time_s <= time_s + 1e-6][-1]
     return _ends(last) if math.isfinite(last.remaining_s) else None
 

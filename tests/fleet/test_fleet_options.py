@@ -14,12 +14,12 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
-from uavbatt.fleet.fly import Job, fly
+from uavbatt.fleet.fly import Job, fly_log
 from uavbatt.fleet.journal import job_key
-from uavbatt.fleet.logs import LogFile, find
-from uavbatt.fleet.row import Row
+from uavbatt.fleet.logs import LogFile, find_logs
+from uavbatt.fleet.row import FlightRow
 
-PLAIN = Job(battery_file.read("lipo-generic"), PackOptions(capacity_Ah=5.0))
+PLAIN = Job(battery_file.read_battery("lipo-generic"), PackOptions(capacity_Ah=5.0))
 VEHICLE = VehicleFile(
     name="q",
     battery="lipo-generic",
@@ -34,11 +34,11 @@ def two_batteries(tmp_path_factory: pytest.TempPathFactory) -> LogFile:
     """One aircraft with two packs in parallel, of which the second gives more."""
     path = tmp_path_factory.mktemp("two") / "two.tlog"
     write_log(path, [*hover(60, 16.7, 8.0, 0), *hover(60, 16.7, 12.0, 1)])
-    return find([str(path)])[0]
+    return find_logs([str(path)])[0]
 
 
-def flown(log: LogFile, **changes: object) -> Row:
-    row = fly(log, replace(PLAIN, **changes))  # type: ignore[arg-type]
+def flown(log: LogFile, **changes: object) -> FlightRow:
+    row = fly_log(log, replace(PLAIN, **changes))  # type: ignore[arg-type]
     assert row.status == "ok", row.reason
     return row
 
@@ -47,7 +47,7 @@ def test_the_battery_that_is_asked_for_is_flown(two_batteries: LogFile) -> None:
     first, second = flown(two_batteries), flown(two_batteries, instance=1)
     assert (first.instance, second.instance) == (0, 1)
     assert second.charge_Ah == pytest.approx(1.5 * first.charge_Ah, rel=0.03)
-    assert "no battery instance 7" in fly(two_batteries, replace(PLAIN, instance=7)).reason
+    assert "no battery instance 7" in fly_log(two_batteries, replace(PLAIN, instance=7)).reason
 
 
 def test_batteries_are_joined_as_they_are_wired(two_batteries: LogFile) -> None:
@@ -68,7 +68,7 @@ def test_a_vehicle_file_or_a_stated_load_is_what_is_expected_to_come(shared_flee
 @pytest.fixture(scope="module")
 def shared_fleet(short_log: Path) -> tuple[LogFile, float]:
     """A flight to its end."""
-    log = find([str(short_log)])[0]
+    log = find_logs([str(short_log)])[0]
     return log, flown(log).end_of_flight_s
 
 
