@@ -28,7 +28,7 @@ from uavbatt.prediction.time_to_end import EndTimes
 
 LOWEST_POWER_W = 1.0
 SETTLED_S = 60.0
-FORGOTTEN_S = 180.0
+FORGOTTEN_S = 240.0
 NEAR_S = 120.0  # a pack that is this near its end shows it
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
