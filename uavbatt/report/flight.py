@@ -1,4 +1,4 @@
-"""The flight page: the answer, what limits it, the pilot's chart; then what engineers ask, and where numbers came from."""
+"""The flight page: the answer, what limits it, the pilot's chart; then the rest, and where every number came from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all drawings of a flight share: the time axis, lines that are thinned, bands, hatching where nothing was said."""
+"""What all drawings of a flight share: the time axis with its hatching, lines that are thinned, bands."""
 
 from __future__ import annotations
 
@@ -64,5 +64,3 @@ def line(axes: Axes, axis: TimeAxis, time_s: Array, values: Array, colour: str, 
 def band(axes: Axes, axis: TimeAxis, time_s: Array, low: Array, high: Array, colour: str, name: str) -> None:
     t, lo, hi = outer(time_s, low, high)
     axes.fill_between(axis.at(t), lo, hi, color=colour, alpha=0.25, linewidth=0, label=name)
-
-

@@ -11,7 +11,7 @@ import numpy as np
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.flight_events import Event, apart
-from uavbatt.report.page import Html, bullets, duration, element, figure, paragraph, strong, together
+from uavbatt.report.page import Html, bullets, duration, figure, paragraph, strong, together
 from uavbatt.report.series import Rows
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 TITLE = "Time left"
 LEAST_APART = 0.06  # of the axis: closer events share one mark, so that their words do not overlap
 MOST_HELD, UNBOUNDED_S = 2.5, 1e8
+ROOM_RIGHT = 38.0  # for the minutes on the right
 
 
 def time_left_chart(rows: Rows, axis: TimeAxis, events: Sequence[Event]) -> Html:
@@ -45,7 +46,7 @@ def time_left_chart(rows: Rows, axis: TimeAxis, events: Sequence[Event]) -> Html
         untyped.locator_params(axis="y", nbins=6, integer=top_min > 4.0)
 
     alt = f"Time left in minutes over the flight, with its 90 % interval. {_spoken(events)}"
-    svg = plot.responsive(draw, alt, x=axis.label, y="time left (min)", unit_s=axis.unit_s)
+    svg = plot.responsive(draw, alt, x=axis.label, y="time left (min)", right=ROOM_RIGHT, unit_s=axis.unit_s)
     return together((figure(svg, TITLE, _caption(rows, axis, top_min)), _list(events)))
 
 

@@ -1,4 +1,4 @@
-"""The cursor that all drawings of a flight share: a slider, the values in words, and the little script that moves it."""
+"""The cursor that all drawings of a flight share: a slider, the values in words, and the script that moves it."""
 
 from __future__ import annotations
 

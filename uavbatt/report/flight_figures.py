@@ -10,8 +10,8 @@ import numpy as np
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay import Outcome
 from uavbatt.report import plot
-from uavbatt.report.page import Html, figure, number, paragraph
 from uavbatt.report.flight_axis import TimeAxis, band, line
+from uavbatt.report.page import Html, figure, number, paragraph
 from uavbatt.report.series import Array, Rows
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def _voltage(rows: Rows, axis: TimeAxis, resolved: PackSize) -> Html:
 
     def draw(axes: Axes) -> None:
         line(axes, axis, rows.time_s, rows.voltage_V, plot.BLUE, "measured")
-        line(axes, axis, rows.time_s, rows.predicted_V, plot.RED, "modelled, one step ahead", "--")
+        line(axes, axis, rows.time_s, rows.predicted_V, plot.RED, "modelled", "--")
         if math.isfinite(resolved.cutoff_V):
             axes.axhline(resolved.cutoff_V, color=plot.PINK, linewidth=1.2, linestyle=(0, (4, 2)), label="cut-off")
         low, high = _span(rows.voltage_V, resolved.cutoff_V)
@@ -49,7 +49,7 @@ def _voltage(rows: Rows, axis: TimeAxis, resolved: PackSize) -> Html:
 
     least, greatest = np.nanmin(rows.voltage_V), np.nanmax(rows.voltage_V)
     alt = f"Pack voltage over time, from {least:.2f} to {greatest:.2f} V, with the model's prediction."
-    said = "The model predicts the voltage before it sees it."
+    said = "The model predicts each voltage before it sees it."
     return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="pack voltage (V)"), title, said)
 
 
@@ -99,7 +99,11 @@ def _current(rows: Rows, axis: TimeAxis) -> Html:
 
     mean, most = np.nanmean(rows.current_A), np.nanmax(rows.current_A)
     alt = f"Current over time; mean {mean:.1f} A, at most {most:.1f} A."
-    return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="current (A)"), "Current", "Positive current discharges.")
+    return figure(
+        plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="current (A)"),
+        "Current",
+        "Positive current discharges.",
+    )
 
 
 def _temperature(rows: Rows, axis: TimeAxis) -> Html:

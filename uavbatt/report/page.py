@@ -32,6 +32,8 @@ MOODS: dict[str, Mood] = {
 SIGNS: dict[Mood, str] = {"good": "✓", "bad": "✗", "unsure": "?", "plain": "·"}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # data (`type="application/json"`) are no script
+_TAG = re.compile(r"<[^>]*>")
+LONG_WORDS = 24  # letters in a cell, from which its column is kept wide enough to be read
 _NO_ID = re.compile(r"[^a-z0-9]+")
 
 
@@ -93,7 +95,9 @@ def contents(*titles: str) -> Html:
 
 def _anchor(title: str) -> str:
     """A heading as the name of its place in the page; alike letters of two headings do not make one place."""
-    return f"{_NO_ID.sub('-', title.lower()).strip('-')[:40]}-{hashlib.sha256(printable(title).encode()).hexdigest()[:4]}"
+    return (
+        f"{_NO_ID.sub('-', title.lower()).strip('-')[:40]}-{hashlib.sha256(printable(title).encode()).hexdigest()[:4]}"
+    )
 
 
 def grid(*figures: str) -> Html:
@@ -119,16 +123,19 @@ def table(
 
     A table without a caption is announced by its first columns.
     """
+    body = [tuple(cells) for cells in rows]
+    css = ["" if i in text_columns else "number" for i in range(len(head))]
+    for i in text_columns:
+        if i and any(len(_TAG.sub("", cells[i])) > LONG_WORDS for cells in body):
+            css[i] = "words"
 
     def row(cells: Sequence[str], tag: str) -> Html:
-        made = (_cell(tag, c, "" if i in text_columns else "number") for i, c in enumerate(cells))
-        return element("tr", *made)
+        return element("tr", *(_cell(tag, c, kind) for c, kind in zip(cells, css, strict=True)))
 
-    body = element("tbody", *(row(cells, "td") for cells in rows))
     top = element("caption", caption) if caption else Html("")
-    made = element("table", top, element("thead", row(head, "th")), body)
-    css = "scroll wordy" if len(head) - 1 in text_columns else "scroll"
-    return scrolled(made, f"Table: {caption or ', '.join(name for name in head[:3] if name)}", css)
+    lines = element("tbody", *(row(cells, "td") for cells in body))
+    made = element("table", top, element("thead", row(head, "th")), lines)
+    return scrolled(made, f"Table: {caption or ', '.join(name for name in head[:3] if name)}")
 
 
 def _cell(tag: str, content: str, css: str) -> Html:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,7 @@ WIDTH, HEIGHT = 440.0, 280.0
 WIDE, WIDE_HEIGHT = 1100.0, 400.0
 LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
 LETTERS = 15.5
+LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # of a letter of a legend, of the sign before it
 SETTINGS: dict[str, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",
     "savefig.facecolor": "none", "font.size": LETTERS, "axes.labelsize": LETTERS, "legend.fontsize": LETTERS,
@@ -79,11 +80,14 @@ def panel(
     y: str,
     height: float = HEIGHT,
     width: float = WIDTH,
+    left: float = LEFT,
+    right: float = RIGHT,
     legend_columns: int = 3,
     unit_s: float = 0.0,
 ) -> Html:
     """Draw one pair of axes with its labels and its legend above; the left edges of all panels line up.
 
+    left, right : room beside the axes, for the labels there
     unit_s : seconds of a unit of the x axis; with it the page's cursor finds its place in the drawing
     """
     frames: list[str] = []
@@ -94,24 +98,37 @@ def panel(
         axes.set_xlabel(x)
         axes.set_ylabel(y)
         names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
-        rows = -(-len(names) // legend_columns)
+        columns = _columns(names, legend_columns, width - left)
+        rows = -(-len(names) // columns)
         top = TOP + rows * LEGEND_ROW
-        axes.set_position((LEFT / width, BOTTOM / height, 1 - (LEFT + RIGHT) / width, 1 - (BOTTOM + top) / height))
+        axes.set_position((left / width, BOTTOM / height, 1 - (left + right) / width, 1 - (BOTTOM + top) / height))
         if names:
-            legend_above(axes, legend_columns)
+            legend_above(axes, columns)
         if unit_s > 0.0:
             first, last = (unit_s * limit for limit in axes.get_xlim())
-            box = f"{LEFT} {width - RIGHT} {top} {height - BOTTOM}"
+            box = f"{left} {width - right} {top} {height - BOTTOM}"
             frames.append(f' data-seconds="{first:.3f} {last:.3f}" data-box="{box}"')
 
     drawn = drawing(whole, alt, height, width)
     return Html(drawn.replace("<svg", f"<svg{frames[0]}", 1)) if frames else drawn
 
 
-def responsive(draw: Callable[[Axes], None], alt: str, *, x: str, y: str, unit_s: float = 0.0) -> Html:
+def _columns(names: Sequence[str], most: int, room: float) -> int:
+    """Return how many columns of names fit beside one another in a legend of `room` units."""
+    for columns in range(min(most, len(names)), 1, -1):
+        rows = -(-len(names) // columns)
+        widest = (max(map(len, names[i : i + rows])) for i in range(0, len(names), rows))
+        if sum(LETTER_WIDTH * letters + SIGN_WIDTH for letters in widest) <= room:
+            return columns
+    return 1
+
+
+def responsive(
+    draw: Callable[[Axes], None], alt: str, *, x: str, y: str, right: float = RIGHT, unit_s: float = 0.0
+) -> Html:
     """Draw a panel for a narrow screen and one for a wide screen; the page shows the one that fits."""
-    narrow = panel(draw, alt, x=x, y=y, height=340.0, legend_columns=2, unit_s=unit_s)
-    wide = panel(draw, alt, x=x, y=y, height=WIDE_HEIGHT, width=WIDE, legend_columns=6, unit_s=unit_s)
+    narrow = panel(draw, alt, x=x, y=y, height=340.0, right=right, legend_columns=2, unit_s=unit_s)
+    wide = panel(draw, alt, x=x, y=y, height=WIDE_HEIGHT, width=WIDE, right=right, legend_columns=6, unit_s=unit_s)
     return together((element("div", narrow, css="narrow"), element("div", wide, css="wide")))
 
 
