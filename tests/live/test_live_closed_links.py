@@ -16,7 +16,7 @@ from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.live.web import content
 from uavbatt.mavlink.links import open_link
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 
 
 def test_a_device_that_is_not_there_is_named_until_it_comes_and_when_it_goes(tmp_path: Path) -> None:
@@ -70,9 +70,9 @@ def test_the_process_says_it_once_a_change_and_shows_it_as_the_reason(
     device, clock = tmp_path / "ttyLater", [0.0]
     endpoint = f"{device},57600"
     config = Config(link=LinkSection(endpoint=endpoint))
-    battery = battery_file.read("lipo-generic")
+    battery = battery_file.read_battery("lipo-generic")
     link = open_link(endpoint)
-    daemon = Daemon(config, battery, OPTIONS, Settings(), link, clock_s=lambda: clock[0])
+    daemon = Daemon(config, battery, OPTIONS, ForecastSettings(), link, clock_s=lambda: clock[0])
     wanted = f"cannot open {device}: No such file or directory, trying again"
     for clock[0] in range(40):
         daemon.turn()

@@ -9,9 +9,9 @@ from pathlib import PurePath
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Outcome, Step
+from uavbatt.log_replay import Outcome, ReplayedRow
 from uavbatt.records import Flight, Status
-from uavbatt.report.flight_answer import answer
+from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_axis import TimeAxis
 from uavbatt.report.flight_chart import time_left_chart
 from uavbatt.report.flight_cursor import cursor, cursor_script
@@ -51,7 +51,7 @@ SHOWN_AS = {
 
 
 def flight_report(
-    flight: Flight, steps: Sequence[Step], resolved: PackSize, outcome: Outcome, battery: BatteryFile
+    flight: Flight, steps: Sequence[ReplayedRow], resolved: PackSize, outcome: Outcome, battery: BatteryFile
 ) -> str:
     """Return the whole page as HTML.
 
@@ -80,9 +80,9 @@ def flight_report(
     )
 
 
-def _answer(outcome: Outcome, resolved: PackSize, found: Sequence[Stretch], steps: Sequence[Step]) -> Html:
+def _answer(outcome: Outcome, resolved: PackSize, found: Sequence[Stretch], steps: Sequence[ReplayedRow]) -> Html:
     """What the pilot came for, then what limits that sentence."""
-    first = answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
+    first = first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
     limits = [*limits_of(outcome, resolved, steps), _refused_words(outcome, found)]
     status = element("span", badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}")
     return element("div", paragraph(first), bullets([*filter(None, limits), status]), css="answer")
@@ -167,7 +167,7 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     return [*parts, *_notes("Remarks in the battery file", battery.battery.remarks)]
 
 
-def _log(flight: Flight, outcome: Outcome, steps: Sequence[Step]) -> list[Html]:
+def _log(flight: Flight, outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[Html]:
     instances = ", ".join(str(i) for i in flight.instances)
     nis = number(outcome.mean_nis, 2)
     has_temp = any(math.isfinite(s.estimate.temp_C) for s in steps)
@@ -194,7 +194,7 @@ def _notes(title: str, items: Sequence[str]) -> list[Html]:
     return [element("h3", title), bullets(items)] if items else []
 
 
-def _warnings(steps: Sequence[Step]) -> list[str]:
+def _warnings(steps: Sequence[ReplayedRow]) -> list[str]:
     """Each warning once, with how many rows carried it and from when, in the order of their coming."""
     seen: dict[str, tuple[float, int]] = {}
     for step in steps:

@@ -10,7 +10,7 @@ import numpy as np
 
 from uavbatt.records import Status
 from uavbatt.report import plot
-from uavbatt.report.series import Array, Rows, Stretch, outer, thinned
+from uavbatt.report.series import Array, FlightSeries, Stretch, outer, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ SHORT_S = 240.0
 class TimeAxis:
     """The time axis that all panels share: minutes, or seconds for a short log; hatching where nothing was said."""
 
-    def __init__(self, rows: Rows, stretches: Sequence[Stretch], end_s: float) -> None:
+    def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], end_s: float) -> None:
         known = rows.time_s[np.isfinite(rows.time_s)]
         self.first_s, self.last_s = (float(known[0]), float(known[-1])) if known.size else (0.0, 1.0)
         self.in_seconds = self.last_s - self.first_s < SHORT_S

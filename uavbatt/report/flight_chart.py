@@ -12,7 +12,7 @@ from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.flight_events import Event, apart
 from uavbatt.report.page import Html, bullets, duration, figure, paragraph, strong, together
-from uavbatt.report.series import Rows
+from uavbatt.report.series import FlightSeries
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ MOST_HELD, UNBOUNDED_S = 2.5, 1e8
 ROOM_RIGHT = 38.0  # for the minutes on the right
 
 
-def time_left_chart(rows: Rows, axis: TimeAxis, events: Sequence[Event]) -> Html:
+def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> Html:
     """Draw the forecasts with their interval, the truth where the log shows it, and the events."""
     if not np.isfinite(rows.remaining_s).any():
         return figure(paragraph("The remaining time was refused throughout.", css="quiet"), TITLE)
@@ -75,7 +75,7 @@ def _list(events: Sequence[Event]) -> Html:
     return bullets(said, css="events")
 
 
-def _caption(rows: Rows, axis: TimeAxis, top_min: float) -> str:
+def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
     has_end = math.isfinite(axis.end_s)
     truth = (
         "Truth: the end of flight that the log itself shows"
@@ -87,7 +87,7 @@ def _caption(rows: Rows, axis: TimeAxis, top_min: float) -> str:
     return f"{truth}{'; early values are off the chart' if over else ''}{hatched}."
 
 
-def _top_min(rows: Rows, end_s: float, first_s: float) -> float:
+def _top_min(rows: FlightSeries, end_s: float, first_s: float) -> float:
     """The top of the axis [min]: holds the truth, and forecast and interval up to 2.5 times as high."""
     known, finite = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
     core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, 98))

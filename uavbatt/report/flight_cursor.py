@@ -10,7 +10,7 @@ from importlib import resources
 import numpy as np
 
 from uavbatt.report.page import Html
-from uavbatt.report.series import Array, Rows
+from uavbatt.report.series import Array, FlightSeries
 
 MOST_ROWS = 600
 LABEL = "Instant of the flight; the values follow"
@@ -22,14 +22,14 @@ def cursor() -> Html:
     return Html(f'<p id="instant" hidden="hidden">{slider} <output></output></p>')
 
 
-def cursor_script(rows: Rows) -> Html:
+def cursor_script(rows: FlightSeries) -> Html:
     """Return the rows as data and the script; `page` names the script in its policy."""
     script = (resources.files("uavbatt.report") / "cursor.js").read_text("utf-8")
     data = json.dumps(_shown(rows), separators=(",", ":")).replace("<", "\\u003c").replace("&", "\\u0026")
     return Html(f'<script type="application/json" id="rows">{data}</script>\n<script>{script}</script>')
 
 
-def _shown(rows: Rows) -> dict[str, list[float | None]]:
+def _shown(rows: FlightSeries) -> dict[str, list[float | None]]:
     """At most MOST_ROWS rows that were flown, evenly chosen; None is not known."""
     known = np.flatnonzero(np.isfinite(rows.voltage_V) | np.isfinite(rows.remaining_s))
     chosen = known[np.unique(np.linspace(0, known.size - 1, min(known.size, MOST_ROWS)).astype(int))]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.log_replay import Outcome, Step
+from uavbatt.log_replay import Outcome, ReplayedRow
 from uavbatt.navigation import Mode
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.prediction.pending import ALARM_S
@@ -31,7 +31,7 @@ class Event(NamedTuple):
     tells_danger: bool = False
 
 
-def events(flight: Flight, steps: Sequence[Step], outcome: Outcome, low_V: float) -> list[Event]:
+def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V: float) -> list[Event]:
     """Return what happened in the flight, in order of time.
 
     low_V : the voltage of the vehicle's low-voltage warning [V]; NaN where nobody states one
@@ -42,7 +42,7 @@ def events(flight: Flight, steps: Sequence[Step], outcome: Outcome, low_V: float
     return sorted(found)
 
 
-def _air(steps: Sequence[Step], outcome: Outcome) -> Iterator[Event]:
+def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
     """Take-off and landing, where the log holds the ground before and after them."""
     on_ground = [s.remaining.reason == NOT_FLYING for s in steps]
     if True in on_ground and False in on_ground[on_ground.index(True) :]:
@@ -61,15 +61,15 @@ def _modes(flight: Flight) -> list[Event]:
     return [Event(n.mode_since_s, MODES[n.mode]) for n in changed] if len(changed) <= MOST_MODES else []
 
 
-def _warnings(steps: Sequence[Step], low_V: float) -> Iterator[Event]:
+def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
     """The first low voltage, the first alarm, and the first “turn back now”."""
     time_s, volts, amps = (
         np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V", "current_A")
     )
     if math.isfinite(low_V) and np.isfinite(volts).any():
-        loaded_A = float(np.nanpercentile(amps, 90)) / 3.0 if np.isfinite(amps).any() else math.nan
-        measured = {"current_A": amps, "min_current_A": loaded_A} if math.isfinite(loaded_A) else {}
-        low_s = end_of_flight(time_s, volts, cutoff_V=low_V, **measured)
+        has_current = bool(np.isfinite(amps).any())
+        loaded_A = float(np.nanpercentile(amps, 90)) / 3.0 if has_current else -math.inf
+        low_s = end_of_flight(time_s, volts, amps if has_current else None, cutoff_V=low_V, min_current_A=loaded_A)
         if math.isfinite(low_s):
             yield Event(low_s, "low voltage", True)
     said = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]

@@ -12,13 +12,13 @@ from uavbatt.log_replay import Outcome
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.page import Html, figure, number, paragraph
-from uavbatt.report.series import Array, Rows
+from uavbatt.report.series import Array, FlightSeries
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def figures(rows: Rows, axis: TimeAxis, outcome: Outcome, resolved: PackSize) -> list[Html]:
+def figures(rows: FlightSeries, axis: TimeAxis, outcome: Outcome, resolved: PackSize) -> list[Html]:
     """Draw every panel for which the log has data; a sentence stands in place of the others."""
     return [
         _soc(rows, axis, outcome),
@@ -33,7 +33,7 @@ def _missing(title: str, why: str) -> Html:
     return figure(paragraph(why, css="quiet"), title)
 
 
-def _voltage(rows: Rows, axis: TimeAxis, resolved: PackSize) -> Html:
+def _voltage(rows: FlightSeries, axis: TimeAxis, resolved: PackSize) -> Html:
     title = "Voltage, measured and modelled"
     if not np.isfinite(rows.voltage_V).any():
         return _missing(title, "The log has no voltage.")
@@ -62,7 +62,7 @@ def _span(values: Array, *more: float) -> tuple[float, float]:
     return low - air, high + air
 
 
-def _innovation(rows: Rows, axis: TimeAxis) -> Html:
+def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
     title = "Innovation: measured less predicted voltage"
     if not np.isfinite(rows.innovation_V).any():
         return _missing(title, "The filter compared no voltage with its prediction.")
@@ -89,7 +89,7 @@ def _innovation(rows: Rows, axis: TimeAxis) -> Html:
     return figure(drawn, title, "What the model did not foresee." + inside + (from_nis if with_temp else ""))
 
 
-def _current(rows: Rows, axis: TimeAxis) -> Html:
+def _current(rows: FlightSeries, axis: TimeAxis) -> Html:
     if not np.isfinite(rows.current_A).any():
         return _missing("Current", "The log has no current.")
 
@@ -106,7 +106,7 @@ def _current(rows: Rows, axis: TimeAxis) -> Html:
     )
 
 
-def _temperature(rows: Rows, axis: TimeAxis) -> Html:
+def _temperature(rows: FlightSeries, axis: TimeAxis) -> Html:
     measured, core = np.isfinite(rows.temp_C).any(), np.isfinite(rows.core_C).any()
     if not measured and not core:
         return _missing("Temperature", "No temperature was measured and none was estimated.")
@@ -123,7 +123,7 @@ def _temperature(rows: Rows, axis: TimeAxis) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, unit_s=axis.unit_s, y="temperature (°C)"), "Temperature", said)
 
 
-def _soc(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
+def _soc(rows: FlightSeries, axis: TimeAxis, outcome: Outcome) -> Html:
     title = "State of charge"
     if not np.isfinite(rows.soc).any():
         return _missing(title, "The state of charge was refused throughout.")

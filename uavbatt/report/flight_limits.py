@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Outcome, Step
+from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
 from uavbatt.prediction.pending import ALARM_S, TURN_BACK
 from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number
@@ -15,7 +15,7 @@ SD_90 = 1.64
 OTHERWISE_SAID = ("two minutes left", "not certified", TURN_BACK)  # warnings that stand on the page in other words
 
 
-def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[Step]) -> list[str]:
+def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the sentences that stand under the first answer, the weightiest first."""
     return [*_doubts(outcome, steps), *_alarm(outcome, steps), _charge_words(outcome), _checked(outcome, resolved)]
 
@@ -28,7 +28,7 @@ def _charge_words(outcome: Outcome) -> str:
     return f"{left} % charge left at the end of the log ({low_said} to {high_said} %)."
 
 
-def _doubts(outcome: Outcome, steps: Sequence[Step]) -> list[str]:
+def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
     """The warnings that stood beside the forecast of which the answer speaks."""
     if outcome.landing is None:
         return []
@@ -37,7 +37,7 @@ def _doubts(outcome: Outcome, steps: Sequence[Step]) -> list[str]:
     return [f"{w[:1].upper()}{w[1:]}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
 
 
-def _alarm(outcome: Outcome, steps: Sequence[Step]) -> list[str]:
+def _alarm(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
     """The alarm with the time since which it stood until the end."""
     known = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
     since_s = math.nan
