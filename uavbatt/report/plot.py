@@ -147,7 +147,7 @@ def _inline(text: str, alt: str) -> Html:
     text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
     for value, name in VARIABLES.items():
         text = text.replace(value, f"var(--{name})")
-    text = _own_ids(text.replace("xlink:href", "href"))
+    text = _own_ids(text.replace("xlink:href", "href"), alt)
     box = re.search(r'viewBox="[^"]+"', text)
     inner = text[text.index(">") + 1 :]
     described = escape(printable(alt), quote=True)
@@ -158,9 +158,9 @@ def _inline(text: str, alt: str) -> Html:
 _AN_ID = re.compile(r'\sid="([^"]*)"')
 
 
-def _own_ids(text: str) -> str:
-    """Drop the ids that nothing points to; make the rest differ from figure to figure."""
-    mark = hashlib.sha256(text.encode()).hexdigest()[:8]
+def _own_ids(text: str, alt: str) -> str:
+    """Drop the ids that nothing points to; make the rest differ from figure to figure, alike as two may be drawn."""
+    mark = hashlib.sha256((alt + text).encode("utf-8", "replace")).hexdigest()[:8]
     used = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
     text = _AN_ID.sub(lambda m: f' id="{mark}{m[1]}"' if m[1] in used else "", text)
     return re.sub(r'(url\(#|href="#)', rf"\g<1>{mark}", text)
