@@ -100,6 +100,12 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), mak
             raise UsageError(f"{target}: expected a folder that can be written: permission denied")
 
 
+def check_ending(path: Path | None, option: str, ending: str) -> None:
+    """UsageError for an output whose name promises another kind of file than is written."""
+    if path is not None and path != STANDARD_OUTPUT and path.suffix.lower() != ending:
+        raise UsageError(f"{option} {path}: expected a name that ends in {ending}")
+
+
 def check_named(*targets: Path | None) -> None:
     """UsageError for `-`: a battery or vehicle file goes by its name."""
     if STANDARD_OUTPUT in targets:

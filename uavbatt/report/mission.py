@@ -20,6 +20,7 @@ from uavbatt.report.page import (
     element,
     facts,
     figure,
+    grid,
     number,
     page,
     paragraph,
@@ -41,7 +42,7 @@ def mission_report(plan: MissionPlan, name: str) -> str:
         f"{name}: does it fit?",
         "uavbatt plan",
         _answer(plan),
-        section("The route", route_map(points, turning=plan.turning, note=note), _charge(plan)),
+        section("The route", grid(route_map(points, turning=plan.turning, note=note), _charge(plan))),
         section("Leg by leg", _legs(plan)),
         section("Over ambient temperature", _temperatures(plan)),
         section("What it rests on", facts(_basis(plan)), bullets(plan.warnings)),
@@ -82,7 +83,7 @@ def _charge(plan: MissionPlan) -> Html:
         axes.set_ylim(bottom=0.0)
 
     alt = "Charge at each leg's end over time, median and 90 % interval"
-    svg = plot.panel(draw, alt, x="time [min]", y="charge [%]", legend_columns=2)
+    svg = plot.panel(draw, alt, x="time (min)", y="charge (%)", legend_columns=2)
     return figure(svg, "Charge along the way", "From take-off to touchdown, at each leg's end.")
 
 

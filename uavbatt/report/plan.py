@@ -86,7 +86,7 @@ def _figure(plan: Plan) -> Html:
         axes.set_ylim(bottom=0.0)
 
     alt = "Endurance in minutes over ambient temperature, median and 90 % interval"
-    svg = plot.panel(draw, alt, x="ambient temperature [°C]", y="endurance [min]", legend_columns=2)
+    svg = plot.responsive(draw, alt, x="ambient temperature (°C)", y="endurance (min)")
     return figure(svg, "Endurance over ambient temperature", "The pack rested, and as warm as the air, at take-off.")
 
 

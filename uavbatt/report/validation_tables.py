@@ -41,8 +41,8 @@ SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 def claims_table(claims: Sequence[Claim]) -> Html:
     """Make one row a claim: the verdict, the bias that decides, and why."""
-    head = ("claim", "verdict", "decides", "bias nearest the limit", "its interval", "limit", "why")
-    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 6))
+    head = ("claim", "verdict", "why", "decides", "bias nearest the limit", "its interval", "limit")
+    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 3))
 
 
 def nearest(claim: Claim) -> int:
@@ -75,9 +75,10 @@ def _within(claim: Claim, found: re.Match[str]) -> str:
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
-    told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), "yes" if c.gates else "informs"
+    why = FIGURE.sub("", plain_reason(c))  # of another instant, perhaps: the row speaks of the one nearest the limit
+    told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), why, "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
-        return *told, DASH, DASH, DASH, plain_reason(c)
+        return *told, DASH, DASH, DASH
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
@@ -85,8 +86,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    why = FIGURE.sub("", plain_reason(c))  # of another instant, perhaps: the row speaks of the one nearest the limit
-    return *told, number(bias, decimals, unit, sign=True), interval, limit, why
+    return *told, number(bias, decimals, unit, sign=True), interval, limit
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:
