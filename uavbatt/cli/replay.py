@@ -95,9 +95,9 @@ def replay(
         for folder in (jsonl, csv, report, png, svg):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
+    check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
     for path, option, ending in ((report, "--report", ".html"), (png, "--png", ".png"), (svg, "--svg", ".svg")):
         check_ending(path if not several else None, option, ending)
-    check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
     content = read_battery(battery, allow_uncertified)
     planned = read_mission(mission) if mission is not None else None
     flown = vehicle_file.read_vehicle(vehicle) if vehicle is not None else None

@@ -4,6 +4,8 @@ The first seconds of load tell little: motors spool up, and the sag of a pack of
 as little of its capacity. So the ends that were expected at take-off count among those of a forecast, less and less:
 
     end = share x (end as of take-off) + (1 - share) x (end as of now), rank by rank,    share = (1 - t/FORGOTTEN_S)²
+
+They widen and never comfort: the lower end stays that of the flight itself where it is the lower one.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ LOWEST_POWER_W = 1.0
 SETTLED_S = 60.0
 FORGOTTEN_S = 240.0
 NEAR_S = 120.0  # a pack that is this near its end shows it
+LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
 
@@ -98,9 +101,15 @@ class AtTakeOff(NamedTuple):
 
 
 def _joined(fresh_s: Array, expected_s: Array, share: float) -> Array:
-    """Return both joined rank by rank. What would have shown itself by now is not expected any more."""
+    """Both joined rank by rank. What would have shown itself by now is not expected any more.
+
+    The lower ranks, by which alarms go, are never later than those of the flight itself; nor is the middle where the
+    flight looks short: a weak pack must not be talked well.
+    """
     expected_s = expected_s[expected_s > NEAR_S]
     if not expected_s.size:
         return fresh_s
     ranks = (np.arange(fresh_s.size) + 0.5) / fresh_s.size
-    return np.asarray(share * np.quantile(expected_s, ranks) + (1.0 - share) * fresh_s)
+    joined_s = share * np.quantile(expected_s, ranks) + (1.0 - share) * fresh_s
+    careful = ranks < (SHORT_RANKS if np.median(fresh_s) < SHORT_S else LOW_RANKS)
+    return np.where(careful, np.minimum(fresh_s, joined_s), joined_s)
