@@ -96,7 +96,7 @@ def _answer(found: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
     said.append(
         paragraph(*(badge(status) for status in sorted(found.certificates)), f" battery file: {battery}.", css="quiet")
     )
-    return element("div", *said, css="answer")
+    return element("div", *said, css="answer unsure" if failed else "answer")
 
 
 def _health_words(ranked: Sequence[Ranked]) -> str:

@@ -32,6 +32,7 @@ from uavbatt.validation.study.paper import Agreement
 from uavbatt.validation.validate import LevelPrecision
 
 PASSED = re.compile(r"the interval of the bias is inside ±(?P<limit>\S+) at all (?P<count>\d+)")
+KNOWN = re.compile(r"known to ±(?P<is>\d+%)(?: only)? \(declared: ±(?P<most>\d+%)\)")
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
@@ -64,7 +65,11 @@ def plain_reason(claim: Claim) -> str:
     The certificate keeps the words of the statistics ("the interval of the bias is inside"); what is shown to people
     names the error, the unit and what was counted.
     """
-    return PASSED.sub(partial(_within, claim), claim.reason)
+    return KNOWN.sub(_known, PASSED.sub(partial(_within, claim), claim.reason))
+
+
+def _known(found: re.Match[str]) -> str:
+    return f"uncertain by {found['is']} of itself (at most {found['most']} was declared)"
 
 
 def _within(claim: Claim, found: re.Match[str]) -> str:
