@@ -55,8 +55,8 @@ def mission_report(plan: MissionPlan, name: str) -> str:
 def _answer(plan: MissionPlan) -> Html:
     here, route = plan.here, plan.here.route
     said = paragraph(
-        f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the battery "
-        f"ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
+        f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
+        f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
     )
     end = paragraph(
         f"Touchdown after {duration(route.left_s)} with {_share(route.soc)} of the charge, probably between "
