@@ -33,6 +33,7 @@ from uavbatt.validation.validate import LevelPrecision
 
 PASSED = re.compile(r"the interval of the bias is inside ±(?P<limit>\S+) at all (?P<count>\d+)")
 KNOWN = re.compile(r"known to ±(?P<is>\d+%)(?: only)? \(declared: ±(?P<most>\d+%)\)")
+FIGURE = re.compile(r"bias [-+]\S+( ± \S+)? (?=beyond)| \(largest [^)]*\)")
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
@@ -79,9 +80,9 @@ def _within(claim: Claim, found: re.Match[str]) -> str:
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
-    told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), plain_reason(c), "yes" if c.gates else "informs"
+    told, gates = (f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict)), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
-        return *told, DASH, DASH, DASH
+        return *told, plain_reason(c), gates, DASH, DASH, DASH
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
@@ -89,7 +90,8 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    return *told, number(bias, decimals, unit, sign=True), interval, limit
+    why = FIGURE.sub("", plain_reason(c))  # of another instant, perhaps: the row speaks of the one nearest the limit
+    return *told, why, gates, number(bias, decimals, unit, sign=True), interval, limit
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:
