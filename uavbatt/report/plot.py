@@ -1,21 +1,22 @@
 """Drawings by matplotlib as inline SVG: colours from the page's own palette, text as text, no ids that collide.
 
 A drawing uses the light palette's values as marks; `svg` puts the page's variables in their place, so that a figure
-follows the light or dark setting. Drawn 440 units wide with 11-unit letters: readable on a phone and not shouting on
-a screen. matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
+follows the light or dark setting. Drawn 440 units wide with letters of 15.5 units: 12 px on the narrowest phone (345 px
+of page), 17 px where two stand side by side on a desktop. `responsive` draws a second time for the whole width of one.
+matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 from uavbatt.errors import printable
-from uavbatt.report.page import Html
+from uavbatt.report.page import Html, element, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,9 +33,11 @@ VARIABLES = {
     PINK: "pink", AMBER: "amber", SKY: "sky", **{value: f"t{i}" for i, value in enumerate(RAMP)},
 }  # fmt: skip
 
-WIDTH, HEIGHT = 440.0, 240.0
-LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 58.0, 10.0, 38.0, 10.0, 17.0
-LETTERS = 11.0
+WIDTH, HEIGHT = 440.0, 280.0
+WIDE, WIDE_HEIGHT = 1100.0, 400.0
+LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
+LETTERS = 15.5
+LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # of a letter of a legend, of the sign before it
 SETTINGS: dict[str, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",
     "savefig.facecolor": "none", "font.size": LETTERS, "axes.labelsize": LETTERS, "legend.fontsize": LETTERS,
@@ -70,9 +73,24 @@ def drawing(draw: Callable[[Figure], None], alt: str, height: float = HEIGHT, wi
 
 
 def panel(
-    draw: Callable[[Axes], None], alt: str, *, x: str, y: str, height: float = HEIGHT, legend_columns: int = 3
+    draw: Callable[[Axes], None],
+    alt: str,
+    *,
+    x: str,
+    y: str,
+    height: float = HEIGHT,
+    width: float = WIDTH,
+    left: float = LEFT,
+    right: float = RIGHT,
+    legend_columns: int = 3,
+    unit_s: float = 0.0,
 ) -> Html:
-    """One pair of axes with its labels and its legend above; the left edges of all panels line up."""
+    """Draw one pair of axes with its labels and its legend above; the left edges of all panels line up.
+
+    left, right : room beside the axes, for the labels there
+    unit_s : seconds of a unit of the x axis; with it the page's cursor finds its place in the drawing
+    """
+    frames: list[str] = []
 
     def whole(figure: Figure) -> None:
         axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
@@ -80,13 +98,38 @@ def panel(
         axes.set_xlabel(x)
         axes.set_ylabel(y)
         names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
-        rows = -(-len(names) // legend_columns)
+        columns = _columns(names, legend_columns, width - left)
+        rows = -(-len(names) // columns)
         top = TOP + rows * LEGEND_ROW
-        axes.set_position((LEFT / WIDTH, BOTTOM / height, 1 - (LEFT + RIGHT) / WIDTH, 1 - (BOTTOM + top) / height))
+        axes.set_position((left / width, BOTTOM / height, 1 - (left + right) / width, 1 - (BOTTOM + top) / height))
         if names:
-            legend_above(axes, legend_columns)
+            legend_above(axes, columns)
+        if unit_s > 0.0:
+            first, last = (unit_s * limit for limit in axes.get_xlim())
+            box = f"{left} {width - right} {top} {height - BOTTOM}"
+            frames.append(f' data-seconds="{first:.3f} {last:.3f}" data-box="{box}"')
 
-    return drawing(whole, alt, height)
+    drawn = drawing(whole, alt, height, width)
+    return Html(drawn.replace("<svg", f"<svg{frames[0]}", 1)) if frames else drawn
+
+
+def _columns(names: Sequence[str], most: int, room: float) -> int:
+    """Return how many columns of names fit beside one another in a legend of `room` units."""
+    for columns in range(min(most, len(names)), 1, -1):
+        rows = -(-len(names) // columns)
+        widest = (max(map(len, names[i : i + rows])) for i in range(0, len(names), rows))
+        if sum(LETTER_WIDTH * letters + SIGN_WIDTH for letters in widest) <= room:
+            return columns
+    return 1
+
+
+def responsive(
+    draw: Callable[[Axes], None], alt: str, *, x: str, y: str, right: float = RIGHT, unit_s: float = 0.0
+) -> Html:
+    """Draw a panel for a narrow screen and one for a wide screen; the page shows the one that fits."""
+    narrow = panel(draw, alt, x=x, y=y, height=340.0, right=right, legend_columns=2, unit_s=unit_s)
+    wide = panel(draw, alt, x=x, y=y, height=WIDE_HEIGHT, width=WIDE, right=right, legend_columns=6, unit_s=unit_s)
+    return together((element("div", narrow, css="narrow"), element("div", wide, css="wide")))
 
 
 def legend_above(axes: Axes, columns: int) -> None:
@@ -104,7 +147,7 @@ def _inline(text: str, alt: str) -> Html:
     text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
     for value, name in VARIABLES.items():
         text = text.replace(value, f"var(--{name})")
-    text = _own_ids(text.replace("xlink:href", "href"))
+    text = _own_ids(text.replace("xlink:href", "href"), alt)
     box = re.search(r'viewBox="[^"]+"', text)
     inner = text[text.index(">") + 1 :]
     described = escape(printable(alt), quote=True)
@@ -115,9 +158,9 @@ def _inline(text: str, alt: str) -> Html:
 _AN_ID = re.compile(r'\sid="([^"]*)"')
 
 
-def _own_ids(text: str) -> str:
-    """Drop the ids that nothing points to; make the rest differ from figure to figure."""
-    mark = hashlib.sha256(text.encode()).hexdigest()[:8]
+def _own_ids(text: str, alt: str) -> str:
+    """Drop the ids that nothing points to; make the rest differ from figure to figure, alike as two may be drawn."""
+    mark = hashlib.sha256((alt + text).encode("utf-8", "replace")).hexdigest()[:8]
     used = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
     text = _AN_ID.sub(lambda m: f' id="{mark}{m[1]}"' if m[1] in used else "", text)
     return re.sub(r'(url\(#|href="#)', rf"\g<1>{mark}", text)
