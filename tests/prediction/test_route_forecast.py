@@ -66,7 +66,7 @@ def test_a_climb_ahead_shortens_and_a_descent_ahead_lengthens() -> None:
     climb, level, descent = (flown(known(leg_to(height_m)))[-1] for height_m in (650.0, 350.0, 50.0))
     assert climb.route is not None and climb.route.load == "route"
     assert climb.remaining_s < level.remaining_s - 5.0
-    assert descent.remaining_s > level.remaining_s + 5.0
+    assert descent.remaining_s > level.remaining_s + 2.0  # what was expected at take-off still counts
 
 
 def test_a_headwind_on_the_way_home_brings_the_turn_back_forward() -> None:
