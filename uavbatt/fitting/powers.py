@@ -129,7 +129,7 @@ def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:
     """Return how many blocks share the cell of 1 m/s airspeed and climb of each block, over all flights."""
     flown = np.floor(np.concatenate([np.stack([rows.airspeed_ms, rows.climb_ms + 0.5], axis=1) for rows in told]))
     _, cell = np.unique(flown, axis=0, return_inverse=True)
-    return np.bincount(cell, np.concatenate(counts))[cell]
+    return np.asarray(np.bincount(cell, np.concatenate(counts))[cell], float)
 
 
 def _unusual(told: list[PowerRows], columns: list[Array], left: list[Array]) -> Array:

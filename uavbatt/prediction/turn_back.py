@@ -22,7 +22,7 @@ from uavbatt.prediction import sampling
 from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, walked
 from uavbatt.prediction.route_ahead import Ahead, Piece, Way
 from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
-from uavbatt.prediction.route_path import way_home
+from uavbatt.prediction.route_path import Leg, way_home
 from uavbatt.prediction.route_progress import OVER_HOME_M
 
 LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
@@ -123,9 +123,15 @@ def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings:
     for column, (end, pieces) in enumerate(zip(ends, ways, strict=True)):
         table[:, : len(pieces), column] = told[:, end - len(pieces) : end]
         table[1:, len(pieces) :, column] = told[1:, end - 1 : end]  # a step of no length draws nothing
-    far = [[leg.speed_ms for leg in those if leg.run_m > OVER_HOME_M] for those in legs]
-    speeds_ms = np.array([max(those, default=0.0) for those in far])
-    return Homewards(*table, load.level * turning_power(load.powers, speeds_ms))
+    speeds_ms = np.array([_speed_home_ms(those) for those in legs])
+    length_s, power_W, far_share, rough = table
+    turn_W = load.level * turning_power(load.powers, speeds_ms)
+    return Homewards(length_s, power_W, far_share, rough, turn_W)
+
+
+def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
+    """Return the speed that has to be gained for the way home; 0 over home."""
+    return max((leg.speed_ms for leg in legs if leg.run_m > OVER_HOME_M), default=0.0)
 
 
 def home_pieces(flown: Ahead, way: Way, settings: ReturnSettings, time_s: float) -> tuple[Piece, ...]:
