@@ -5,6 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from msgspec.structs import replace
+
+from uavbatt.battery.powers import UNKNOWN
+from uavbatt.battery.vehicle_file import Phases, VehicleFile, write_vehicle
+
 ITEMS, SPACING_M, SPEED_MS, HEIGHT_M = 200, 20.0, 5.0, 30
 HOME_LAT_DEG, HOME_LON_DEG = 47.0, 8.0
 METRES_PER_DEGREE = 111_194.9
@@ -16,6 +21,13 @@ def write_survey(path: Path) -> None:
     lines = ["QGC WPL 110", _line(0, 16, 0.0, frame=0), _line(1, 22, 0.0)]
     lines += [_line(seq, 16, SPACING_M * (seq - 1)) for seq in range(2, ITEMS - 1)]
     path.write_text("\n".join([*lines, _line(ITEMS - 1, 20, 0.0)]) + "\n", encoding="utf-8")
+
+
+def write_quad(path: Path) -> None:
+    """Write a vehicle file with the powers of an aircraft that nobody knows, 200 W in hover."""
+    phases = Phases(take_off_W=200.0, flight_W=200.0, last_minute_W=200.0)
+    powers = replace(UNKNOWN, hover_W=200.0)
+    write_vehicle(VehicleFile(name="quad", battery="lipo-generic", phases=phases, traces=[], powers=powers), path)
 
 
 def _line(seq: int, command: int, north_m: float, frame: int = 3) -> str:
