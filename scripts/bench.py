@@ -81,7 +81,7 @@ def plan_row(repeats: int) -> engine.Row:
         survey, quad = Path(folder) / "survey.waypoints", Path(folder) / "quad.vehicle.toml"
         missions.write_survey(survey)
         missions.write_quad(quad)
-        arguments = ["plan", "--mission", str(survey), "--vehicle", str(quad), "--cells", "4", "--capacity-ah", "5"]
+        arguments = ["plan", "--mission", str(survey), "--vehicle", str(quad), "--cells", "4", "--capacity-ah", "16"]
         took_s = median(engine.run_cli(arguments, plain=True) for _ in range(repeats))
     return f"uavbatt plan --mission, {missions.ITEMS} items", f"{took_s:.2f} s", "", ""
 
