@@ -8,7 +8,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from uavbatt.battery.powers import UNKNOWN
-from uavbatt.battery.vehicle_file import Phases, VehicleFile, write_vehicle
+from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile, write_vehicle
 
 ITEMS, SPACING_M, SPEED_MS, HEIGHT_M = 200, 20.0, 5.0, 30
 HOME_LAT_DEG, HOME_LON_DEG = 47.0, 8.0
@@ -27,7 +27,8 @@ def write_quad(path: Path) -> None:
     """Write a vehicle file with the powers of an aircraft that nobody knows, 200 W in hover."""
     phases = Phases(take_off_W=200.0, flight_W=200.0, last_minute_W=200.0)
     powers = replace(UNKNOWN, hover_W=200.0)
-    write_vehicle(VehicleFile(name="quad", battery="lipo-generic", phases=phases, traces=[], powers=powers), path)
+    flown = Trace(time_s=[0.0, 600.0], power_W=[200.0, 200.0], soc=[1.0, 0.5])
+    write_vehicle(VehicleFile(name="quad", battery="lipo-generic", phases=phases, traces=[flown], powers=powers), path)
 
 
 def _line(seq: int, command: int, north_m: float, frame: int = 3) -> str:
