@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption, JoinOption, check_join
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     BatteryOption,
     CapacityOption,
     CellsOption,
     CutoffOption,
+    LoadOption,
     PacksOption,
     ReserveOption,
     UncertifiedOption,
+    VehicleOption,
     read_battery,
     remark,
     say,
@@ -48,6 +51,10 @@ def fleet(
     cutoff_voltage: CutoffOption = None,
     reserve_soc: ReserveOption = 0.0,
     allow_uncertified: UncertifiedOption = False,
+    vehicle: VehicleOption = None,
+    load: LoadOption = "learned",
+    instance: InstanceOption = None,
+    join: JoinOption = "",
     workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
@@ -63,9 +70,11 @@ def fleet(
 ) -> None:
     """Fly a whole fleet's logs: one row a flight (Parquet, CSV) and a page about packs and forecasts.
 
-    A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown.
+    A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown; with other
+    options all are flown again.
     With --packs what the flights taught of packs with a serial is saved in the ledger.
     """
+    from uavbatt.battery import vehicle_file
     from uavbatt.fleet.run import check_extra
 
     check_extra(scheduler)
@@ -73,13 +82,25 @@ def fleet(
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find_logs
     from uavbatt.prediction.forecaster import ForecastSettings
+    from uavbatt.prediction.load_options import check_word
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    settings = ForecastSettings(reserve_soc=reserve_soc)
-    content = read_battery(battery, allow_uncertified)
-    job = Job(content, options, settings, _column(by), _pattern(aircraft), teaches=packs is not None)
+    check_join(instance, join)
+    check_word(load)
+    job = Job(
+        battery=read_battery(battery, allow_uncertified),
+        options=options,
+        settings=ForecastSettings(reserve_soc=reserve_soc),
+        load=load,
+        vehicle=vehicle_file.read_vehicle(vehicle) if vehicle is not None else None,
+        instance=instance,
+        join=join,
+        by=_column(by),
+        aircraft_pattern=_pattern(aircraft),
+        teaches=packs is not None,
+    )
     found = find_logs(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)

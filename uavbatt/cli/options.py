@@ -29,6 +29,8 @@ CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pa
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+LoadOption = Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")]
+VehicleOption = Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")]
 PacksOption = Annotated[Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")]
 PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")]
 WindOption = Annotated[

@@ -106,9 +106,9 @@ def _load(
     """The load to come and its name."""
     from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import vehicle_file as learn
-    from uavbatt.plan import FromTakeOff
     from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
     from uavbatt.prediction.load_library import learned_load
+    from uavbatt.prediction.take_off import FromTakeOff
 
     if math.isfinite(power_W):
         return ConstantLoad(power_W, STATED_SPREAD), f"{power_W:g} W"

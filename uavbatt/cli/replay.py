@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from uavbatt.cli import pack_memory
-from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight, distinct_names
+from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flight, distinct_names
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     STANDARD_OUTPUT,
@@ -20,10 +20,12 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    LoadOption,
     PackOption,
     PacksOption,
     ReserveOption,
     UncertifiedOption,
+    VehicleOption,
     check_apart,
     check_writable,
     read_battery,
@@ -51,8 +53,9 @@ def replay(
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
     join: JoinOption = "",
-    load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
-    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
+    system: SystemOption = None,
+    load: LoadOption = "learned",
+    vehicle: VehicleOption = None,
     packs: PacksOption = None,
     pack: PackOption = "",
     mission: Annotated[
@@ -94,7 +97,7 @@ def replay(
     results, failed = list[dict[str, Any]](), False
     with pack_memory.opened(packs, pack) as memory:
         for log, of_one in zip(logs, targets, strict=True):
-            chosen, to_come, outputs_of_one = (instance, join), (load, flown), (*of_one, summary)
+            chosen, to_come, outputs_of_one = (instance, join, system), (load, flown), (*of_one, summary)
             stated = (options, reserve_soc)
             try:
                 results.append(_one(log, content, stated, to_come, chosen, memory, outputs_of_one, planned))
@@ -117,7 +120,7 @@ def _one(
     content: BatteryFile,
     stated: tuple[PackOptions, float],
     load: tuple[str, VehicleFile | None],
-    chosen: tuple[int | None, str],
+    chosen: tuple[int | None, str, int | None],
     memory: PackMemory,
     outputs: Sequence[Path | None],
     planned: PlannedFlight | None = None,

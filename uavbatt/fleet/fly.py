@@ -14,6 +14,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
@@ -21,9 +22,11 @@ from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay import Outcome, ReplayedRow, engine_for, outcome, steps
 from uavbatt.packs.exchange import plain_flight
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
 from uavbatt.remembering import taught
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
+from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.read import read_bytes
 
 MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
@@ -40,6 +43,10 @@ class Job:
     battery: BatteryFile
     options: PackOptions
     settings: ForecastSettings = ForecastSettings()
+    load: str = "learned"  # the word for the load to come, as `replay --load` has it
+    vehicle: VehicleFile | None = None
+    instance: int | None = None
+    join: str = ""  # how the batteries of a log are wired, where all of them are flown as one pack
     by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
@@ -49,7 +56,7 @@ class Job:
 def fly_log(log: LogFile, job: Job) -> FlightRow:
     """The row of one log; never raises for anything that a log can cause."""
     try:
-        return _flown(read_bytes(log.name, log.read()), log, job)
+        return _flown(_read(log, job), log, job)
     except Unreadable as error:
         return bad(log, job, str(error).removeprefix(f"{log.name}: "), LOST)
     except UavbattError as error:
@@ -57,6 +64,12 @@ def fly_log(log: LogFile, job: Job) -> FlightRow:
     except Exception as error:  # a row with its reason, whatever it is: one log must not end the others
         reason = f"{type(error).__name__} in uavbatt itself: {error}"
     return bad(log, job, reason)
+
+
+def _read(log: LogFile, job: Job) -> Flight:
+    if job.join:
+        return bytes_joined(log.name, log.read(), Wiring(job.join))
+    return read_bytes(log.name, log.read(), job.instance)
 
 
 def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
@@ -67,7 +80,8 @@ def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
 
 def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
-    estimator = Estimator(job.battery, job.options, job.settings, engine)
+    load = stated_load(job.load, flight, job.vehicle, job.battery)
+    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine)
     run = list(steps(flight, estimator))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:

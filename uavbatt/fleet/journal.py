@@ -1,8 +1,8 @@
 """Rows on disk as they come: one JSON line a flight, so that a stopped run goes on where it was.
 
 A row counts for a later run only under the same key: path, size and time of change of the log, content of the battery
-file, pack options and version of uavbatt. Rows under other keys stay in the file until it is tidied. A damaged row is
-taken out of the file at once, and its log flown again.
+file and of the vehicle file, all options, and version of uavbatt. Rows under other keys stay in the file until it is
+tidied. A damaged row is taken out of the file at once, and its log flown again.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from uavbatt import __version__
 from uavbatt.battery.battery_file import content_hash
@@ -30,7 +32,9 @@ def key(log: LogFile, job_key: str) -> str:
 
 def job_key(job: Job) -> str:
     """Return a key of all that a job says and that changes its rows."""
-    said = f"{job.options!r}\0{job.settings!r}\0{job.by}\0{job.aircraft_pattern}\0{job.teaches}"
+    vehicle = msgspec.json.encode(job.vehicle).decode()
+    said = "\0".join(map(repr, (job.options, job.settings, job.load, vehicle, job.instance, job.join)))
+    said += f"\0{job.by}\0{job.aircraft_pattern}\0{job.teaches}"
     return _digest(f"{__version__}\0{content_hash(job.battery)}\0{said}")
 
 

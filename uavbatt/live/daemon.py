@@ -186,4 +186,4 @@ class Daemon:
         shown = in_order(self.batteries.reports)[0].at(now_s)
         if shown.remaining_s == shown.remaining_s:
             return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
-        return f"{shown.status}: {shown.reason}"
+        return shown.reason if in_order(self.batteries.reports)[0].is_waiting else f"{shown.status}: {shown.reason}"

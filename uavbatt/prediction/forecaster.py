@@ -7,7 +7,7 @@ which counts down between two.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import Flying
 from uavbatt.prediction.route_progress import FlightLessons, Progress
+from uavbatt.prediction.take_off import before_take_off
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Sample, Status
 
@@ -215,6 +216,11 @@ class Forecaster:
         flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
         route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
         return question._replace(route=route)
+
+    def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
+        """Return the endurance if it took off now, with the load as it is known on the ground; no memory changes."""
+        load = before_take_off(self.settings.load, self.pack)
+        return Forecaster(self._weakest(), replace(self.settings, load=load)).forecast(belief, time_s)
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""

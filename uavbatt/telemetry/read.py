@@ -32,20 +32,22 @@ _DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFla
 _ODD_IN_TEXT = bytes(byte for byte in range(32) if not 9 <= byte <= 13)
 
 
-def read_log(path: str | Path, instance: int | None = None) -> Flight:
+def read_log(path: str | Path, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log of any supported kind.
 
     instance: the battery to read (ArduPilot's instances, MAVLink's ids: from 0). By default the
     first in the log that reports a current; if none does, the first with a voltage.
+    system: MAVLink's number of the vehicle in a `.tlog` that holds several. By default the first that speaks of a
+    battery.
     path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
-    Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
+    Raises BadInput for a file that is no readable flight log, UsageError for an absent instance or system.
     """
-    return read_bytes(*_content(Path(path)), instance)
+    return read_bytes(*_content(Path(path)), instance, system)
 
 
-def read_bytes(source: str, data: Content, instance: int | None = None) -> Flight:
+def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
-    kind, log = _read(source, data)
+    kind, log = _read(source, data, system)
     chosen = _chosen(source, log, instance)
     return Flight(
         source=source,
@@ -138,19 +140,21 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
+def _read(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
     """The kind of a log, and its rows; BadInput if it is none or has none."""
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
     kind = _kind(source, data)
-    log = _reader(kind)(source, data)
+    if system is not None and kind != "tlog":
+        raise UsageError(f"{source}: system {system}: only a .tlog holds several vehicles, this is a log of one")
+    log = _reader(kind, system)(source, data)
     if not (log.rows or log.columns):
         dropped = "; ".join(log.all_notes())
         raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
     return kind, log
 
 
-def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
+def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilder]:
     """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
         from uavbatt.telemetry.formats.dataflash_binary import read_dataflash as read_binary
@@ -159,7 +163,7 @@ def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
     if kind == "tlog":
         from uavbatt.telemetry.formats.tlog import read_tlog as read_tlog
 
-        return lambda _, data: read_tlog(data)
+        return lambda source, data: read_tlog(source, data, system)
     if kind == "dataflash-text":
         from uavbatt.telemetry.formats.dataflash_text import read_dataflash_text
 
