@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_POINTS = 2000
+HEIGHT = 360.0  # taller than other figures: a route is as high as it is wide
 
 
 def route_map(
@@ -30,5 +31,6 @@ def route_map(
             axes.plot([turning.east_m], [turning.north_m], "o", color=plot.RED, label="turn back")
         axes.set_aspect("equal", adjustable="datalim")
 
-    svg = plot.panel(draw, "Map of the route in metres around home", x="east [m]", y="north [m]", legend_columns=4)
+    words = "Map of the route in metres around home"
+    svg = plot.panel(draw, words, x="east [m]", y="north [m]", height=HEIGHT, legend_columns=4)
     return figure(svg, "The route from above", note)
