@@ -27,6 +27,8 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     VehicleOption,
     check_apart,
+    check_ending,
+    check_named,
     check_writable,
     read_battery,
     remark,
@@ -65,11 +67,13 @@ def replay(
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    png: Annotated[Path | None, typer.Option("--png", help="The chart of the time left as PNG.")] = None,
+    svg: Annotated[Path | None, typer.Option("--svg", help="The same as SVG.")] = None,
 ) -> None:
     """Replay flight logs: state of charge and remaining time at every row, and how good it was.
 
-    With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list; a log that
-    cannot be replayed is told, the others are replayed, and the exit code is 1.
+    With several logs, --jsonl, --csv, --report, --png and --svg name folders (one file a log) and --json holds a list;
+    a log that cannot be replayed is told, the others are replayed, and the exit code is 1.
     With --packs each flight begins with what is remembered of its pack, and is remembered itself.
 
     Example: uavbatt replay flight.BIN --report flight.html
@@ -80,16 +84,20 @@ def replay(
     several = len(logs) > 1
     names = distinct_names(logs)
     targets = [
-        [_target(path, name, ending, several) for path, ending in _outputs(jsonl, csv, report)] for name in names
+        [_target(path, name, ending, several) for path, ending in _endings(jsonl, csv, report, png, svg)]
+        for name in names
     ]
     outputs = [summary, *(target for of_one in targets for target in of_one)]
+    check_named(png, svg)
     if several:
-        _check_folders(jsonl, csv, report)
+        _check_folders(jsonl, csv, report, png, svg)
         check_apart(outputs, reads=[*logs, vehicle, mission])
-        for folder in (jsonl, csv, report):
+        for folder in (jsonl, csv, report, png, svg):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
     check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
+    for path, option, ending in ((report, "--report", ".html"), (png, "--png", ".png"), (svg, "--svg", ".svg")):
+        check_ending(path if not several else None, option, ending)
     content = read_battery(battery, allow_uncertified)
     planned = read_mission(mission) if mission is not None else None
     flown = vehicle_file.read_vehicle(vehicle) if vehicle is not None else None
@@ -135,7 +143,7 @@ def _one(
     from uavbatt.report import flight_text
     from uavbatt.telemetry.formats.recording import forecast_period_s
 
-    jsonl, csv, report = outputs[:3]
+    jsonl, csv, report, *charts = outputs[:5]
     flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
     if planned is not None:
         flight = with_mission(flight, planned)
@@ -161,6 +169,12 @@ def _one(
         if resolved is None:
             raise UsageError(f"{log}: expected at least one row with a voltage")
         found = outcome(run, resolved.cutoff_V)
+        if any(charts):
+            from uavbatt.report.flight import save_charts
+
+            wanted = [path for path in charts if path is not None]
+            if not save_charts(wanted, flight, run, resolved, found):
+                remark(f"uavbatt: {', '.join(map(str, wanted))}: not written, the time left was refused throughout")
         if report is not None:
             from uavbatt.report.flight import flight_report
             from uavbatt.report.page import write_page
@@ -182,8 +196,9 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
-def _outputs(jsonl: Path | None, csv: Path | None, report: Path | None) -> list[tuple[Path | None, str]]:
-    return [(jsonl, ".jsonl"), (csv, ".csv"), (report, ".html")]
+def _endings(*paths: Path | None) -> list[tuple[Path | None, str]]:
+    """Each output, in the order of the options, with the ending of its file."""
+    return list(zip(paths, (".jsonl", ".csv", ".html", ".png", ".svg"), strict=True))
 
 
 def _target(path: Path | None, name: str, ending: str, several: bool) -> Path | None:

@@ -9,10 +9,12 @@ from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Landing, Outcome, ReplayedRow
+from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.page import duration
+
+JUST_S, NEAR_S = 30.0, 10.0
 
 
 def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
@@ -26,17 +28,14 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
         f"  forecast   {_given(found.refused_in_air)}",
     ]
     lines += _route_lines(_route_summary(run))
-    warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
-    lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
-    if flight.skipped_bytes:
-        lines.append(f"  warning    {flight.skipped_bytes} bytes of the log were unreadable and skipped")
+    lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
     if math.isfinite(found.end_of_flight_s):
         lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
         for c in found.checkpoints:
             if math.isfinite(c.remaining_s):
                 verdict = "inside" if c.inside else "outside"
                 lines.append(
-                    f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
+                    f"    {c.label:>13}: {_instant(c)}said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
                     f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
                 )
             else:
@@ -44,6 +43,30 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
     else:
         lines.append("  the log does not reach the end of flight: no forecast of it can be checked")
     return lines
+
+
+def dated_warnings(run: list[ReplayedRow]) -> list[str]:
+    """Return every warning of a replay once, with its time where it did not stand from the beginning to the end."""
+    spans: dict[str, tuple[float, float]] = {}
+    for step in run:
+        for words in step.estimate.warnings:
+            spans[words] = (spans.get(words, (step.estimate.time_s,))[0], step.estimate.time_s)
+    first_s, last_s = run[0].estimate.time_s, run[-1].estimate.time_s
+    return [words + _when(since_s - first_s, until_s - first_s, last_s - first_s)
+            for words, (since_s, until_s) in spans.items()]  # fmt: skip
+
+
+def _when(since_s: float, until_s: float, length_s: float) -> str:
+    """Say when a warning stood, in times since the log's first row."""
+    if length_s - until_s > JUST_S:
+        return f" ({duration(since_s)} to {duration(until_s)})"
+    return f" (since {duration(since_s)})" if since_s > JUST_S else ""
+
+
+def _instant(c: Checkpoint) -> str:
+    """Say so where the log has no row at the instant that the label names."""
+    named_s = float(c.label.split()[0]) if c.label[0].isdigit() else c.before_end_s
+    return "nearest forecast " if abs(named_s - c.before_end_s) > NEAR_S else ""
 
 
 def _charge(found: Outcome) -> str:

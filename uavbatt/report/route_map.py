@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_POINTS = 2000
-HEIGHT = 360.0  # taller than other figures: a route is as high as it is wide
 
 
 def route_map(
@@ -31,6 +30,7 @@ def route_map(
             axes.plot([turning.east_m], [turning.north_m], "o", color=plot.RED, label="turn back")
         axes.set_aspect("equal", adjustable="datalim")
 
-    words = "Map of the route in metres around home"
-    svg = plot.panel(draw, words, x="east [m]", y="north [m]", height=HEIGHT, legend_columns=4)
+    svg = plot.panel(
+        draw, "Map of the route in metres around home", x="east (m)", y="north (m)", height=340.0, legend_columns=4
+    )
     return figure(svg, "The route from above", note)

@@ -21,8 +21,9 @@ def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
     turn_s = next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), math.nan)
     note = "The red point is where “turn back now” was said first." if math.isfinite(turn_s) else ""
     flown = [found for known in flight.navigation if (found := _place(known.time_s, flight)) is not None]
-    drawn = route_map(_planned(flight), flown, _place(turn_s, flight), note)
-    return [section("The route", paragraph(_words(said, turn_s)), drawn, paragraph(_loads(said), css="quiet"))]
+    planned = _planned(flight)
+    drawn = [route_map(planned, flown, _place(turn_s, flight), note)] if planned or flown else []
+    return [section("The route", paragraph(_words(said, turn_s)), *drawn, paragraph(_loads(said), css="quiet"))]
 
 
 def _place(time_s: float, flight: Flight) -> Point | None:
