@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from factories import generic_pack
-from live_rig import until
+from live_rig import PATIENCE_S, until
 
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
@@ -89,7 +89,7 @@ def test_a_fleet_that_runs_listens_on_no_port(log: Path, tmp_path: Path) -> None
     command = [*COMMAND, str(log), str(tmp_path / "b.csv"), "--capacity-ah", "5", "-o", str(journal.parent)]
     process = subprocess.Popen([*command, "--workers", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
-        until(lambda: journal.exists() and b"a.tlog" in journal.read_bytes(), 60.0)
+        until(lambda: journal.exists() and b"a.tlog" in journal.read_bytes())
         pids = tree(process.pid)
         assert len(pids) >= 3 and process.poll() is None
         assert listening(pids) == []
@@ -97,7 +97,7 @@ def test_a_fleet_that_runs_listens_on_no_port(log: Path, tmp_path: Path) -> None
             assert f"0100007F:{ours.getsockname()[1]:04X}" in listening([os.getpid()])
     finally:
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     assert until(lambda: not any(map(opened, pids)))  # no worker outlives the run
 
 
@@ -115,7 +115,7 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
         crew.fly(2, find_logs([str(log)])[0], job())
         killer.start()
         rows = dict(crew.finished() for _ in range(2))
-    killer.join(5.0)
+    killer.join(PATIENCE_S)
     os.close(held)
     assert (rows[1].status, rows[2].status) == (LOST, "ok")
     assert "the worker died on it" in rows[1].reason
