@@ -71,7 +71,7 @@ def _spoken(events: Sequence[Event]) -> str:
 def _list(events: Sequence[Event]) -> Html:
     """The events with their times, as text: what stands in the drawing is short."""
     said = [
-        together((strong(event.words) if event.tells_danger else event.words, f" at {duration(event.time_s)}"), "")
+        together((f"{clock(event.time_s)} ", strong(event.words) if event.tells_danger else event.words), "")
         for event in events
     ]
     return bullets(said, css="events")
