@@ -132,8 +132,9 @@ def test_garbage_items_refuse_the_route_and_nothing_else() -> None:
     assert said.remaining_s == pytest.approx(plain.remaining_s)
 
 
-def test_a_manual_flight_has_exactly_the_learned_load() -> None:
-    manual = flown(replace(known(leg_to(350.0)), mode=Mode.MANUAL))
+@pytest.mark.parametrize("mode", [Mode.MANUAL, Mode.HOLD, Mode.UNKNOWN])
+def test_a_flight_in_no_mode_of_a_mission_has_exactly_the_learned_load(mode: Mode) -> None:
+    manual = flown(replace(known(leg_to(350.0)), mode=mode))
     without = flown(Navigation())
     assert [r.remaining_s for r in manual if math.isfinite(r.remaining_s)] == [
         r.remaining_s for r in without if math.isfinite(r.remaining_s)
