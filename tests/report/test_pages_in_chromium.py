@@ -11,28 +11,37 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import msgspec
+import numpy as np
 import pytest
 from browser import Browser, program
 from command import called
 from daemon_bench import Bench
-from factories import generic_pack
 from live_rig import ROOT, free_port
 from packs.made import flight as pack_flight
 from report.test_report_validation import made as validated
 from test_plan_mission import planned, to
 
+from uavbatt.battery import battery_file
+from uavbatt.battery.sections import EffectEntry
+from uavbatt.diagnosis.blocks import Block
+from uavbatt.diagnosis.classes import EffectClass, Interval
+from uavbatt.diagnosis.close import Closed, Error
+from uavbatt.diagnosis.diagnosis import Diagnosis
+from uavbatt.diagnosis.residual import Residual
 from uavbatt.fleet.row import FlightRow
 from uavbatt.live.config import HttpSection
 from uavbatt.live.web import serve
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Sample
+from uavbatt.report.diagnosis import diagnosis_report
 from uavbatt.report.fleet import fleet_report
 from uavbatt.report.fleet_groups import gathered
 from uavbatt.report.mission import mission_report
 from uavbatt.report.validation import validation_report
-from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
 
 AUDIT = Path(__file__).with_name("page_audit.js").read_text("utf-8")
 ROUTE = """QGC WPL 110
@@ -97,11 +106,29 @@ def validation(folder: Path) -> str:
 
 
 def diagnosis(folder: Path) -> str:
-    pack = with_effects(generic_pack(4, 5.0, 13.2, 14.0), {"current_gain": 1.25})
-    for number, power_W in enumerate((170.0, 230.0), 1):
-        found = simulate_flight(pack, Mission(power_W, 20.0, rate_Hz=0.5, seed=number))
-        write_log(folder / f"{number}.csv", found, pack)
-    return by_command(folder, "diagnose", "1.csv", "2.csv", *PACK)
+    """A finding that two effects share, made up: a real one takes seconds of fitting."""
+    old = battery_file.read_battery("lipo-generic")
+    new = msgspec.structs.replace(
+        old, effects=(*old.effects, EffectEntry(name="capacity_fade", parameters={"fade": 0.13}))
+    )
+    minutes, wave = np.arange(0.0, 900.0, 5.0), np.sin(np.arange(180.0) / 9.0)
+
+    def residuals(volts: float) -> list[Residual]:
+        rest = np.zeros(180, dtype=bool)
+        columns = (minutes, volts * wave, 0.5 * wave, wave, wave, wave, wave, rest)
+        return [Residual(f"/logs/a_rather_long_name_{k}.BIN", *columns) for k in range(4)]
+
+    values = {"fade": Interval(0.13, 0.11, 0.16, "1"), "harness_ohm": Interval(0.012, 0.008, 0.016, "ohm")}
+    blocks = tuple(Block(name, 90, saved) for name, saved in (("take-off", 40.0), ("last third", -3.0)))
+    measured = SimpleNamespace(evidence=SimpleNamespace(has_temperature=False))
+    unused: Any = None
+    found = Diagnosis(
+        "effect_found", (EffectClass(("capacity_fade", "harness_resistance"), 0.8, values, "a bench test"),),
+        ("the flights are short",), cast(Any, measured), unused, unused, residuals(0.08), residuals(0.01), 0.02, unused,
+        blocks=blocks,
+    )  # fmt: skip
+    closed = Closed(Error(0.08, 0.7, 60.0, 0.4), Error(0.01, 0.7, 20.0, 0.9), ("a.BIN", "b.BIN"))
+    return diagnosis_report(found, closed, old, new)
 
 
 def packs(folder: Path) -> str:

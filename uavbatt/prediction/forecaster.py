@@ -25,7 +25,7 @@ from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentL
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import Flying
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route_progress import FlightLessons, Progress
 from uavbatt.prediction.take_off import SPOOL_UP_S, SPOOLED_UP, AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Sample, Status
@@ -91,6 +91,7 @@ class Memory(NamedTuple):
     took_off_s: float
     flown_s: float
     flown_J: float
+    route: FlightLessons
 
     def moved(self, shift_s: float) -> Memory:
         """The same past on a clock that shows `shift_s` more."""
@@ -134,6 +135,7 @@ class Forecaster:
             self._took_off_s,
             self._flown_s,
             self._flown_J,
+            self._progress.lessons,
         )
 
     def recall(self, memory: Memory) -> None:
@@ -142,6 +144,7 @@ class Forecaster:
         self._flying_since_s, self._loaded_s = memory.flying_since_s, memory.loaded_s
         self._time_s, self._row_s, self._took_off_s = memory.time_s, memory.row_s, memory.took_off_s
         self._flown_s, self._flown_J = memory.flown_s, memory.flown_J
+        self._progress = self._progress.recall(memory.route)
 
     def step(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE

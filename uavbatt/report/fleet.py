@@ -39,14 +39,18 @@ def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str
     `battery` names the file that all were flown with; `remarks` are names and values of the run.
     """
     ranked = _ranked(found.groups.values())
-    return page(
-        f"Fleet: {counted(found.flights, 'flight')} of {_whose(list(found.groups))}",
-        "uavbatt fleet",
-        _answer(found, ranked, battery),
+    flown = [
         section("Packs over time", *_health(ranked)),
         section("Flights that need a look", *_look(found)),
-        *([section("Logs that could not be flown", _failed(found))] if found.failed else []),
         section("Forecasts against the truth", *_accuracy(found)),
+    ]
+    whose = f"{counted(found.flights, 'flight')} of {_whose(list(found.groups))}" if found.flights else "no flight"
+    return page(
+        f"Fleet: {whose}",
+        "uavbatt fleet",
+        _answer(found, ranked, battery),
+        *(flown if found.flights or not found.failed else []),
+        *([section("Logs that could not be flown", _failed(found))] if found.failed else []),
         section("The run", facts([("battery file", battery), *remarks])),
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
     )
@@ -96,7 +100,7 @@ def _answer(found: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
     said.append(
         paragraph(*(badge(status) for status in sorted(found.certificates)), f" battery file: {battery}.", css="quiet")
     )
-    return element("div", *said, css="answer")
+    return element("div", *said, css="answer unsure" if failed else "answer")
 
 
 def _health_words(ranked: Sequence[Ranked]) -> str:
@@ -107,15 +111,18 @@ def _health_words(ranked: Sequence[Ranked]) -> str:
     rest = f"{steady} steady, of {untold} it cannot be told (see the table)."
     if grown:
         return f"Resistance has grown in: {', '.join(grown[:5])}{', …' if len(grown) > 5 else ''}; {rest}"
+    if not steady:
+        return "Ageing cannot be told of any of them (see the table)." if ranked else "Nothing was flown."
     return f"No ageing found: {rest}"
 
 
 def _health(ranked: Sequence[Ranked]) -> list[Html]:
     if not ranked:
         return [paragraph("No flight, no health.", css="quiet")]
-    shown = [one for one in ranked if one[0].flights >= 2][:MOST_DRAWN]
+    told = [one for one in ranked if one[0].flights >= 2 and one[0].is_identified]  # a folder has no history
+    shown = told[:MOST_DRAWN]
     drawn = [grid(scale_figure(g, "resistance"), scale_figure(g, "capacity")) for g, _, _ in shown]
-    hidden = len(ranked) - len(shown)
+    hidden = len(told) - len(shown)
     head = ("pack or aircraft", "verdict", "flights", "hours", "Wh each", "first", "last", "resistance", "capacity")
     rows = [
         (
@@ -132,7 +139,7 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
         "shows first as resistance."
     )
     more = [paragraph(f"Drawn: the {len(shown)} that changed most; {hidden} more in the table.", css="quiet")]
-    return [paragraph(explained), *drawn, *(more if hidden and shown else []), _folded(head, rows)]
+    return [paragraph(explained), *drawn, *(more if hidden else []), _folded(head, rows)]
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from uavbatt.records import Status
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.flight_events import Event, apart
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 TITLE, Y_LABEL = "Time left", "time left (min)"
 LEAST_APART = 0.06  # of the axis: closer events share one mark, so that their words do not overlap
 MOST_HELD, UNBOUNDED_S = 2.5, 1e8
+SETTLED_PERCENT = 80.0  # of the forecasts lie below: the first ones of a flight may be far above all others
 ROOM_RIGHT = 38.0  # for the minutes on the right
 
 
@@ -81,7 +83,7 @@ def _spoken(events: Sequence[Event]) -> str:
 def _list(events: Sequence[Event]) -> Html:
     """The events with their times, as text: what stands in the drawing is short."""
     said = [
-        together((strong(event.words) if event.tells_danger else event.words, f" at {duration(event.time_s)}"), "")
+        together((f"{clock(event.time_s)} ", strong(event.words) if event.tells_danger else event.words), "")
         for event in events
     ]
     return bullets(said, css="events")
@@ -95,13 +97,15 @@ def _caption(rows: FlightSeries, axis: TimeAxis, top_min: float) -> str:
         else "The flight ended before its battery did, so that there is no truth to compare"
     )
     over = rows.hi_s[~np.isnan(rows.hi_s)].max(initial=0.0) / 60.0 > top_min
-    hatched = "; hatched: no forecast" if any(s.duration_s > 0.0 for s in axis.stretches) else ""
-    return f"{truth}{'; early values are off the chart' if over else ''}{hatched}."
+    kinds = {s.status for s in axis.stretches if s.duration_s > 0.0}
+    hatched = "; hatched: no forecast" if Status.REFUSED in kinds else ""
+    shaded = "; shaded: not yet settled" if Status.CONVERGING in kinds else ""
+    return f"{truth}{'; early values are off the chart' if over else ''}{hatched}{shaded}."
 
 
 def _top_min(rows: FlightSeries, end_s: float, first_s: float) -> float:
     """The top of the axis [min]: holds the truth, and forecast and interval up to 2.5 times as high."""
     known, finite = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
-    core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, 98))
+    core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, SETTLED_PERCENT))
     widest = float(np.percentile(np.append(finite, known), 98))
     return 1.08 * max(min(max(core, widest), MOST_HELD * core), 30.0) / 60.0

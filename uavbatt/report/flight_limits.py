@@ -17,7 +17,7 @@ OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on t
 
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the sentences that stand under the first answer, the weightiest first."""
-    return [*_doubts(outcome, steps), *_alarm(outcome, steps), _charge_words(outcome), _checked(outcome, resolved)]
+    return [*_alarm(outcome, steps), _charge_words(outcome), *_doubts(outcome, steps), _checked(outcome, resolved)]
 
 
 def _charge_words(outcome: Outcome) -> str:

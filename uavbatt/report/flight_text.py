@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
@@ -26,6 +27,7 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
         f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
         f"  forecast   {_given(found.refused_in_air)}",
     ]
+    lines += _route_lines(_route_summary(run))
     lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
     if math.isfinite(found.end_of_flight_s):
         lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
@@ -111,7 +113,31 @@ def summary(
         **_landing_summary(found.landing),
         **{k: v for k, v in asdict(found).items() if k not in ("checkpoints", "landing")},
         "scores": scores,
+        **_route_summary(run),
     }
+
+
+def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
+    """How far the route was the load to come, and when "turn back now" was said; nulls without a route or home."""
+    said = [(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None]
+    reasons = Counter(route.reason for _, route in said if route.load != "route" and route.reason)
+    return {
+        "route_share": sum(route.load == "route" for _, route in said) / len(said) if said else None,
+        "route_reason": reasons.most_common(1)[0][0] if reasons else "",
+        "turn_back_now_s": next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), None),
+    }
+
+
+def _route_lines(known: dict[str, Any]) -> list[str]:
+    """The same for a person."""
+    share, turn_s = known["route_share"], known["turn_back_now_s"]
+    if share is None:
+        return []
+    why = f" (else: {known['route_reason']})" if known["route_reason"] else ""
+    found = [f"  route      the load to come in {share:.0%} of the forecasts{why}"]
+    if turn_s is not None:
+        found.append(f"  turn back  said first {duration(turn_s)} after the log's start")
+    return found
 
 
 def _landing_summary(landing: Landing | None) -> dict[str, Any]:

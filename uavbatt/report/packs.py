@@ -13,13 +13,14 @@ from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
 from uavbatt.packs.records import PackRow, Remembered
 from uavbatt.packs.words import retire_words, trend_words
 from uavbatt.report import plot
-from uavbatt.report.page import Html, bullets, element, figure, grid, number, page, paragraph, section, table
+from uavbatt.report.page import Html, bullets, contents, element, figure, grid, number, page, paragraph, section, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_FIGURES = 40  # packs with figures of their own; the table holds all
 MOST_BARS = 40
+MOST_UNLISTED = 4  # packs that a page shows without a list of contents
 ROOM_FOR_NAMES, LETTERS_SHOWN = 130.0, 12
 OHM, CHARGE = 0, 1
 
@@ -31,6 +32,11 @@ def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[Pa
         f"Packs of {ledger}",
         "uavbatt packs",
         _headline(in_order),
+        *(
+            [contents("All packs", *(pack.name for pack, flights in drawn if flights))]
+            if len(drawn) > MOST_UNLISTED
+            else []
+        ),
         section("All packs", _side_by_side(in_order), _table(in_order)),
         *(_of_one(pack, flights) for pack, flights in drawn),
         footer=f"uavbatt {__version__}. Bands: 5 % to 95 %.",

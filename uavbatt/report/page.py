@@ -172,6 +172,15 @@ def duration(seconds: float) -> str:
     return f"{sign}{minutes} min {rest:02d} s" if minutes else f"{sign}{rest} s"
 
 
+def clock(seconds: float) -> str:
+    """Write seconds as minutes and seconds, `12:05`; a dash when not known."""
+    if not math.isfinite(seconds):
+        return DASH if not math.isinf(seconds) else "unbounded"
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    sign = "\u2212" if seconds < 0 and (minutes or rest) else ""
+    return f"{sign}{minutes}:{rest:02d}"
+
+
 def celsius(temp_C: float) -> str:
     """Write an ambient temperature with its sign: `+25 °C`, `0 °C`, `−20 °C`."""
     return f"{number(temp_C, 0 if temp_C == round(temp_C) else 1, '°C', sign=temp_C > 0)}"
