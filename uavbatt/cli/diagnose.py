@@ -56,6 +56,8 @@ def diagnose(
     """Trace what the battery file explains badly to the effect that it lacks; error before and after.
 
     Exit code 4 when the records cannot tell (the reason is in the JSON, too).
+
+    Example: uavbatt diagnose flight.BIN --battery mypack.battery.toml --report why.html
     """
     from uavbatt import dataset as data
     from uavbatt.battery import battery_file
