@@ -96,7 +96,7 @@ OTHERS: list[tuple[Call, int, tuple[str, ...]]] = [
     (("fit", TLOG, "--vehicle", TLOG), 2, (TLOG.name, "would be lost")),
     (("fit", TLOG, "-o", "-"), 2, ("-: ", "a file name")),
     (("diagnose", TLOG, "--battery", "lipo-generic", "-o", "-"), 2, ("-: ", "a file name")),
-    (("plan", "--like", TLOG, "--report", TLOG), 2, (TLOG.name, "would be lost")),
+    (("plan", "--like", TLOG, "--report", TLOG), 2, (TLOG.name, "ends in .html")),
     (("live", "udpin:127.0.0.1:1", "--record", TLOG), 2, ("--record", TLOG.name, "a folder")),
     (("live", "udpin:127.0.0.1:1", "--state", "out"), 2, ("--state out", "a file")),
     (("validate", "nowhere"), 1, ("nowhere", "expected")),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import re
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from pathlib import PurePath
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
@@ -20,11 +20,9 @@ from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay import Outcome, ReplayedRow, engine_for, outcome, steps
-from uavbatt.packs.exchange import plain_flight
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.remembering import taught
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.read import read_bytes
@@ -50,13 +48,23 @@ class Job:
     by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
-    teaches: bool = False  # what each flight says of its pack is worked out as well
 
 
-def fly_log(log: LogFile, job: Job) -> FlightRow:
+@dataclass(frozen=True, slots=True)
+class PackMet:
+    """The pack of one log by the ledger: what the flights before it taught, and what this one showed, in words."""
+
+    health: PackHealth | None = None
+    findings: tuple[str, ...] = ()
+
+
+NOT_MET = PackMet()
+
+
+def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
     """The row of one log; never raises for anything that a log can cause."""
     try:
-        return _flown(_read(log, job), log, job)
+        return _flown(read(log, job), log, job, met)
     except Unreadable as error:
         return bad(log, job, str(error).removeprefix(f"{log.name}: "), LOST)
     except UavbattError as error:
@@ -66,7 +74,8 @@ def fly_log(log: LogFile, job: Job) -> FlightRow:
     return bad(log, job, reason)
 
 
-def _read(log: LogFile, job: Job) -> Flight:
+def read(log: LogFile, job: Job) -> Flight:
+    """The flight of a log, as the job asks for it. Raises BadInput when it is none, Unreadable without its bytes."""
     if job.join:
         return bytes_joined(log.name, log.read(), Wiring(job.join))
     return read_bytes(log.name, log.read(), job.instance)
@@ -78,10 +87,15 @@ def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
-def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
+def lost(log: LogFile, reason: str, job: Job) -> FlightRow:
+    """The row of a log whose worker died, which the next run flies again."""
+    return bad(log, job, reason, LOST)
+
+
+def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     load = stated_load(job.load, flight, job.vehicle, job.battery)
-    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine)
+    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, met.health)
     run = list(steps(flight, estimator))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
@@ -128,19 +142,10 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
         trust=info.trust,
         skipped_bytes=flight.skipped_bytes,
         warnings="; ".join(_warnings(flight, run)),
-        taught=_taught(flight, job),
         size_bytes=log.size,
     )
     row = _scored(_identified(row, job), found)
-    return replace(row, look="; ".join(_reasons(row, info.reasons)))
-
-
-def _taught(flight: Flight, job: Job) -> str:
-    """Return what a flight of a known pack says of it, as JSON; empty where it says nothing."""
-    if not (job.teaches and flight.identity.battery_serial):
-        return ""
-    found = taught(job.battery, job.options, flight).record
-    return json.dumps(plain_flight(found)) if found is not None else ""
+    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons)]))
 
 
 def _identified(row: FlightRow, job: Job) -> FlightRow:

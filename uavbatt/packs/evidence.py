@@ -42,7 +42,7 @@ def told(pack: Pack, loaded: Belief, last: Belief, temp_C: float) -> Told:
     `temp_C` is the pack's mean temperature under load [°C]; NaN where it was not measured.
     """
     said = _with_rest(_without_prior(scales(pack, loaded), _prior(pack)), loaded, last)
-    log_ohm, log_Ah, covariance = health_of(pack, said)
+    log_ohm, log_Ah, covariance, _ = health_of(pack, said)
     away_K = abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNKNOWN_AWAY_K
     scatter = covariance * np.outer(SCATTER_SHARE, SCATTER_SHARE)
     scatter += np.diag(LEAST_SD**2 + (COLD_SD_PER_K * away_K) ** 2)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import PurePath
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePath
+
+import numpy as np
 
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
@@ -13,7 +15,7 @@ from uavbatt.log_replay import Outcome, ReplayedRow
 from uavbatt.records import Flight, Status
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_axis import TimeAxis
-from uavbatt.report.flight_chart import time_left_chart
+from uavbatt.report.flight_chart import save_time_left, time_left_chart
 from uavbatt.report.flight_cursor import cursor, cursor_script
 from uavbatt.report.flight_events import events
 from uavbatt.report.flight_figures import figures
@@ -57,8 +59,7 @@ def flight_report(
 
     `steps` are the rows of the replay, `resolved` the pack's size and where it came from, `outcome` the figures.
     """
-    found = stretches(steps)
-    name = PurePath(flight.source).name or flight.source
+    found, name = stretches(steps), _name(flight)
     shown = with_gaps(rows(steps))
     axis = TimeAxis(shown, found, outcome.end_of_flight_s)
     chart = time_left_chart(shown, axis, events(flight, steps, outcome, resolved.low_V))
@@ -78,6 +79,28 @@ def flight_report(
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
         script=cursor_script(shown),
     )
+
+
+def save_charts(
+    paths: Iterable[Path], flight: Flight, steps: Sequence[ReplayedRow], resolved: PackSize, outcome: Outcome
+) -> bool:
+    """Write the page's main chart to files, PNG or SVG by their names, under the name of the log and the answer.
+
+    Returns False, with nothing written, for a flight without a forecast.
+    """
+    shown = with_gaps(rows(steps))
+    if not np.isfinite(shown.remaining_s).any():
+        return False
+    axis = TimeAxis(shown, stretches(steps), outcome.end_of_flight_s)
+    marks = events(flight, steps, outcome, resolved.low_V)
+    title = f"{_name(flight)}: {first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)}"
+    for path in paths:
+        save_time_left(path, shown, axis, marks, title)
+    return True
+
+
+def _name(flight: Flight) -> str:
+    return PurePath(flight.source).name or flight.source
 
 
 def _answer(outcome: Outcome, resolved: PackSize, found: Sequence[Stretch], steps: Sequence[ReplayedRow]) -> Html:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from uavbatt.report.series import FlightSeries
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TITLE = "Time left"
+TITLE, Y_LABEL = "Time left", "time left (min)"
 LEAST_APART = 0.06  # of the axis: closer events share one mark, so that their words do not overlap
 MOST_HELD, UNBOUNDED_S = 2.5, 1e8
 SETTLED_PERCENT = 80.0  # of the forecasts lie below: the first ones of a flight may be far above all others
@@ -29,6 +30,19 @@ def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event])
     """Draw the forecasts with their interval, the truth where the log shows it, and the events."""
     if not np.isfinite(rows.remaining_s).any():
         return figure(paragraph("The remaining time was refused throughout.", css="quiet"), TITLE)
+    draw, top_min = _drawing(rows, axis, events)
+    alt = f"Time left in minutes over the flight, with its 90 % interval. {_spoken(events)}"
+    svg = plot.responsive(draw, alt, x=axis.label, y=Y_LABEL, right=ROOM_RIGHT, unit_s=axis.unit_s)
+    return together((figure(svg, TITLE, _caption(rows, axis, top_min)), _list(events)))
+
+
+def save_time_left(path: Path, rows: FlightSeries, axis: TimeAxis, events: Sequence[Event], title: str) -> None:
+    """Write the same chart to a file, PNG or SVG by its name; `rows` hold a forecast somewhere."""
+    plot.save_picture(path, _drawing(rows, axis, events)[0], title, x=axis.label, y=Y_LABEL, right=ROOM_RIGHT)
+
+
+def _drawing(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event]) -> tuple[Callable[[Axes], None], float]:
+    """Return what draws the chart into axes, and the top of their scale [min]."""
     top_min = _top_min(rows, axis.end_s, axis.first_s)
     marked = apart(events, LEAST_APART * (axis.last_s - axis.first_s))
 
@@ -47,9 +61,7 @@ def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event])
         untyped.tick_params(axis="y", labelright=True, length=0.0)
         untyped.locator_params(axis="y", nbins=6, integer=top_min > 4.0)
 
-    alt = f"Time left in minutes over the flight, with its 90 % interval. {_spoken(events)}"
-    svg = plot.responsive(draw, alt, x=axis.label, y="time left (min)", right=ROOM_RIGHT, unit_s=axis.unit_s)
-    return together((figure(svg, TITLE, _caption(rows, axis, top_min)), _list(events)))
+    return draw, top_min
 
 
 def _mark(axes: Axes, place: float, event: Event, top_min: float) -> None:

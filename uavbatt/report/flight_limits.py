@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
-from uavbatt.prediction.pending import ALARM_S, TURN_BACK
+from uavbatt.prediction.pending import ALARM, ALARM_S, TURN_BACK
 from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number
 
 SD_90 = 1.64
-OTHERWISE_SAID = ("two minutes left", "not certified", TURN_BACK)  # warnings that stand on the page in other words
+OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on the page in other words
 
 
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:

@@ -13,9 +13,11 @@ import re
 from collections.abc import Callable, Sequence
 from html import escape
 from io import StringIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavbatt.errors import printable
+from uavbatt.files import atomic_write
 from uavbatt.report.page import Html, element, together
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ VARIABLES = {
 
 WIDTH, HEIGHT = 440.0, 280.0
 WIDE, WIDE_HEIGHT = 1100.0, 400.0
+TITLE_ROW, MOST_LETTERS, PRINTED_DPI = 30.0, 120, 144
 LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
 LETTERS = 15.5
 LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # of a letter of a legend, of the sign before it
@@ -93,17 +96,8 @@ def panel(
     frames: list[str] = []
 
     def whole(figure: Figure) -> None:
-        axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-        draw(axes)
-        axes.set_xlabel(x)
-        axes.set_ylabel(y)
-        names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
-        columns = _columns(names, legend_columns, width - left)
-        rows = -(-len(names) // columns)
-        top = TOP + rows * LEGEND_ROW
-        axes.set_position((left / width, BOTTOM / height, 1 - (left + right) / width, 1 - (BOTTOM + top) / height))
-        if names:
-            legend_above(axes, columns)
+        axes = _drawn(figure, draw, x, y)
+        top = _placed(axes, (width, height), (left, right), legend_columns)
         if unit_s > 0.0:
             first, last = (unit_s * limit for limit in axes.get_xlim())
             box = f"{left} {width - right} {top} {height - BOTTOM}"
@@ -111,6 +105,51 @@ def panel(
 
     drawn = drawing(whole, alt, height, width)
     return Html(drawn.replace("<svg", f"<svg{frames[0]}", 1)) if frames else drawn
+
+
+def _drawn(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes:
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    draw(axes)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    return axes
+
+
+def _placed(
+    axes: Axes, size: tuple[float, float], beside: tuple[float, float], legend_columns: int, above: float = 0.0
+) -> float:
+    """Put the axes in a figure of `size` with room `beside` and `above` them; returns the room over them."""
+    (width, height), (left, right) = size, beside
+    names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
+    columns = _columns(names, legend_columns, width - left)
+    top = TOP + -(-len(names) // columns) * LEGEND_ROW + above
+    axes.set_position((left / width, BOTTOM / height, 1 - (left + right) / width, 1 - (BOTTOM + top) / height))
+    if names:
+        legend_above(axes, columns)
+    return top
+
+
+def save_picture(path: Path, draw: Callable[[Axes], None], title: str, *, x: str, y: str, right: float = RIGHT) -> None:
+    """Write one wide panel on white paper under its title: as SVG where the name ends so, else as PNG."""
+    from matplotlib import style
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height = WIDE_HEIGHT + TITLE_ROW
+    kind = "svg" if path.suffix.lower() == ".svg" else "png"
+    with style.context(["default", SETTINGS]), atomic_write(path, "wb") as stream:
+        figure = Figure(figsize=(WIDE / 72.0, height / 72.0), dpi=72)
+        FigureCanvasAgg(figure)
+        _placed(_drawn(figure, draw, x, y), (WIDE, height), (LEFT, right), legend_columns=6, above=TITLE_ROW)
+        figure.text(0.5 * TOP / WIDE, 1.0 - 0.5 * TOP / height, _wrapped(title), va="top")
+        metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
+        figure.savefig(stream, format=kind, dpi=PRINTED_DPI, facecolor=PAPER, metadata=metadata)
+        figure.clear()
+
+
+def _wrapped(title: str) -> str:
+    clean = printable(title).replace("\n", " ").replace("$", r"\$")
+    return clean if len(clean) <= MOST_LETTERS else clean[: MOST_LETTERS - 1] + "…"
 
 
 def _columns(names: Sequence[str], most: int, room: float) -> int:

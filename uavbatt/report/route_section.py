@@ -50,7 +50,8 @@ def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
         charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
         words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
     if not words:
-        words.append(f"Nothing was known of the way home: {last.reason or 'no position'}.")
+        reasons = Counter(route.reason for _, route in said if route.reason).most_common(1)
+        words.append(f"Nothing was known of the way home: {reasons[0][0] if reasons else 'no position'}.")
     return " ".join(words)
 
 
