@@ -165,5 +165,6 @@ def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     sd = math.hypot(wear_sd / (1.0 + wear), math.sqrt(health.covariance[0, 0]))
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
         return ""
-    direction = "more" if apart > 0.0 else "fewer"
-    return f"{abs(math.expm1(apart)):.0%} {direction} ohms than remembered of this pack: {CAUSES}"
+    tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that it is not said anew at every per cent
+    direction, causes = ("more", CAUSES) if apart > 0.0 else ("fewer", ANOTHER)
+    return f"about {tens}% {direction} ohms than remembered of this pack: {causes}"
