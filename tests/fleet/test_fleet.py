@@ -63,7 +63,7 @@ def job() -> Job:
 
 def call(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from uavbatt.cli import main; main()", "fleet", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
 def both_tables(folder: Path) -> list[dict[str, Any]]:
@@ -127,7 +127,7 @@ def test_an_existing_cluster(logs: Path, tmp_path: Path) -> None:
                           "--nthreads", "1", "--local-directory", str(tmp_path), *place], **quiet),  # type: ignore[call-overload]
     ]  # fmt: skip
     try:
-        until = time.monotonic() + 30.0
+        until = time.monotonic() + 60.0
         while not told.exists() and time.monotonic() < until:
             time.sleep(0.05)
         address = json.loads(told.read_text())["address"]
@@ -138,7 +138,7 @@ def test_an_existing_cluster(logs: Path, tmp_path: Path) -> None:
     finally:
         for process in reversed(processes):
             process.terminate()
-            process.wait(20)
+            process.wait(60)
 
 
 def test_no_scheduler_no_logs_no_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

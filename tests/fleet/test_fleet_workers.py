@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from factories import generic_pack
-from live_rig import until
+from live_rig import PATIENCE_S, until
 
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
@@ -100,7 +100,7 @@ def test_a_fleet_that_runs_listens_on_no_port(log: Path, tmp_path: Path) -> None
             assert f"0100007F:{ours.getsockname()[1]:04X}" in listening([os.getpid()])
     finally:
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     assert until(lambda: not any(map(opened, pids)))  # no worker outlives the run
 
 
@@ -118,7 +118,7 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
         crew.send(2, errand(find_logs([str(log)])[0]))
         killer.start()
         rows = dict(crew.finished() for _ in range(2))
-    killer.join(5.0)
+    killer.join(PATIENCE_S)
     os.close(held)
     assert (rows[1].status, rows[2].status) == (LOST, "ok")
     assert "the worker died on it" in rows[1].reason

@@ -157,7 +157,7 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
 
     overview = gathered(rows)
     battery = f"{job.battery.battery.name} ({job.battery.status})"
-    remarks = (("logs", f"{logs}, of which {flown} were flown in this run and the others before"),)
+    remarks = (("logs", f"{logs}; {flown} of them read in this run, the others in an earlier one"),)
     write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")

@@ -20,6 +20,7 @@ from uavbatt.cli.options import (
     CutoffOption,
     PackOption,
     PacksOption,
+    ReportOption,
     ReserveOption,
     UncertifiedOption,
     check_writable,
@@ -61,7 +62,7 @@ def plan(
     instance: InstanceOption = None,
     packs: PacksOption = None,
     pack: PackOption = "",
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
     """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature."""

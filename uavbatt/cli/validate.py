@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.options import check_writable, remark, say
+from uavbatt.cli.options import ReportOption, check_writable, remark, say
 from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import UsageError
 
@@ -29,7 +29,7 @@ class Method(StrEnum):
 def validate(
     dataset: Annotated[Path | None, typer.Argument(metavar="[DATASET]", help="Folder; default: the study.")] = None,
     ship: Annotated[Path | None, typer.Option("--ship", metavar="DIR", help="Write the battery file on pass.")] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Every number as JSON.")] = None,
     method: Annotated[Method, typer.Option("--method", help="iso gates; paper = the study as printed.")] = Method.ISO,
     template: Annotated[

@@ -58,7 +58,7 @@ REASONS: dict[str, str] = {
     "no current": "no current reading",
     "no voltage": "no voltage reading",
     "time went backwards": "time went backwards",
-    "state of charge known only": "charge is uncertain",
+    "still settling": "charge is uncertain",
     "waiting for take-off": "no load seen",
     "not flying": "no load seen",
     "the end lies beyond": "load is no flight's",

@@ -16,6 +16,7 @@ from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
+NOTHING_YET = "no battery telemetry yet"
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 
@@ -180,4 +181,5 @@ class Board:
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
+    problem: str = ""  # why the autopilot's link is not open
     said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)

@@ -26,6 +26,7 @@ KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .
 STANDARD_INPUT = "-"
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
+_ADDRESS = re.compile(r"[a-z]{3,6}:/", re.IGNORECASE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
 _ULOG = b"ULog\x01\x12\x35"
 _DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFlash log
@@ -86,7 +87,8 @@ def _content(path: Path) -> tuple[str, Content]:
                 return unpacked(str(path), file.read())
             return str(path), file.read() if _is_text(head) else _binary(file)
     except FileNotFoundError:
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found no such file") from None
+        found = "an address: download the log first" if _ADDRESS.match(str(path)) else "no such file"
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found {found}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
