@@ -35,7 +35,7 @@ FORECAST_PERIOD_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A replayed flight: iterate over it for a `Step` a row, or take `rows` or `to_frame()` for a table.
+    """A replayed flight: iterate over it for a `ReplayedRow` a row, or take `rows` or `to_frame()` for a table.
 
     flight: the log as it was read.
     pack: cells, capacity [Ah], cut-off [V] and where each came from.
