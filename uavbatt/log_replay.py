@@ -7,15 +7,23 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.statements import check_statements
+from uavbatt.errors import UsageError
 from uavbatt.estimator import PLAIN, Engine, Estimator
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
+from uavbatt.telemetry.formats.recording import forecast_period_s
 
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
@@ -40,6 +48,34 @@ def engine_for(*, is_long: bool) -> Engine:
     except ImportError:  # an installation without it
         return PLAIN
     return compiled.engine() if compiled.is_available() else PLAIN
+
+
+def estimator_for(
+    flight: Flight,
+    battery: BatteryFile,
+    options: PackOptions,
+    settings: ForecastSettings,
+    remembered: PackHealth | None = None,
+) -> Estimator:
+    """Make the estimator of a flight, once what is stated of its pack is held against its first rows.
+
+    Raises UsageError for a statement that the rows contradict.
+    """
+    check_statements(battery, options, flight)
+    return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
+
+
+def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
+    """Return cells, capacity and cut-off that a replay ran with. Raises UsageError where no row had a voltage."""
+    if estimator.pack_size is None:
+        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+    return estimator.pack_size
+
+
+def recorded_period_s(log: str | Path) -> float:
+    """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
+    recorded_s = forecast_period_s(log)
+    return recorded_s if math.isfinite(recorded_s) else ForecastSettings().forecast_period_s
 
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:

@@ -2,40 +2,44 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavbatt import output
-from uavbatt.battery import battery_file, statements, vehicle_file
+from uavbatt.battery import battery_file, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError
-from uavbatt.estimator import Estimator
 from uavbatt.limits import Names
-from uavbatt.log_replay import MANY_ROWS, Outcome, ReplayedRow, engine_for, outcome, steps, with_mission
+from uavbatt.log_replay import (
+    Outcome,
+    ReplayedRow,
+    estimator_for,
+    outcome,
+    recorded_period_s,
+    size_of_replayed,
+    steps,
+    with_mission,
+)
 from uavbatt.packs.ledger import Ledger
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
 from uavbatt.remembering import name_of, recalled, taught
 from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats import recording
 from uavbatt.telemetry.formats.mission_file import read_mission
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-FORECAST_PERIOD_S = 5.0
-
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A replayed flight: iterate over it for a `ReplayedRow` a row, or take `rows` or `to_frame()` for a table.
+    """A replayed flight: iterate over it for a `ReplayedRow` each, or take `rows` or `to_frame()` for a table.
 
     flight: the log as it was read.
     pack: cells, capacity [Ah], cut-off [V] and where each came from.
@@ -131,18 +135,14 @@ def replay(
     content = _read(battery, allow_uncertified)
     flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read_vehicle(vehicle)
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
-    statements.check_statements(content, options, flight)
-    period_s = _recorded_period_s(log) if forecast_period_s is None else _period_s(forecast_period_s)
     to_come = stated_load(str(load), flight, flown, content, name="load=")
-    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
-    settings = ForecastSettings(to_come, reserve_soc, period_s)
-    estimator = Estimator(content, options, settings, engine, _recalled(packs, pack, flight, content))
+    settings = ForecastSettings(to_come, reserve_soc, _period_s(log, forecast_period_s))
+    estimator = estimator_for(flight, content, options, settings, _recalled(packs, pack, flight, content))
     run = list(steps(flight, estimator))
-    if estimator.pack_size is None:
-        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+    size = size_of_replayed(estimator, flight)
     if packs is not None:
         _remember(packs, pack, flight, content, options)
-    return Replay(flight, estimator.pack_size, tuple(run), outcome(run, estimator.pack_size.cutoff_V))
+    return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V))
 
 
 def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile) -> PackHealth | None:
@@ -169,13 +169,10 @@ def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> Battery
     return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
 
 
-def _recorded_period_s(log: str | Path | Flight) -> float:
-    """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
-    recorded_s = NAN if isinstance(log, Flight) else recording.forecast_period_s(log)
-    return recorded_s if math.isfinite(recorded_s) else FORECAST_PERIOD_S
-
-
-def _period_s(stated_s: object) -> float:
+def _period_s(log: str | Path | Flight, stated_s: object) -> float:
+    """Return the time between forecasts [s]: as stated, else a recording's own, else the usual one."""
+    if stated_s is None:
+        return ForecastSettings().forecast_period_s if isinstance(log, Flight) else recorded_period_s(log)
     if isinstance(stated_s, int | float) and stated_s >= 0.0:
         return float(stated_s)
     raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")

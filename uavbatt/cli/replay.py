@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -135,28 +134,18 @@ def _one(
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
-    from uavbatt.battery.statements import check_statements
-    from uavbatt.estimator import Estimator
-    from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps, with_mission
+    from uavbatt.log_replay import estimator_for, outcome, recorded_period_s, size_of_replayed, steps, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
-    from uavbatt.telemetry.formats.recording import forecast_period_s
 
     jsonl, csv, report, *charts = outputs[:5]
     flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
     if planned is not None:
         flight = with_mission(flight, planned)
-    check_statements(content, options, flight)
-    period_s = forecast_period_s(log)
     to_come = stated_load(load[0], flight, load[1], content)
-    settings = (
-        ForecastSettings(to_come, reserve_soc, period_s)
-        if math.isfinite(period_s)
-        else ForecastSettings(to_come, reserve_soc)
-    )
-    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
-    estimator = Estimator(content, options, settings, engine, memory.recalled(flight, content))
+    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(log))
+    estimator = estimator_for(flight, content, options, settings, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -165,9 +154,7 @@ def _one(
             run.append(step)
             for sink in out:
                 sink.write(output.line(step.estimate, step.remaining))
-        resolved = estimator.pack_size
-        if resolved is None:
-            raise UsageError(f"{log}: expected at least one row with a voltage")
+        resolved = size_of_replayed(estimator, flight)
         found = outcome(run, resolved.cutoff_V)
         if any(charts):
             from uavbatt.report.flight import save_charts

@@ -13,7 +13,7 @@ from uavbatt.records import Status
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.flight_events import Event, apart
-from uavbatt.report.page import Html, bullets, duration, figure, paragraph, strong, together
+from uavbatt.report.page import Html, bullets, clock, duration, figure, paragraph, strong, together
 from uavbatt.report.series import FlightSeries
 
 if TYPE_CHECKING:
