@@ -22,6 +22,7 @@ from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.telemetry.drawn import loaded_A
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.recording import forecast_period_s
 
@@ -163,11 +164,11 @@ def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
     volts = np.array([s.estimate.voltage_V for s in run])
     amps = np.array([s.estimate.current_A for s in run])
     if np.isfinite(amps).any():
-        end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
+        end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A(amps))
     else:  # no current sensor: every row may be under load
         end_s = end_of_flight(time_s, volts, cutoff_V=cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
-    flying = np.nan_to_num(amps) > _loaded_A(amps)
+    flying = np.nan_to_num(amps) > loaded_A(amps)
     since_s = time_s[flying][0] + 60.0 if flying.any() else math.inf
     judged = [s for s, f in zip(run, flying, strict=True) if f and s.estimate.time_s > since_s]
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
@@ -207,11 +208,6 @@ def _landing(run: list[ReplayedRow], flying: NDArray[np.bool_]) -> Landing | Non
             numbers = (said.remaining_s, said.remaining_lo_s, said.remaining_hi_s, said.remaining_to_low_s)
             return Landing(said.time_s, *numbers, is_cut=is_cut)
     return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut)
-
-
-def _loaded_A(amps: Array) -> float:
-    """The current above which a row counts as under load: a third of the flight's upper current; ∞ without one."""
-    return float(np.nanpercentile(amps, 90)) / 3.0 if np.isfinite(amps).any() else math.inf
 
 
 def _checkpoints(run: list[ReplayedRow], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:

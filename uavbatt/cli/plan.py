@@ -80,15 +80,15 @@ def plan(
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = planning.resolve(content, options, flight)
+    with pack_memory.opened(packs, pack, only_read=True) as memory:
+        remembered = memory.recalled_now(content)
     if mission is not None and vehicle is not None:
         from uavbatt.cli.plan_mission import plan_mission
 
         conditions = (ambient_c, start_soc, reserve_soc)
-        plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary))
+        plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary), remembered)
         return
     load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
-    with pack_memory.opened(packs, pack, only_read=True) as memory:
-        remembered = memory.recalled_now(content)
     found = planning.make_plan(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
     for line in _lines(found):
         say(line, report, summary)

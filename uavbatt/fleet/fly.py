@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from dataclasses import dataclass, replace
@@ -23,7 +22,8 @@ from uavbatt.log_replay import Outcome, ReplayedRow, engine_for, outcome, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
+from uavbatt.telemetry.drawn import drawn
+from uavbatt.telemetry.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.read import read_bytes
 
@@ -104,8 +104,7 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     who, info = flight.identity, describe(flight)
     last = run[-1].estimate
     limit_s = gap_limit_s(median_step_s(flight.samples))
-    charge_Ah, _ = charges_Ah(flight.samples, limit_s)
-    energy_Wh, flown_s = _energy(flight, limit_s)
+    total = drawn(flight.samples, limit_s)
     temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
     row = FlightRow(
         file=log.name,
@@ -125,9 +124,9 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
         cells=pack.cells,
         capacity_Ah=pack.capacity_Ah,
         cutoff_V=pack.cutoff_V,
-        charge_Ah=charge_Ah,
-        energy_Wh=energy_Wh,
-        mean_power_W=energy_Wh * 3600.0 / flown_s if flown_s > 0.0 else NAN,
+        charge_Ah=total.charge_Ah,
+        energy_Wh=total.energy_Wh,
+        mean_power_W=total.energy_Wh * 3600.0 / total.time_s if total.time_s > 0.0 else NAN,
         temp_C=float(np.median(temps)) if temps else NAN,
         end_voltage_V=found.end_voltage_V,
         end_soc=found.end_soc,
@@ -154,17 +153,6 @@ def _identified(row: FlightRow, job: Job) -> FlightRow:
     if named:
         return replace(row, aircraft=named, aircraft_from="--by")
     return replace(row, aircraft_from="--aircraft" if job.aircraft_pattern else "folder")
-
-
-def _energy(flight: Flight, limit_s: float) -> tuple[float, float]:
-    """Energy drawn [Wh] over all steps that are no gap, and their time [s]; NaN without a current."""
-    joules, flown_s = 0.0, 0.0
-    for a, b in itertools.pairwise(flight.samples):
-        step_s = b.time_s - a.time_s
-        step_J = 0.5 * (a.voltage_V * a.current_A + b.voltage_V * b.current_A) * step_s
-        if step_s <= limit_s and math.isfinite(step_J):
-            joules, flown_s = joules + step_J, flown_s + step_s
-    return (joules / 3600.0, flown_s) if flown_s > 0.0 else (NAN, 0.0)
 
 
 def _scored(row: FlightRow, found: Outcome) -> FlightRow:
