@@ -119,7 +119,7 @@ def test_many_senders_do_not_push_the_autopilot_out(crowd_first: bool) -> None:
 
 def test_the_proxy_reaches_the_autopilot_past_many_senders(tmp_path: Path) -> None:
     port, station_port = free_port(), free_port()
-    settings = proxy.Settings(f"udpin:127.0.0.1:{port}", [f"udpin:127.0.0.1:{station_port}"], str(tmp_path / "c"))
+    settings = proxy.ProxySettings(f"udpin:127.0.0.1:{port}", [f"udpin:127.0.0.1:{station_port}"], str(tmp_path / "c"))
     served = proxy.Proxy(settings)
     autopilot, station = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     frame = bytes(heartbeat(True).pack(dialect.MAVLink(None, srcSystem=1, srcComponent=1)))

@@ -28,7 +28,7 @@ from uavbatt.live.daemon import Daemon
 from uavbatt.live.web import serve
 from uavbatt.mavlink.endpoint import parse
 from uavbatt.mavlink.links import open_link
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.telemetry import read_log
 
 KEY = bytes(range(32))
@@ -89,7 +89,8 @@ def flown(request: pytest.FixtureRequest) -> Iterator[tuple[Daemon, Any]]:
     endpoint, vehicle = at(request.param)
     station = FakeLink()
     daemon = Daemon(
-        Config(link=LinkSection(endpoint=endpoint, gcs=["x"])), battery_file.read("lipo-generic"), OPTIONS, Settings(),
+        Config(link=LinkSection(endpoint=endpoint, gcs=["x"])), battery_file.read_battery("lipo-generic"),
+        OPTIONS, ForecastSettings(),
         open_link(endpoint), [station],
     )  # fmt: skip
     vehicle.start()
@@ -120,7 +121,9 @@ def test_a_log_that_is_played_on_a_socket_gives_its_rows(ours: str, theirs: str)
     log = ROOT / "logs/quad_4s.tlog"
     link = open_link(f"{ours}:127.0.0.1:{port}")
     settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
-    daemon = Daemon(settings, battery_file.read("lipo-generic"), PackOptions(), Settings(), link, [station])
+    daemon = Daemon(
+        settings, battery_file.read_battery("lipo-generic"), PackOptions(), ForecastSettings(), link, [station]
+    )
     command = [sys.executable, str(ROOT / "scripts/play_tlog.py"), str(log), f"{theirs}:127.0.0.1:{port}"]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     player = subprocess.Popen([*command, "--speed", "20", "--seconds", "60"], env=env)

@@ -36,7 +36,7 @@ class Around:
 
     def __init__(self, folder: Path) -> None:
         fc, gcs, control = free_port(), free_port(), str(folder / "control.sock")
-        settings = proxy.Settings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], control)
+        settings = proxy.ProxySettings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], control)
         command = [sys.executable, "-m", "uavbatt.live.proxy", proxy.json.dumps(settings._asdict())]
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         self.vehicle, self.station = self._connected(fc), self._connected(gcs)
@@ -136,7 +136,7 @@ def test_a_proxy_that_is_killed_is_started_again(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(os, "nice", lambda step: 0)  # the tests are not made to wait
     vehicle, station = Vehicle(free_port()), Station()
     endpoints = (f"udpin:127.0.0.1:{vehicle.to[1]}", [f"udpout:127.0.0.1:{station.port}"])
-    client = ProxyClient(proxy.Settings(*endpoints, str(tmp_path / "control.sock")))
+    client = ProxyClient(proxy.ProxySettings(*endpoints, str(tmp_path / "control.sock")))
     vehicle.start()
 
     def heard() -> int:

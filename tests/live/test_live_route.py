@@ -164,7 +164,7 @@ def test_only_the_mission_is_asked_for_and_only_when_allowed() -> None:
 def test_a_mission_written_through_the_proxy_reaches_the_estimator(tmp_path: Path) -> None:
     """Every byte goes to the autopilot as it came; the frames that write a mission go to the estimator as well."""
     fc, gcs = free_port(), free_port()
-    settings = proxy.Settings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], str(tmp_path / "control"))
+    settings = proxy.ProxySettings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], str(tmp_path / "control"))
     served, client = proxy.Proxy(settings), ProxyClient(settings)
     link = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
     frames = [bytes(item(seq, (1, 1)).pack(link)) for seq in range(len(ITEMS))]

@@ -171,7 +171,7 @@ def test_a_disk_that_fills_up_ends_the_recording_until_there_is_room(
 
 def test_every_key_stands_in_the_sample_with_its_default() -> None:
     sample = ROOT / "scripts/uavbatt.toml"
-    stated = config.read(sample)
+    stated = config.read_config(sample)
     assert stated == Config(link=LinkSection(endpoint="udpin:127.0.0.1:14551"))
     shown = {
         section: set(re.findall(r"^#?(\w+) = ", text, re.M))
@@ -187,7 +187,7 @@ def test_options_go_before_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     from uavbatt.cli import app, live
 
     become: list[Config] = []
-    monkeypatch.setattr(live, "_become", become.append)
+    monkeypatch.setattr(live, "_exec_live", become.append)
     path = tmp_path / "u.toml"
     path.write_text('[link]\nendpoint = "tcp:a:1"\ngcs = ["udpout:b:2"]\n[pack]\ncells = 6\ncapacity_Ah = 9.0\n')
     monkeypatch.setenv("UAVBATT_CONFIG", str(path))
@@ -215,5 +215,5 @@ def test_an_error_names_the_key_and_the_file(tmp_path: Path, text: str, key: str
     path = tmp_path / "my.toml"
     path.write_text(text)
     with pytest.raises(config.BadInput) as error:
-        config.read(path)
+        config.read_config(path)
     assert key in str(error.value) and "my.toml" in str(error.value) and "\n" not in str(error.value)

@@ -24,7 +24,7 @@ from uavbatt.live.daemon import Daemon
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.web import content
 from uavbatt.mavlink.links import open_link
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -184,7 +184,13 @@ def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLin
     settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
     link = open_link(f"udpin:127.0.0.1:{port}")
     daemon = Daemon(
-        settings, battery_file.read("lipo-generic"), OPTIONS, Settings(), link, [station], clock_s=lambda: now_s[0]
+        settings,
+        battery_file.read_battery("lipo-generic"),
+        OPTIONS,
+        ForecastSettings(),
+        link,
+        [station],
+        clock_s=lambda: now_s[0],
     )
     yield daemon, now_s, Source(port), Source(port), station
     daemon.close()
@@ -240,7 +246,7 @@ def test_one_autopilot_on_two_ways_is_one() -> None:
 
 def test_the_proxy_tells_the_estimator_who_sends(tmp_path: Path) -> None:
     port = free_port()
-    settings = proxy.Settings(f"udpin:127.0.0.1:{port}", [], str(tmp_path / "control"))
+    settings = proxy.ProxySettings(f"udpin:127.0.0.1:{port}", [], str(tmp_path / "control"))
     served, client, sources = proxy.Proxy(settings), ProxyClient(settings), (Source(port), Source(port))
     heard: list[object] = []
 
