@@ -53,7 +53,7 @@ def main() -> int:
     parser.add_argument("folders", type=Path, nargs="+")
     parser.add_argument("--only", default="")
     given = parser.parse_args()
-    battery = battery_file.read(given.battery)
+    battery = battery_file.read_battery(given.battery)
     pack, engine = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True)
     seen, good, wrong = Counter[str](), Counter[str](), 0
     print("| case | label | | diagnosis | s |\n|---|---|---|---|---|")

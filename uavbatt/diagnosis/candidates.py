@@ -105,7 +105,8 @@ NOTHING = Candidate((), ())
 # records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
-STATED = ("sensor_lag_s", "activation_K")  # as the file states them; errors of the others go with the resistance's
+# As the file states them; errors of the others go with the resistance's.
+STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K", "transfer_V")
 
 
 def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
