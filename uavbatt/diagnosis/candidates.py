@@ -40,6 +40,7 @@ class Freed:
     log: bool
     nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
     estimated: bool = True  # a nuisance that is not counts in the standard errors only
+    shares: tuple[float, ...] = ()  # of its change that each record has; empty: all have it whole
 
     def value(self, u: Array) -> Array:
         """The value at u, kept within the bounds."""
@@ -106,7 +107,7 @@ NOTHING = Candidate((), ())
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
 # As the file states them; errors of the others go with the resistance's.
-STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K", "transfer_V")
+STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
 
 
 def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
