@@ -37,7 +37,7 @@ EARNED = 12.0  # the best of many courses: scripts/diagnose_cases_healthy.py
 EARNED_ONCE = 36.0  # by one flight alone, whose own oddity it may be
 GROWS = 6.0  # chi-square by which growing must be better than beginning at once
 AS_GOOD = 6.0  # chi-square within which another beginning is as good
-MOST_EFFECTS = 3
+MOST_EFFECTS = 2
 REFITTED = 12  # courses that are refitted after all are looked through
 LEAST_FLIGHTS = 2
 
@@ -205,8 +205,10 @@ def _best(tried: list[_Tried], before: Refit) -> _Tried | None:
 
 def _earned(tried: _Tried, before: Refit, flights: int) -> bool:
     """Return True if it is worth more than chance gives; of one flight alone, more than its oddity does."""
-    once = not tried.course.grows and tried.course.begins == flights - 1
-    return worth(tried.fit, before).value > (EARNED_ONCE if once else EARNED)
+    its = worth(tried.fit, before)
+    if not tried.course.grows and tried.course.begins == flights - 1:  # no other flight can speak for it
+        return its.most * its.known > EARNED_ONCE
+    return its.value > EARNED
 
 
 def _chosen(tried: list[_Tried]) -> _Tried:
