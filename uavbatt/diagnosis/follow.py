@@ -158,7 +158,7 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
     rivals = trial(problem, before, [on_course(o, chosen.course, order) for o in free], FIRST_TURNS)
     if not rivals.rivals:
         return None
-    effect = finding(problem, rivals)
+    effect = finding(problem, rivals, EARNED)
     as_good = [
         t.course.begins
         for t in [best, *tried]
