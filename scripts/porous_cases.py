@@ -3,9 +3,10 @@
 
 Run: PYTHON scripts/porous_cases.py FOLDER      (a Python of its own with `pip install pybamm`; some 3 s a flight)
 A Doyle-Fuller-Newman pouch cell (PyBaMM, parameters of Ai et al. 2020) in 4S with 2.2 in parallel: on the loads of the
-shared truth it shows the same voltage to 1 mV on a fine mesh, 6 mV on the one used. Writes FOLDER/CASE/flight_K.csv (telemetry CSV) and FOLDER/labels.json,
-and keeps what the simulator gave in FOLDER/flown/*.csv, so that a second run only writes the readings anew.
-Odd numbers are to build on, even ones to look at once. FOLDER/healthy/ holds flights in which nothing is wrong.
+shared truth it shows the same voltage to 1 mV on a fine mesh, to 7 mV on the one used. Writes FOLDER/CASE/flight_K.csv
+(telemetry CSV) and FOLDER/labels.json, and keeps what the simulator gave in FOLDER/flown/*.csv, so that a second run
+only writes the readings anew. Odd numbers are to build on, even ones to look at once. FOLDER/healthy/ holds flights in
+which nothing is wrong.
 """
 
 from __future__ import annotations

@@ -50,7 +50,9 @@ def diagnose(
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
-    follow: Annotated[bool, typer.Option("--follow", help="Logs in order of time: since when, and is it growing?")] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Logs in order of time: since when, and is it growing?")
+    ] = False,
     packs: PacksOption = None,
     pack: PackOption = "",
 ) -> None:
@@ -76,7 +78,9 @@ def diagnose(
         from uavbatt.cli.diagnose_follow import Asked, followed
 
         if gate is not None or output is not None:
-            raise UsageError("--follow tells since when: expected --gate and -o without it, on the flights that it names")
+            raise UsageError(
+                "--follow: expected neither --gate nor -o: it tells since when, and changes no battery file"
+            )
         followed(sources, content, stated, Asked(instance, tuple(without or ()), packs, pack), json_file, report)
         return
     if packs is not None or pack:

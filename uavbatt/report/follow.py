@@ -19,6 +19,7 @@ from uavbatt.report.page import Html, bullets, element, figure, number, page, pa
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+MOST_TICKS = 12
 ANSWERS = {
     "no_missing_effect": ("good", "Nothing has begun: every flight is as this battery's model has it."),
     "effect_found": ("bad", "Something has begun, and it has a name."),
@@ -29,13 +30,14 @@ ANSWERS = {
 def follow_report(found: Follow, dates: Sequence[str], battery: str) -> str:
     """Return the whole page as HTML; `dates` are the days of the flights, empty where they are not known."""
     mood, answer = ANSWERS[found.verdict]
+    told = [_told(one, found, dates) for one in found.effects]
     notes = [f"Left out, too short to tell anything: {name}." for name in found.left_out]
     return page(
         f"{battery}: {len(found.flights)} flights in order of time",
         "uavbatt diagnose --follow",
-        element("div", paragraph(strong(answer)), *(_told(one, found, dates) for one in found.effects), css=f"answer {mood}"),
+        element("div", paragraph(strong(answer)), *told, css=f"answer {mood}"),
         *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
-        *(section(_title(one), course_figure(one), css="") for one in found.effects),
+        *(section(_title(one), course_figure(one)) for one in found.effects),
         section("Flights", _flights(found, dates)),
         *([section("Notes", bullets(notes))] if notes else []),
         footer=f"uavbatt {__version__}. Each point is one flight by itself, with its 95 % interval.",
@@ -75,7 +77,7 @@ def course_figure(one: Followed) -> Html:
         axes.plot(flights, course, color=plot.RED, linewidth=1.2, drawstyle="steps-mid", label="course")
         axes.errorbar(flights, value, np.abs([below, above]), fmt="o", color=plot.BLUE, markersize=4, label="flight")
         axes.axvline(one.course.begins + 0.5, color=plot.RED, linewidth=0.7, linestyle=":")
-        axes.xaxis.get_major_locator().set_params(integer=True)
+        axes.set_xticks(flights[:: -(-flights.size // MOST_TICKS)])
 
     unit = unit_words(one.values[0].unit)
     alt = f"{one.quantity} of each flight: {', '.join(f'{v:.3g}' for v in value)} {unit}".rstrip()
