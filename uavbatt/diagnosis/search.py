@@ -88,11 +88,14 @@ def search(
     pair = _best_pair(problem, options, singles, best)
     if pair is None:
         return best, [first], singles
-    found = []
+    trials = []
     for name in pair.candidate.names:
         kept = next(n for n in pair.candidate.names if n != name)
         alone = next(f for f in singles.fits if f.candidate.name == kept)
-        found.append(finding(problem, trial(problem, alone, options, FURTHER_TURNS), EARNED_BESIDE))
+        trials.append(trial(problem, alone, options, FURTHER_TURNS))
+    if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
+        return best, [first], singles
+    found = [finding(problem, t, EARNED_BESIDE) for t in trials]
     best = min((f.members[0] for f in found), key=lambda f: f.total)
     return best, sorted(found, key=lambda f: -f.worth.value), singles
 
