@@ -28,9 +28,9 @@ def with_effect(file: BatteryFile, name: str, parameters: dict[str, float]) -> B
 
 def main(log: str, new: str, name: str, *values: str) -> None:
     parameters = {key: float(value) for key, _, value in (text.partition("=") for text in values)}
-    before = battery_file.read("lipo-generic")
-    battery_file.write(with_effect(before, name, parameters), Path(new))
-    after = battery_file.read(new)  # refuses an unknown name, and a value outside its bounds
+    before = battery_file.read_battery("lipo-generic")
+    battery_file.write_battery(with_effect(before, name, parameters), Path(new))
+    after = battery_file.read_battery(new)  # refuses an unknown name, and a value outside its bounds
 
     for words, file in (("without", before), (f"with {name}", after)):
         flown = uavbatt.replay(log, file, forecast_period_s=30.0)

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from bench import engine, fleet, readers  # found by the line above
 
-from uavbatt.simulate import Mission, fly, with_effects, write
+from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
 
 PARTS = ("engine", "cli", "daemon", "reading", "fleet")
 DAEMON = """
@@ -35,7 +35,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.records import Sample
-estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0))
+estimator = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0))
 estimator.step(Sample(0.0, 16.4, 20.0, 25.0))
 ready_s = time.perf_counter() - begin
 for k in range(200):
@@ -61,15 +61,15 @@ def cli_rows(repeats: int) -> Iterator[engine.Row]:
     """Whole commands in new processes: replay of a 20-minute flight and of a short one, diagnosis."""
     with tempfile.TemporaryDirectory() as folder:
         logs = {name: Path(folder) / f"{name}.csv" for name in ("20 min at 10 Hz", "8 min at 1 Hz")}
-        write(logs["20 min at 10 Hz"], engine.flight(20.0), engine.pack())
-        write(logs["8 min at 1 Hz"], engine.flight(8.0, 1.0), engine.pack())
+        write_log(logs["20 min at 10 Hz"], engine.flight(20.0), engine.pack())
+        write_log(logs["8 min at 1 Hz"], engine.flight(8.0, 1.0), engine.pack())
         for name, log in logs.items():
             arguments = ["replay", str(log), "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2"]
             yield from _with_and_without(f"uavbatt replay, {name}", arguments, repeats)
         flights = [Path(folder) / f"worn_{n}.csv" for n in range(3)]
         worn = with_effects(engine.pack(), {"capacity_fade": 0.15})
         for n, log in enumerate(flights):
-            write(log, fly(worn, Mission(250.0 + 60.0 * n, 10.0 + 8.0 * n, rate_Hz=2.0, seed=n)), worn)
+            write_log(log, simulate_flight(worn, Mission(250.0 + 60.0 * n, 10.0 + 8.0 * n, rate_Hz=2.0, seed=n)), worn)
         pack = ["--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2"]
         yield from _with_and_without("uavbatt diagnose, 3 flights", ["diagnose", *map(str, flights), *pack], 1)
 

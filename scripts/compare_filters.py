@@ -57,7 +57,7 @@ def unscented_close(pack, state, _):
 
         def reading(x):
             volts = float(b.voltage(pack, x, block.current_A))
-            return np.array([volts, x[b.C.SENSOR]])[:count]
+            return np.array([volts, x[b.X.SENSOR]])[:count]
 
         ukf._dim_z = count
         ukf.z, ukf.sigmas_h = np.zeros((count, 1)), np.zeros((2 * SIZE + 1, count))
@@ -95,8 +95,8 @@ def main() -> None:
         path = Path(tempfile.mkdtemp()) / "truth.battery.toml"
         flights = [read_log(DATA / f"truth/reference/r0/flight_{n}.tlog") for n in (1, 2, 3, 4)]
         fitted = fit_battery(Size("truth", 4, 5.0, 13.2), [dataset.load(DATA / "truth/lab")], flights)
-        battery_file.write(fitted.file, path)
-    battery = battery_file.read(path)
+        battery_file.write_battery(fitted.file, path)
+    battery = battery_file.read_battery(path)
     print("filter     soc RMSE   worst flight   us a sample")
     for name, close in (("extended", recursion._close), ("unscented", unscented_close)):
         with patch.object(recursion, "_close", close):

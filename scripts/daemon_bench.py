@@ -12,7 +12,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink.endpoint import Chunk
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -50,7 +50,7 @@ class Bench:
         options: PackOptions = OPTIONS,
         start_s: float = 1000.0,
         *,
-        settings: Settings = Settings(),
+        settings: ForecastSettings = ForecastSettings(),
         is_clock_set: bool = True,
         **sections: Any,
     ) -> None:
@@ -58,7 +58,7 @@ class Bench:
         self.link, self.station = FakeLink(), FakeLink()
         sections.setdefault("link", LinkSection(endpoint="udpin:127.0.0.1:1", gcs=["udpout:127.0.0.1:2"]))
         self.daemon = Daemon(
-            Config(**sections), battery_file.read("lipo-generic"), options, settings, self.link, [self.station],
+            Config(**sections), battery_file.read_battery("lipo-generic"), options, settings, self.link, [self.station],
             clock_s=lambda: self.now_s, wall_s=lambda: self.wall_offset_s + self.now_s,
             is_clock_set=lambda wall_s: is_clock_set,
         )  # fmt: skip

@@ -73,7 +73,7 @@ CASES: tuple[tuple[str, Right], ...] = (
 
 def main() -> int:
     """Print the table."""
-    battery = battery_file.read(Path(sys.argv[1]))
+    battery = battery_file.read_battery(Path(sys.argv[1]))
     pack = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
     print("| flights | chi-square per number, V | temperature | most that any candidate is worth | left |")
     print("|---|---|---|---|---|")

@@ -207,7 +207,7 @@ def main() -> int:
     parser.add_argument("battery", nargs="?", type=Path, help="battery file of the truth, fitted when absent")
     parser.add_argument("--only", default="", help="planted effects whose name holds this word, and nothing else")
     asked = parser.parse_args()
-    battery = battery_file.read(asked.battery) if asked.battery else battery_of_the_truth()
+    battery = battery_file.read_battery(asked.battery) if asked.battery else battery_of_the_truth()
     pool = pools(battery)
     np.seterr(all="raise", under="ignore")
     singles(battery, pool, asked.only)

@@ -24,7 +24,7 @@ from uavbatt.live.rewriter import ESTIMATE_LAYOUT, OK, Rewriter
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
-from uavbatt.telemetry.live import Row
+from uavbatt.telemetry.live import LiveRow
 
 CURRENT_A, VOLTAGE_V = 12.0, 16.0
 A_TURN = 50
@@ -75,7 +75,7 @@ def main() -> int:
     daemon, rewriter, slipped, forged, rows = bench.daemon, Rewriter(soc=True), [], [], 0
     step = daemon._step
 
-    def watched(row: Row, at_s: float) -> None:
+    def watched(row: LiveRow, at_s: float) -> None:
         nonlocal rows
         rows += 1
         if not is_sound(row.sample):

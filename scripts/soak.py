@@ -19,7 +19,7 @@ from daemon_bench import Bench
 
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.config import LinkSection, PackSection, RecordSection, StateSection
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -62,7 +62,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(
             PackOptions(capacity_Ah=5.0, cells=4),
-            settings=Settings(forecast_period_s=PackSection().forecast_period_s),
+            settings=ForecastSettings(forecast_period_s=PackSection().forecast_period_s),
             link=LinkSection(endpoint="udpin:127.0.0.1:1", gcs=["udpout:127.0.0.1:2"], request=True),
             record=RecordSection(folder=folder, max_file_MB=2.0, max_files=3, min_free_MB=0.0),
             state=StateSection(file=str(Path(folder) / "state.json"), period_s=60.0),

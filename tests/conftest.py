@@ -9,10 +9,15 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
+from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
 
 from command import Judged, called
+
+# The same examples on every machine: a run that fails can be run again. HYPOTHESIS_PROFILE=default looks for new ones.
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 ASK_FOR_THE_STUDY = {"test_cli_validate", "test_gate", "test_validate", "test_temperature_loop"}
 
@@ -63,10 +68,10 @@ def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tlog of six minutes from full to the cut-off, its pack in its parameters, for tests that want any flight."""
     from factories import generic_pack
 
-    from uavbatt.simulate import Mission, fly, write
+    from uavbatt.simulate import Mission, simulate_flight, write_log
 
     path, pack = tmp_path_factory.mktemp("short") / "short.tlog", generic_pack(capacity_Ah=2.0)
-    write(path, fly(pack, Mission(power_W=300.0, rate_Hz=1.0)), pack)
+    write_log(path, simulate_flight(pack, Mission(power_W=300.0, rate_Hz=1.0)), pack)
     return path
 
 

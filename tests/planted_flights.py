@@ -14,7 +14,7 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.fitting.observed import Observed
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
-GENERIC = battery_file.read("lipo-generic")
+GENERIC = battery_file.read_battery("lipo-generic")
 # The planted flights are of this very pack: what is known of it is as good as a fit makes it.
 FILE = msgspec.structs.replace(
     GENERIC,

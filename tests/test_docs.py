@@ -112,7 +112,7 @@ def test_the_telemetry_csv(tmp_path: Path) -> None:
 
 
 def test_the_battery_file(tmp_path: Path) -> None:
-    found = battery_file.read(written(tmp_path, "acme.battery.toml") / "acme.battery.toml")
+    found = battery_file.read_battery(written(tmp_path, "acme.battery.toml") / "acme.battery.toml")
     assert (found.status, found.battery.capacity_Ah) == ("fitted", 5.0)
     listed = keys_of(sections.BatteryFile)
     agree(documented("Battery file"), {*listed, "certificate.verdicts"})
@@ -121,13 +121,15 @@ def test_the_battery_file(tmp_path: Path) -> None:
 
 
 def test_the_vehicle_file(tmp_path: Path) -> None:
-    assert vehicle_file.read(written(tmp_path, "quad.vehicle.toml") / "quad.vehicle.toml").phases.flight_W == 250.0
+    assert (
+        vehicle_file.read_vehicle(written(tmp_path, "quad.vehicle.toml") / "quad.vehicle.toml").phases.flight_W == 250.0
+    )
     agree(documented("Vehicle file"), keys_of(vehicle_file.VehicleFile))
 
 
 def test_the_configuration(tmp_path: Path) -> None:
     assert example("uavbatt.toml") == (ROOT / "scripts" / "uavbatt.toml").read_text(encoding="utf-8")
-    stated = config.read(written(tmp_path, "uavbatt.toml") / "uavbatt.toml")
+    stated = config.read_config(written(tmp_path, "uavbatt.toml") / "uavbatt.toml")
     endpoint = msgspec.structs.replace(config.LinkSection(), endpoint=stated.link.endpoint)
     assert stated == config.Config(link=endpoint)  # what the sample shows is the default
     agree(documented("Configuration"), keys_of(config.Config))

@@ -21,24 +21,24 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay import outcome, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
-from uavbatt.simulate import Mission, fly, write
+from uavbatt.simulate import Mission, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-EVERY_20_S = Settings(forecast_period_s=20.0)
+EVERY_20_S = ForecastSettings(forecast_period_s=20.0)
 
 
 @cache
 def flown() -> tuple[Sample, ...]:
     pack = generic_pack()
-    return tuple(fly(pack, Mission(400.0, 12.0, rate_Hz=1.0, seed=4)))
+    return tuple(simulate_flight(pack, Mission(400.0, 12.0, rate_Hz=1.0, seed=4)))
 
 
 def lines(flight: Flight, options: PackOptions | None = None) -> list[str]:
     """The JSON lines that `uavbatt replay --jsonl` writes."""
-    estimator = Estimator(battery_file.read("lipo-generic"), options, EVERY_20_S)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, EVERY_20_S)
     return [json.dumps(output.line(s.estimate, s.remaining)) for s in steps(flight, estimator)]
 
 
@@ -70,7 +70,7 @@ def test_a_log_cut_by_bytes_has_the_same_lines(suffix: str, share: float, tmp_pa
     """Through the file: parameters, arming and a torn last record included."""
     pack = generic_pack()
     whole_log, cut_log = tmp_path / f"whole{suffix}", tmp_path / f"cut{suffix}"
-    write(whole_log, list(flown()), pack)
+    write_log(whole_log, list(flown()), pack)
     data = whole_log.read_bytes()
     cut_log.write_bytes(data[: int(len(data) * share) + 3])
     options = PackOptions(capacity_Ah=5.0)
@@ -130,7 +130,7 @@ def test_garbage_in_a_tlog_changes_nothing(tmp_path: Path) -> None:
     pack = generic_pack()
     told = nonsense("backwards")
     for name, samples in (("a", flown()), ("b", [told(k, s) for k, s in enumerate(flown())])):
-        write(tmp_path / f"{name}.tlog", list(samples), pack)
+        write_log(tmp_path / f"{name}.tlog", list(samples), pack)
     options = PackOptions()
     assert lines(read_log(tmp_path / "a.tlog"), options) == lines(read_log(tmp_path / "b.tlog"), options)
 
@@ -139,7 +139,7 @@ def test_garbage_in_a_tlog_changes_nothing(tmp_path: Path) -> None:
 
 
 def resolved(options: PackOptions, facts: PackFacts | None, volts: float = 16.2, name: str = "lipo-generic") -> object:
-    estimator = Estimator(battery_file.read(name), options)
+    estimator = Estimator(battery_file.read_battery(name), options)
     if facts is not None:
         estimator.update_facts(facts)
     estimator.step(Sample(0.0, volts, 1.0))
@@ -185,18 +185,19 @@ def test_cells_from_the_first_voltage(volts: float, cells: int) -> None:
 
 def test_a_file_of_three_cells_is_scaled() -> None:
     found = resolved(PackOptions(cells=6, capacity_Ah=5.0), None, 24.0, "lpab-3s")
-    assert found.cutoff_V == pytest.approx(2 * battery_file.read("lpab-3s").battery.cutoff_V)  # type: ignore[attr-defined]
+    assert found.cutoff_V == pytest.approx(2 * battery_file.read_battery("lpab-3s").battery.cutoff_V)  # type: ignore[attr-defined]
 
 
 def test_a_capacity_that_nobody_states() -> None:
     with pytest.raises(UsageError, match="--capacity-ah") as caught:
-        Estimator(battery_file.read("lipo-generic")).step(Sample(0.0, 16.2, 5.0))
+        Estimator(battery_file.read_battery("lipo-generic")).step(Sample(0.0, 16.2, 5.0))
     assert "\n" not in str(caught.value) and caught.value.exit_code == 2
 
 
 def test_a_new_cutoff_changes_the_forecast_and_keeps_the_estimate() -> None:
     estimator, other = (
-        Estimator(battery_file.read("lipo-generic"), settings=Settings(forecast_period_s=1.0)) for _ in range(2)
+        Estimator(battery_file.read_battery("lipo-generic"), settings=ForecastSettings(forecast_period_s=1.0))
+        for _ in range(2)
     )
     facts = PackFacts(4, 5.0, critical_voltage_V=13.2)
     for e in (estimator, other):
@@ -210,7 +211,7 @@ def test_a_new_cutoff_changes_the_forecast_and_keeps_the_estimate() -> None:
 
 
 def test_another_capacity_starts_anew() -> None:
-    estimator = Estimator(battery_file.read("lipo-generic"))
+    estimator = Estimator(battery_file.read_battery("lipo-generic"))
     estimator.update_facts(PackFacts(4, 5.0))
     for sample in flown()[:200]:
         estimator.step(sample)
@@ -225,7 +226,7 @@ def test_another_capacity_starts_anew() -> None:
 
 
 def warnings(name: str, options: PackOptions, facts: PackFacts | None = None, temp_C: float = 25.0) -> str:
-    estimator = Estimator(battery_file.read(name), options)
+    estimator = Estimator(battery_file.read_battery(name), options)
     if facts is not None:
         estimator.update_facts(facts)
     return "; ".join(estimator.step(Sample(0.0, 3.9 * (options.cells or 3), 1.0, temp_C))[0].warnings)
@@ -249,7 +250,7 @@ def test_other_warnings() -> None:
 
 
 def test_rows_without_a_voltage_come_first() -> None:
-    estimator = Estimator(battery_file.read("lipo-generic"), STATED)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), STATED)
     estimate, remaining = estimator.step(Sample(0.0, NAN, 5.0))
     assert estimate.status is remaining.status is Status.REFUSED and estimate.reason == "no voltage in this row"
     assert estimator.pack_size is None and estimator.belief is None
@@ -269,7 +270,7 @@ def test_the_engine_in_three_lines() -> None:
 
 
 def test_the_outcome_of_a_flight_to_its_end() -> None:
-    run = list(steps(as_flight(flown()), Estimator(battery_file.read("lipo-generic"), STATED)))
+    run = list(steps(as_flight(flown()), Estimator(battery_file.read_battery("lipo-generic"), STATED)))
     found = outcome(run, 13.2)
     volts = np.array([s.voltage_V for s in flown()])
     mean_V = np.convolve(volts, np.ones(5) / 5.0, mode="valid")
@@ -283,5 +284,7 @@ def test_the_outcome_of_a_flight_to_its_end() -> None:
 
 
 def test_the_outcome_of_a_flight_that_does_not_reach_its_end() -> None:
-    found = outcome(list(steps(as_flight(flown()[:120]), Estimator(battery_file.read("lipo-generic"), STATED))), 13.2)
+    found = outcome(
+        list(steps(as_flight(flown()[:120]), Estimator(battery_file.read_battery("lipo-generic"), STATED))), 13.2
+    )
     assert math.isnan(found.end_of_flight_s) and found.checkpoints == ()

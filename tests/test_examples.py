@@ -42,9 +42,7 @@ def test_plan_a_flight(tmp_path: Path, minutes: str, code: int, said: str) -> No
 
 
 def test_add_an_effect(tmp_path: Path, short_log: Path) -> None:
-    done = ran(
-        "add_an_effect.py", short_log, "new.battery.toml", *LEADS, folder=tmp_path
-    )
+    done = ran("add_an_effect.py", short_log, "new.battery.toml", *LEADS, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     without, with_it = done.stdout.splitlines()
     assert without.startswith("without: ") and with_it.startswith("with harness_resistance: ")

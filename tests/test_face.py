@@ -43,12 +43,12 @@ def test_without_pandas_the_extra_is_named(flown: uavbatt.Replay) -> None:
 
 def test_what_was_read_serves_as_well_and_a_power_is_a_number_or_text(short_log: Path) -> None:
     by_name = uavbatt.replay(short_log, load="300", forecast_period_s=60.0)
-    read = uavbatt.read_log(short_log), battery_file.read("lipo-generic")
+    read = uavbatt.read_log(short_log), battery_file.read_battery("lipo-generic")
     assert uavbatt.replay(*read, load=300.0, forecast_period_s=60.0).rows == by_name.rows
 
 
 def test_big_values_show_one_short_line(flown: uavbatt.Replay) -> None:
-    for value in (flown, flown.flight, battery_file.read("lpab-3s"), load()):
+    for value in (flown, flown.flight, battery_file.read_battery("lpab-3s"), load()):
         assert len(repr(value)) < 250 and "\n" not in repr(value)
     assert "short.tlog" in repr(flown.flight) and f"{len(flown.flight.samples)} rows" in repr(flown.flight)
 

@@ -23,19 +23,19 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, made, resolve
+from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, make_plan, resolve
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import Sample
 from uavbatt.report.plan import plan_report
-from uavbatt.simulate import Mission, fly, write
+from uavbatt.simulate import Mission, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0)
 
 
 def fitted() -> BatteryFile:
     """The generic cell, as if it had been fitted: packs of the type differ by 6 % and 2 %."""
-    generic = battery_file.read("lipo-generic")
+    generic = battery_file.read_battery("lipo-generic")
     table = msgspec.structs.replace(generic.parameters, resistance_scale_sd=0.06, capacity_scale_sd=0.02)
     left = msgspec.structs.replace(generic.discrepancy, voltage_rmse_V=0.01)
     certificate = msgspec.structs.replace(generic.certificate, status="fitted")
@@ -45,7 +45,7 @@ def fitted() -> BatteryFile:
 def planned(
     power_W: float = 250.0, ambient_C: float = 20.0, start_soc: float = 1.0, battery: BatteryFile | None = None
 ) -> Endurance:
-    content = battery or battery_file.read("lipo-generic")
+    content = battery or battery_file.read_battery("lipo-generic")
     load = ConstantLoad(power_W, 0.04)
     return endurance(content, resolve(content, OPTIONS), load, ambient_C, start_soc)
 
@@ -61,7 +61,7 @@ def test_a_pack_that_is_at_its_end_says_so() -> None:
 
 @pytest.mark.parametrize("battery", ["lipo-generic", "lpab-3s"])
 def test_warmer_lasts_longer(battery: str) -> None:
-    times = [planned(ambient_C=t, battery=battery_file.read(battery)) for t in TABLE_C]
+    times = [planned(ambient_C=t, battery=battery_file.read_battery(battery)) for t in TABLE_C]
     for cold, warm in pairwise(times):
         assert cold.median_s < warm.median_s + 1.0 and cold.hi_s < warm.hi_s + 1.0
     assert times[0].median_s < 0.95 * times[-1].median_s
@@ -84,7 +84,7 @@ def test_it_agrees_with_a_flight_of_the_model() -> None:
     """A simulated flight at that power ends inside the interval, and within 10 % of the median."""
     content = fitted()
     pack = pack_of(content, 4, 5.0, 13.2, 14.0)
-    samples = fly(pack, Mission(250.0, 20.0, rate_Hz=1.0, seed=3))
+    samples = simulate_flight(pack, Mission(250.0, 20.0, rate_Hz=1.0, seed=3))
     airborne_s = [s.time_s for s in samples if s.current_A > 5.0]
     flown_s = next(s.time_s for s in samples if s.voltage_V < 13.2 and s.time_s > 100.0) - airborne_s[0]
     said = planned(battery=content)
@@ -105,12 +105,12 @@ def test_a_generic_file_is_wider_than_a_fitted_one() -> None:
 
 
 def test_outside_the_validated_range_is_said() -> None:
-    battery = battery_file.read("lpab-3s")
+    battery = battery_file.read_battery("lpab-3s")
     assert "outside the validated range" in planned(ambient_C=-20.0, battery=battery).remark
     assert "outside the validated range" in planned(ambient_C=50.0, battery=battery).remark
     assert planned(ambient_C=25.0, battery=battery).remark == ""
     assert planned(ambient_C=25.0).remark == "not tested at any temperature"
-    warned = made(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), 20.0).warnings
+    warned = make_plan(battery, resolve(battery, OPTIONS), (ConstantLoad(150.0, 0.04), "150 W"), 20.0).warnings
     assert warned == ("the certificate is for a 3S pack; this one is scaled from it",)
 
 
@@ -176,7 +176,7 @@ def test_what_nobody_says_is_refused_in_one_line(arguments: tuple[str, ...], wor
 @cache
 def samples() -> list[Sample]:
     pack = generic_pack()
-    return fly(pack, Mission(260.0, 20.0, rate_Hz=1.0, seed=8))
+    return simulate_flight(pack, Mission(260.0, 20.0, rate_Hz=1.0, seed=8))
 
 
 def test_like_a_past_flight(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_like_a_past_flight(tmp_path: Path) -> None:
         tmp_path / "past.BIN",
         tmp_path / "j",
     )
-    write(log, samples(), pack)
+    write_log(log, samples(), pack)
     code, said = run("--like", str(log), "--json", str(summary))
     assert code == 0 and "past.BIN" in said and "from vehicle" in said
     told = json.loads(summary.read_text())
@@ -206,10 +206,10 @@ def test_with_a_vehicle_file(tmp_path: Path) -> None:
     trace = Trace(time_s=[10.0 * k for k in range(40)], power_W=[250.0] * 40, soc=np.linspace(0.98, 0.5, 40).tolist())
     phases = Phases(take_off_W=250.0, flight_W=250.0, last_minute_W=250.0)
     flown = VehicleFile(name="quad", battery="lipo-generic", phases=phases, traces=[trace] * 10)
-    code, said = run(*PACK, "--vehicle", str(vehicle_file.write(flown, tmp_path / "quad.vehicle.toml")))
+    code, said = run(*PACK, "--vehicle", str(vehicle_file.write_vehicle(flown, tmp_path / "quad.vehicle.toml")))
     assert code == 0 and "as quad flew 10 times" in said
     load = FromTakeOff(learned_load(flown))
-    content = battery_file.read("lipo-generic")
+    content = battery_file.read_battery("lipo-generic")
     told = endurance(content, resolve(content, OPTIONS), load, 20.0)
     assert told.median_s == pytest.approx(planned(250.0).median_s, rel=0.03)
 
@@ -220,7 +220,7 @@ def test_a_part_used_pack_flies_the_flight_from_its_start() -> None:
     trace = Trace(time_s=[10.0 * k for k in range(120)], power_W=power_W, soc=np.linspace(1.0, 0.1, 120).tolist())
     phases = Phases(take_off_W=100.0, flight_W=300.0, last_minute_W=500.0)
     load = FromTakeOff(learned_load(VehicleFile(name="q", battery="b", phases=phases, traces=[trace])))
-    content = battery_file.read("lipo-generic")
+    content = battery_file.read_battery("lipo-generic")
     told = endurance(content, resolve(content, OPTIONS), load, 20.0, start_soc=0.2)
     assert told.median_s == pytest.approx(planned(100.0, start_soc=0.2).median_s, rel=0.1)
 
@@ -243,7 +243,7 @@ def test_no_headline_where_the_file_knows_nothing(tmp_path: Path) -> None:
     certificate = msgspec.structs.replace(content.certificate, statistics=warm)
     seen = msgspec.structs.replace(content, certificate=certificate)
     size = resolve(seen, OPTIONS)
-    cold, mild = (made(seen, size, (ConstantLoad(300.0, 0.04), "300 W"), t) for t in (5.0, 12.0))
+    cold, mild = (make_plan(seen, size, (ConstantLoad(300.0, 0.04), "300 W"), t) for t in (5.0, 12.0))
     assert math.isnan(cold.here.median_s) and cold.here.remark == "not known: fitted from 15 to 38 °C"
     assert mild.here.median_s > 0.0
     greyed = {row.ambient_C: row.remark for row in cold.rows}

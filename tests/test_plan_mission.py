@@ -20,10 +20,10 @@ POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=
 
 
 def planned(*items: MissionItem, wind: Wind | None = None) -> MissionPlan:
-    battery = battery_file.read("lipo-generic")
+    battery = battery_file.read_battery("lipo-generic")
     size = plan.resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
-    return plan_route.made(battery, size, asked, 25.0)
+    return plan_route.make_route_plan(battery, size, asked, 25.0)
 
 
 def test_a_short_mission_fits_and_a_long_one_does_not() -> None:

@@ -25,21 +25,20 @@ import uavbatt
 from uavbatt import output
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
-from uavbatt.battery.vehicle_file import write as write_vehicle
+from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile, write_vehicle
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import OPTIONS, Resting, Seen, capacity_doubt, cells_doubt, check_stated, ending_doubt
 from uavbatt.live.web import content
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.simulate import Mission, fly, write
+from uavbatt.simulate import Mission, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-EVERY_30_S = Settings(forecast_period_s=30.0)
+EVERY_30_S = ForecastSettings(forecast_period_s=30.0)
 LOGS = Path(__file__).parents[1] / "logs"
 
 
@@ -47,7 +46,7 @@ LOGS = Path(__file__).parents[1] / "logs"
 def flown() -> tuple[Sample, ...]:
     """Four minutes of a flight of the pack, the ground before it included."""
     pack = generic_pack()
-    return tuple(fly(pack, Mission(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
+    return tuple(simulate_flight(pack, Mission(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
 
 
 def after(
@@ -55,10 +54,10 @@ def after(
     facts: PackFacts | None = None,
     samples: Sequence[Sample] | None = None,
     battery: str = "lipo-generic",
-    settings: Settings = EVERY_30_S,
+    settings: ForecastSettings = EVERY_30_S,
 ) -> list[tuple[Estimate, Remaining]]:
     """Every row's estimate, as the library gives it."""
-    estimator = Estimator(battery_file.read(battery), options, settings)
+    estimator = Estimator(battery_file.read_battery(battery), options, settings)
     if facts is not None:
         estimator.update_facts(facts)
     return [estimator.step(sample) for sample in samples or flown()]
@@ -154,7 +153,7 @@ def test_wrong_arguments_of_the_library_are_named_with_their_bounds(wrong: dict[
 )  # fmt: skip
 def test_wrong_options_are_named_with_their_bounds(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(UsageError, match=words):
-        Settings(**wrong) if "forecast_period_s" in wrong else PackOptions(**{"cells": 4, **wrong})
+        ForecastSettings(**wrong) if "forecast_period_s" in wrong else PackOptions(**{"cells": 4, **wrong})
 
 
 @pytest.mark.parametrize("cutoff_V", [3.3, 17.5, 60.0])
@@ -211,7 +210,7 @@ FACTS = PackFacts(capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -> None:
-    estimator = Estimator(battery_file.read("lipo-generic"), settings=EVERY_30_S)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), settings=EVERY_30_S)
     estimator.update_facts(replace(FACTS, cells_series=cells, critical_voltage_V=3.5 * cells))
     rows = [estimator.step(sample) for sample in flown()]
     pack = estimator.pack_size
@@ -234,7 +233,7 @@ def test_a_critical_voltage_that_cannot_be_is_left_out(critical_V: float) -> Non
 
 
 def test_a_critical_voltage_for_another_count_than_the_callers_is_left_out() -> None:
-    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(cells=4), EVERY_30_S)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(cells=4), EVERY_30_S)
     estimator.update_facts(replace(FACTS, cells_series=3, critical_voltage_V=10.5))  # 3 cells of 3.5 V: PX4
     estimate, _ = estimator.step(flown()[0])
     assert estimator.pack_size is not None and estimator.pack_size.cutoff_V == pytest.approx(13.2)
@@ -301,13 +300,13 @@ def test_a_vehicle_file_of_another_aircraft_is_said(power_W: float, is_other: bo
 
 
 def test_a_battery_file_of_another_pack_is_said(tmp_path: Path) -> None:
-    generic = battery_file.read("lipo-generic")
+    generic = battery_file.read_battery("lipo-generic")
     fitted = msgspec.structs.replace(
         generic,
         battery=msgspec.structs.replace(generic.battery, cells_series=3, capacity_Ah=2.2, cutoff_V=9.9, low_V=10.5),
         certificate=msgspec.structs.replace(generic.certificate, status="fitted"),
     )
-    path = str(battery_file.write(fitted, tmp_path / "other.battery.toml"))
+    path = str(battery_file.write_battery(fitted, tmp_path / "other.battery.toml"))
     rows = after(STATED, battery=path)
     assert "the battery file is of a 3S 2.2 Ah pack, this one is 4S 5 Ah" in said(rows)
 
@@ -396,7 +395,7 @@ ABSURD = [
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flown") / "flight.tlog"
-    write(path, list(flown()), generic_pack())
+    write_log(path, list(flown()), generic_pack())
     return path
 
 
@@ -480,7 +479,7 @@ def test_one_damaged_current_moves_nothing() -> None:
 
 def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:
     pack = generic_pack(4, 5.0, 3.3, 14.0)  # the log's BATT_CRT_VOLT is a cell's value
-    write(tmp_path / "f.tlog", list(flown()), pack)
+    write_log(tmp_path / "f.tlog", list(flown()), pack)
     done = called(
         "replay", "f.tlog", "--load", "recent", "--jsonl", "f.jsonl", "--json", "f.json", "--report", "f.html",
         folder=tmp_path,
@@ -509,7 +508,7 @@ def test_a_table_in_milliseconds_is_refused_with_its_column(tmp_path: Path) -> N
 def test_info_uses_the_same_limits(tmp_path: Path) -> None:
     pack = generic_pack(4, 5.0, 3.3, 25.0)
     samples = [replace(s, current_A=-s.current_A, temp_C=298.0) for s in flown()]
-    write(tmp_path / "f.tlog", samples, pack)
+    write_log(tmp_path / "f.tlog", samples, pack)
     told = called("info", "f.tlog", folder=tmp_path).stdout
     assert "trust        no" in told and "negative throughout" in told and "kelvin?" in told
     assert "critical voltage 3.3 V" in told and "low-voltage warning 25 V" in told
@@ -529,8 +528,8 @@ def test_limits_let_ordinary_statements_pass() -> None:
 @pytest.mark.parametrize("name", ["hexa_6s_cold.csv", "quad_3s.BIN", "quad_4s.tlog"])
 def test_the_sample_logs_contradict_nothing(name: str) -> None:
     flight = read_log(LOGS / name)
-    settings = Settings(forecast_period_s=math.inf)
-    estimator = Estimator(battery_file.read("lipo-generic"), PackOptions(capacity_Ah=5.0), settings)
+    settings = ForecastSettings(forecast_period_s=math.inf)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(capacity_Ah=5.0), settings)
     estimator.update_facts(flight.facts_at(math.inf))
     told = {w for s in flight.samples for w in estimator.step(s)[0].warnings}
     assert not {w for w in told if "cell of" in w or "in series" in w or "stated" in w or "sign" in w}

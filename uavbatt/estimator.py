@@ -41,13 +41,13 @@ from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Doubt, Names, Seen
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
-from uavbatt.prediction.forecaster import Forecaster, Memory, Settings
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
 from uavbatt.prediction.last_wall import LastWall
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.pending import Pending, finished
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.telemetry.cleaning import Intake
+from uavbatt.telemetry.cleaning import Cleaner
 
 __all__ = ["PLAIN", "Engine", "Estimator", "Past"]
 
@@ -72,11 +72,11 @@ class Past(NamedTuple):
     """The memory of an estimator beside its belief: how the flight went, and what is known of the sensors."""
 
     forecaster: Memory
-    intake: Intake
+    cleaner: Cleaner
 
     def moved(self, shift_s: float) -> Past:
         """The same past on a clock that shows `shift_s` more."""
-        return Past(self.forecaster.moved(shift_s), self.intake.moved(shift_s))
+        return Past(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
 
 
 class Estimator:
@@ -92,20 +92,20 @@ class Estimator:
         self,
         battery: BatteryFile,
         options: PackOptions | None = None,
-        settings: Settings | None = None,
+        settings: ForecastSettings | None = None,
         engine: Engine = PLAIN,
         remembered: PackHealth | None = None,
     ) -> None:
         self.battery, self.remembered = battery, remembered
         self.options = options or PackOptions()
-        self.settings = settings or Settings()
+        self.settings = settings or ForecastSettings()
         self.pack_size: PackSize | None = None
         self._facts = PackFacts()
         self._filter: SocFilter | None = None
         self._forecaster: Forecaster | None = None
         load = self.settings.load
         power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
-        self._intake = Intake(stated_power_W=power_W)
+        self._cleaner = Cleaner(stated_power_W=power_W)
         self._swap = SwapWatch()
         self._statements, self._doubts = Statements(), tuple[Doubt, ...]()
         self._resting, self._stated_W = resting(battery), stated_power(load)
@@ -125,14 +125,14 @@ class Estimator:
         reserve_soc: float = 0.0,
         allow_uncertified: bool = False,
     ) -> Estimator:
-        """Make an estimator for a packaged battery by name or a battery file by path (`battery_file.read`).
+        """Make an estimator for a packaged battery by name or a battery file by path (`battery_file.read_battery`).
 
         cells in series, capacity_Ah [Ah], cutoff_V [V of the pack] and reserve_soc (0..1) are what the caller states.
         Raises UsageError for a number that cannot be, BadInput or Uncertified for a file that is not what it should be.
         """
         options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, spelt=Names())
-        content = battery_file.read(battery, allow_uncertified=allow_uncertified)
-        return cls(content, options, Settings(reserve_soc=reserve_soc))
+        content = battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
+        return cls(content, options, ForecastSettings(reserve_soc=reserve_soc))
 
     @property
     def belief(self) -> Belief | None:
@@ -164,7 +164,7 @@ class Estimator:
     @property
     def past(self) -> Past | None:
         """The memory that is saved with the belief; None before the first sample."""
-        return Past(self._forecaster.memory, self._intake) if self._forecaster is not None else None
+        return Past(self._forecaster.memory, self._cleaner) if self._forecaster is not None else None
 
     def restore(
         self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
@@ -172,7 +172,7 @@ class Estimator:
         """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
         self._facts, self.pack_size = facts, size
         if past is not None:
-            self._intake = past.intake
+            self._cleaner = past.cleaner
         soc_filter, forecaster = self._begin(size)
         soc_filter.restore(belief, current_A)
         self._swap = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since is a silence
@@ -220,9 +220,9 @@ class Estimator:
         cleaned = self._cleaned(samples)
         clean = [sample for _, sample in cleaned]
         rows, since = (self._filter.run(clean, filter_window) if self._filter is not None else []), 0
-        for k, (raw, (self._intake, sample)) in enumerate(zip(samples, cleaned, strict=True)):
+        for k, (raw, (self._cleaner, sample)) in enumerate(zip(samples, cleaned, strict=True)):
             self._hold_against(raw, sample)
-            if self._filter is None or self._intake.guessed != self._is_guessed:
+            if self._filter is None or self._cleaner.guessed != self._is_guessed:
                 refused = self._why_not_begin(sample)
                 if refused is not None:
                     yield Pending(sample, refused, None, refused.reason)
@@ -236,13 +236,13 @@ class Estimator:
                 found = self._estimate(sample, row)
             yield self._forecast_for(sample, found, row.belief, navigation_at(sample.time_s))
 
-    def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Intake, Sample]]:
+    def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:
         """The samples as the filter may have them, each with the memory of the cleaning after it."""
-        intake, assumed_W, most_A = self._intake, self._assumed_W(samples), self._most_A(samples)
+        cleaner, assumed_W, most_A = self._cleaner, self._assumed_W(samples), self._most_A(samples)
         found = []
         for sample in samples:
-            intake, sample = intake.after(sample, assumed_W, most_A)
-            found.append((intake, sample))
+            cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
+            found.append((cleaner, sample))
         return found
 
     def _why_not_begin(self, sample: Sample) -> Estimate | None:
@@ -265,7 +265,7 @@ class Estimator:
         pack = self._pack(size)
         self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
         self._forecaster = Forecaster(pack, self.settings)
-        self._is_guessed = self._intake.guessed
+        self._is_guessed = self._cleaner.guessed
         self._swap, self._monitor, self._wall = SwapWatch(), Monitor(), LastWall()
         return self._filter, self._forecaster
 
@@ -285,11 +285,11 @@ class Estimator:
         found = self._monitor.judged(found)
         if self._doubts and self._doubts[0].is_certain:
             found = replace(found, status=Status.REFUSED, reason=self._doubts[0].words)
-        if self._intake.guessed:  # nobody measured these
+        if self._cleaner.guessed:  # nobody measured these
             found = replace(found, current_A=NAN, power_W=NAN)
             if found.status is Status.OK:
                 found = replace(found, status=Status.CONVERGING, reason="no current sensor: the load is assumed")
-        self._forecaster.cell_spread_V = self._intake.cell_spread_V
+        self._forecaster.cell_spread_V = self._cleaner.cell_spread_V
         refusal, question = self._forecaster.update(sample, found, belief, navigation)
         self._wall = self._wall.after(sample, belief, self._filter.pack, self._forecaster.cutoff_V)
         return Pending(sample, found, self._forecaster, refusal, question, self._wall.left_s(sample.time_s))
@@ -310,7 +310,7 @@ class Estimator:
 
     def _assumed_W(self, coming: Sequence[Sample]) -> float:
         """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""
-        if self._intake.metered:
+        if self._cleaner.metered:
             return NAN
         size = self.pack_size or self._size_by(coming)
         return assumed_power_W(size) if size is not None else NAN
@@ -330,18 +330,18 @@ class Estimator:
 
     def _pack(self, size: PackSize) -> Pack:
         pack = pack_of(self.battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
-        if self._intake.guessed:
-            pack = unmetered_pack(pack, is_stated=math.isfinite(self._intake.stated_power_W))
+        if self._cleaner.guessed:
+            pack = unmetered_pack(pack, is_stated=math.isfinite(self._cleaner.stated_power_W))
         pack = with_reaction(pack, self.remembered)
         return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
 
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
         """All that a reader of the number must know beside it; each is said once."""
         assert self.pack_size is not None and self._filter is not None
-        is_metered = not self._intake.guessed
+        is_metered = not self._cleaner.guessed
         found = remarks(self.battery, self.pack_size, sample, known, self._filter.pack, is_metered=is_metered)
         if is_metered and self.remembered is not None:
             changed = unlike(self._filter.pack, self.remembered, known.wear, known.wear_sd)
             found = (*found, changed) if changed else found
         doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._doubts)))
-        return (*found, *doubted, *self._intake.notices)
+        return (*found, *doubted, *self._cleaner.notices)

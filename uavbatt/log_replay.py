@@ -22,7 +22,7 @@ from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.limits import Names
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
@@ -41,7 +41,7 @@ CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ReplayedRow:
     """One output line: the estimate and the forecast after one row."""
 
     estimate: Estimate
@@ -70,12 +70,12 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
     )
 
 
-def steps(flight: Flight, estimator: Estimator) -> Iterator[Step]:
+def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
     """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
     for facts, samples in _stretches(flight):
         estimator.update_facts(facts)
         for estimate, remaining in estimator.run(samples, flight.navigation_at):
-            yield Step(estimate, remaining)
+            yield ReplayedRow(estimate, remaining)
 
 
 def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
@@ -138,7 +138,7 @@ class Outcome:
     landing: Landing | None = None  # None: the log shows no flight
 
 
-def outcome(run: list[Step], cutoff_V: float) -> Outcome:
+def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
     """Figures of a finished replay; the truth is the end of flight that the log itself shows, if it does."""
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
@@ -168,7 +168,7 @@ def outcome(run: list[Step], cutoff_V: float) -> Outcome:
     )
 
 
-def _landing(run: list[Step], flying: NDArray[np.bool_]) -> Landing | None:
+def _landing(run: list[ReplayedRow], flying: NDArray[np.bool_]) -> Landing | None:
     """Return the forecast at the last row in the air, or at the last one before it that was given one.
 
     A refused number is not older than FORGOTTEN_S: an aircraft that comes down draws little, and a row there may have
@@ -195,7 +195,7 @@ def _loaded_A(amps: Array) -> float:
     return float(np.nanpercentile(amps, 90)) / 3.0 if np.isfinite(amps).any() else math.inf
 
 
-def _checkpoints(run: list[Step], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:
+def _checkpoints(run: list[ReplayedRow], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:
     wanted = [("half time", (end_s - take_off_s) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
     found = []
     for label, before_s in wanted:
@@ -220,13 +220,13 @@ class Replay:
 
     flight: Flight
     pack: PackSize
-    steps: tuple[Step, ...]
+    steps: tuple[ReplayedRow, ...]
     outcome: Outcome
 
     def __len__(self) -> int:
         return len(self.steps)
 
-    def __iter__(self) -> Iterator[Step]:
+    def __iter__(self) -> Iterator[ReplayedRow]:
         return iter(self.steps)
 
     def __repr__(self) -> str:
@@ -294,13 +294,13 @@ def replay(
     """
     flight = _flight(log, instance)
     content = _read(battery, allow_uncertified)
-    flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read(vehicle)
+    flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read_vehicle(vehicle)
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
-    statements.check(content, options, flight)
+    statements.check_statements(content, options, flight)
     period_s = _recorded_period_s(log) if forecast_period_s is None else _period_s(forecast_period_s)
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
-    estimator = Estimator(content, options, Settings(to_come, reserve_soc, period_s), engine)
+    estimator = Estimator(content, options, ForecastSettings(to_come, reserve_soc, period_s), engine)
     run = list(steps(flight, estimator))
     if estimator.pack_size is None:
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
@@ -311,7 +311,7 @@ def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> Battery
     """Return the content of a battery file that is named, or as it is given."""
     if isinstance(battery, BatteryFile):
         return battery
-    return battery_file.read(battery, allow_uncertified=allow_uncertified)
+    return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
 
 
 def _recorded_period_s(log: str | Path | Flight) -> float:

@@ -18,12 +18,12 @@ from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
 from uavbatt.battery.sizing import PackOptions, PackSize, certificate_remark, size_of_pack
-from uavbatt.battery.state_space import SIZE, Belief, C, voltage
-from uavbatt.battery.statements import check, size_from_rows
+from uavbatt.battery.state_space import SIZE, Belief, X, voltage
+from uavbatt.battery.statements import check_statements, size_from_rows
 from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
 from uavbatt.limits import rate_doubt
-from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
 from uavbatt.prediction.load_library import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
 from uavbatt.records import NAN, Flight, PackFacts
@@ -92,7 +92,7 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     Raises UsageError when nobody states the cells or the capacity.
     """
     if like is not None:
-        check(battery, options, like)
+        check_statements(battery, options, like)
         return size_from_rows(battery, options, like, like.facts_at(math.inf))
     typed = battery.battery
     if options.cells is None and not battery.is_measured:
@@ -103,7 +103,7 @@ def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = No
     return found
 
 
-def made(
+def make_plan(
     battery: BatteryFile,
     resolved: PackSize,
     load: tuple[Load, str],
@@ -148,7 +148,7 @@ def endurance(
     """Time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
     pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
     pack = with_reaction(pack, remembered)
-    forecaster = Forecaster(pack, Settings(load, max(reserve_soc, EMPTY_SOC)))
+    forecaster = Forecaster(pack, ForecastSettings(load, max(reserve_soc, EMPTY_SOC)))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
     if found is None:
         return Endurance(ambient_C, NAN, NAN, NAN, NAN, "no end within six hours: this is not the load of a flight")
@@ -174,9 +174,9 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
     """
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))
-    means[:, : C.SENSOR + 1], means[:, C.LOG_CAPACITY] = state, members.log_scale
+    means[:, : X.SENSOR + 1], means[:, X.LOG_CAPACITY] = state, members.log_scale
     charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
-    means[:, C.LOG_RESISTANCE] = members.log_resistance
+    means[:, X.LOG_RESISTANCE] = members.log_resistance
     covariances = start_covariances(state, charge, AMBIENT_SD_K, members)
     return Belief(0.0, means, covariances, members.weight, ambient_C)
 

@@ -20,7 +20,7 @@ from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan import EMPTY_SOC, TABLE_C, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
-from uavbatt.prediction.batch import Question, answer
+from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.long_steps import begun
 from uavbatt.prediction.route_ahead import Ahead, Way
 from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
@@ -68,7 +68,7 @@ class LegEnd:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class RouteFit:
     """The mission at one ambient temperature; `spare_s` is the hover left at home after touchdown."""
 
     ambient_C: float
@@ -91,14 +91,14 @@ class MissionPlan:
     resolved: PackSize
     planned: Planned
     start_soc: float
-    here: Fit
+    here: RouteFit
     legs: tuple[LegEnd, ...]
     turning: Point | None  # where the latest safe turn-back is
-    rows: tuple[Fit, ...]
+    rows: tuple[RouteFit, ...]
     warnings: tuple[str, ...]
 
 
-def made(
+def make_route_plan(
     battery: BatteryFile,
     resolved: PackSize,
     planned: Planned,
@@ -110,7 +110,7 @@ def made(
     ahead, way = planned.ahead()
     pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
 
-    def fit(at_C: float) -> tuple[Fit, Flying]:
+    def fit(at_C: float) -> tuple[RouteFit, Flying]:
         return _fit(battery, pack, planned, (ahead, way), at_C, start_soc, reserve_soc)
 
     here, flying = fit(ambient_C)
@@ -129,14 +129,14 @@ def _fit(
     ambient_C: float,
     start_soc: float,
     reserve_soc: float,
-) -> tuple[Fit, Flying]:
+) -> tuple[RouteFit, Flying]:
     """The mission at one temperature, and the draws that flew it."""
     ahead, way = flown
     load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
     dt_s = np.full(STEPS, BEYOND * ahead.touchdown_s / STEPS)
     scenarios = load.scenarios_over(dt_s)
     scenario = sampling.assigned(scenarios.weight)
-    x, power_W = sampling.draws(rested(pack, start_soc, ambient_C)), scenarios.power_W[:, scenario]
+    x, power_W = sampling.samples(rested(pack, start_soc, ambient_C)), scenarios.power_W[:, scenario]
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
     flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
@@ -145,11 +145,11 @@ def _fit(
     )
     known = ToCome(load, "route", "", ahead, home.ahead, "", home)
     asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
-    end_s = np.minimum(answer(question).end_s, question.horizon_s)
-    route = route_forecast.answer(asked, end_s)
+    end_s = np.minimum(end_times(question).end_s, question.horizon_s)
+    route = route_forecast.route_answer(asked, end_s)
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
-    return Fit(
+    return RouteFit(
         ambient_C, route, float(spare[1]), float(spare[0]), float(spare[2]), range_remark(battery, ambient_C)
     ), flying
 

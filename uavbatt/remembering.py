@@ -23,10 +23,10 @@ from uavbatt.estimator import Estimator
 from uavbatt.packs.evidence import told
 from uavbatt.packs.ledger import Ledger, prior
 from uavbatt.packs.records import FlightRecord, Told
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, Sample
 
-SILENT = Settings(forecast_period_s=1e6)  # forecasts are not asked for
+SILENT = ForecastSettings(forecast_period_s=1e6)  # forecasts are not asked for
 KEY_ROWS = 200
 LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
 LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current

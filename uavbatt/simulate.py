@@ -65,7 +65,7 @@ def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
     return pack._replace(cell=cell, installation=installation)
 
 
-def fly(
+def simulate_flight(
     pack: Pack,
     mission: Mission,
     power_W: Callable[[float], float] | None = None,
@@ -144,7 +144,7 @@ def _row(
     )
 
 
-def write(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight | None = None) -> None:
+def write_log(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight | None = None) -> None:
     """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix; UsageError for another one."""
     parameters = (PARAMETERS if route is not None else {}) | {
         "BATT_MONITOR": 4.0,

@@ -23,17 +23,17 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.capacity_prior import Capacities, capacities, known_capacity
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.log_replay import steps
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
-from uavbatt.prediction.forecaster import Forecaster, Settings
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import Wander, time_to_end
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate import Mission, fly
+from uavbatt.simulate import Mission, simulate_flight
 
 Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio
 HAS_TWIN = compiled.is_available()
@@ -43,15 +43,17 @@ LOAD_SPREAD = 0.15  # of the power that the forecasts are asked about
 
 def pack() -> Pack:
     """A 4S 5 Ah pack of the packaged file."""
-    return pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    return pack_of(battery_file.read_battery("lipo-generic"), 4, 5.0, 13.2, 14.0)
 
 
 def flight(minutes: float, rate_Hz: float = 10.0) -> list[Sample]:
     """A flight that long and not to the end of its pack, which is as large as it takes."""
     capacity_Ah = 5.0 * minutes / 20.0
-    made = pack_of(battery_file.read("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
+    made = pack_of(battery_file.read_battery("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
     if minutes <= 30.0:
-        return fly(made, Mission(36.0 * capacity_Ah, rate_Hz=rate_Hz, seed=3))[: int(60.0 * minutes * rate_Hz)]
+        return simulate_flight(made, Mission(36.0 * capacity_Ah, rate_Hz=rate_Hz, seed=3))[
+            : int(60.0 * minutes * rate_Hz)
+        ]
     short = flight(20.0, rate_Hz)
     times = int(minutes / 20.0)
     drop_V = (short[int(60 * rate_Hz)].voltage_V - short[-1].voltage_V) / len(short)
@@ -151,10 +153,11 @@ def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
     """A forecast whose end is `minutes` away, and from what it is made."""
     forecaster = Forecaster(
-        pack(), Settings(ConstantLoad(pack().installation.capacity_Ah * 14.8 * 0.9 * 60.0 / minutes, LOAD_SPREAD))
+        pack(),
+        ForecastSettings(ConstantLoad(pack().installation.capacity_Ah * 14.8 * 0.9 * 60.0 / minutes, LOAD_SPREAD)),
     )
     mean = np.zeros(SIZE)
-    mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = 0.95, 25.0, 25.0
+    mean[X.SOC], mean[X.CORE], mean[X.SENSOR] = 0.95, 25.0, 25.0
     sd = np.array([0.01, 0.003, 0.003, 1.0, 1.0, 0.05, 0.03, 0.005])
     belief = Belief.gaussian(0.0, mean, np.diag(sd**2), 20.0)
     found = forecaster.question(belief, 0.0)
@@ -197,7 +200,7 @@ def reference_ends_s(belief: Belief, asked: Question, draws: int = 4096) -> Any:
     """Ends of a flight of the bench's load, drawn anew and simulated in fine steps."""
     random, steps = np.random.default_rng(7), int(asked.horizon_s)
     x = random.multivariate_normal(belief.mean, belief.covariance, draws).T
-    x[C.SOC] = np.clip(x[C.SOC], 0.0, 1.02)
+    x[X.SOC] = np.clip(x[X.SOC], 0.0, 1.02)
     mean_W = float(np.median(asked.power_W))
     power_W = np.broadcast_to(mean_W * np.exp(LOAD_SPREAD * random.standard_normal(draws)), (steps, draws))
     bias = random.standard_normal((steps, draws))
@@ -231,7 +234,7 @@ def replay_rows() -> Iterator[Row]:
 def replayed(flight: Flight, engine: Engine) -> int:
     """Rows of a replay."""
     options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    estimator = Estimator(battery_file.read("lipo-generic"), options, engine=engine)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine)
     return sum(1 for _ in steps(flight, estimator))
 
 
@@ -242,7 +245,8 @@ def growth_rows() -> Iterator[Row]:
         whole = Flight("simulated", "csv", tuple(flight(minutes)))
         begin = time.perf_counter()
         estimator = Estimator(
-            battery_file.read("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0 * minutes / 20.0, cutoff_V=13.2)
+            battery_file.read_battery("lipo-generic"),
+            PackOptions(cells=4, capacity_Ah=5.0 * minutes / 20.0, cutoff_V=13.2),
         )
         rows = sum(1 for _ in steps(whole, estimator))
         took = time.perf_counter() - begin

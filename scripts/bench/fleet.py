@@ -35,11 +35,11 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
     """Write the logs: `shapes` flights of each kind are flown, a log is one of them with its own noise and date."""
     from uavbatt.battery import battery_file
     from uavbatt.battery.scaling import pack_of
-    from uavbatt.simulate import Mission, fly, with_effects
+    from uavbatt.simulate import Mission, simulate_flight, with_effects
     from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
     random = np.random.default_rng(seed)
-    base = pack_of(battery_file.read("lipo-generic"), 4, 5.0, 13.2, 14.0)
+    base = pack_of(battery_file.read_battery("lipo-generic"), 4, 5.0, 13.2, 14.0)
     parameters = {"BATT_CAPACITY": 5000.0, "BATT_CRT_VOLT": 13.2, "BATT_LOW_VOLT": 14.0}
     flown: dict[tuple[int, bool], list[Any]] = {}
     for number in range(flights):
@@ -49,7 +49,9 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
         if (key := (min(shape, shapes - 1), aircraft == AGEING)) not in flown:
             pack = with_effects(base, {"resistance_growth": GROWTH * share if aircraft == AGEING else 0.0})
             power_W, ambient_C = float(random.uniform(260.0, 420.0)), float(random.uniform(5.0, 30.0))
-            flown[key] = fly(pack, Mission(power_W, ambient_C, rate_Hz=RATE_HZ, seed=int(random.integers(1 << 30))))
+            flown[key] = simulate_flight(
+                pack, Mission(power_W, ambient_C, rate_Hz=RATE_HZ, seed=int(random.integers(1 << 30)))
+            )
         # most land with a rest: only every sixth log shows the end of its flight
         whole = flown[key]
         samples = whole if number % 6 == 0 else whole[: int(len(whole) * random.uniform(0.6, 0.9))]
@@ -70,13 +72,13 @@ from pathlib import Path
 from uavbatt.battery import battery_file
 from uavbatt.fleet import run
 from uavbatt.fleet.fly import Job
-from uavbatt.fleet.logs import find
+from uavbatt.fleet.logs import find_logs
 from uavbatt.battery.sizing import PackOptions
 if __name__ == "__main__":
     logs, output, workers = sys.argv[1:]
-    found, rows = find([logs]), []
-    job = Job(battery_file.read("lipo-generic"), PackOptions())
-    for finished in run.run(run.connected(int(workers)), found, job, Path(output)):
+    found, rows = find_logs([logs]), []
+    job = Job(battery_file.read_battery("lipo-generic"), PackOptions())
+    for finished in run.run_fleet(run.connected(int(workers)), found, job, Path(output)):
         rows += [time.perf_counter()] if finished.row is not None else []
     peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     workers_MB = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024

@@ -11,8 +11,8 @@ from peers.columns import FloatArray
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import Step, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.scoring.scores import FlightScore, score_flight
@@ -44,13 +44,13 @@ class Lines:
 
 
 def replayed(
-    flight: Flight, battery: BatteryFile, options: PackOptions, settings: Settings | None = None
-) -> list[Step]:
+    flight: Flight, battery: BatteryFile, options: PackOptions, settings: ForecastSettings | None = None
+) -> list[ReplayedRow]:
     """Every row of the flight through a fresh estimator."""
     return list(steps(flight, Estimator(battery, options, settings)))
 
 
-def ours(run: Sequence[Step]) -> Lines:
+def ours(run: Sequence[ReplayedRow]) -> Lines:
     """The forecast lines of a replay; the alarm looks at the time that is undercut at its stated risk."""
     said = [s.remaining for s in run]
     return Lines(

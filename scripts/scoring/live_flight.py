@@ -27,7 +27,7 @@ from uavbatt.live.config import Config, LinkSection
 from uavbatt.live.daemon import Daemon
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.links import open_link
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status
 
@@ -109,7 +109,7 @@ def flown_live(
     parameters are sent with the first row: whole numbers (`int`) as PX4 sends them, if it is one. sections are those
     of the configuration (`feed`, `state`, ...).
     """
-    content = battery_file.read(battery) if isinstance(battery, str) else battery
+    content = battery_file.read_battery(battery) if isinstance(battery, str) else battery
     with closing(Flight(content, options, is_px4, sections)) as flight:
         shown = []
         coming = sorted(extras, key=lambda extra: extra.time_s)
@@ -140,7 +140,7 @@ class Flight:
         self._at_daemon = at_daemon
         link = LinkSection(endpoint=f"udpin:{_address(at_daemon)}", gcs=[f"udpout:{_address(at_station)}"])
         self._daemon = Daemon(
-            Config(link=link, **sections), battery, options, Settings(forecast_period_s=PERIOD_S),
+            Config(link=link, **sections), battery, options, ForecastSettings(forecast_period_s=PERIOD_S),
             open_link(link.endpoint), [open_link(link.gcs[0])],
             clock_s=lambda: START_S + (self._time_s or 0.0), wall_s=lambda: WALL_S + (self._time_s or 0.0),
         )  # fmt: skip

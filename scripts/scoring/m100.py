@@ -19,7 +19,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft, learned_load
 from uavbatt.scoring.scores import FlightScore
@@ -75,7 +75,10 @@ def our_lines(known: Fold, flight: M100) -> dict[str, Lines]:
         UNKNOWN: UnknownAircraft(),
         RECENT: RecentMean(),
     }
-    return {name: ours(replayed(flight.flight, known.battery, OPTIONS, Settings(load))) for name, load in loads.items()}
+    return {
+        name: ours(replayed(flight.flight, known.battery, OPTIONS, ForecastSettings(load)))
+        for name, load in loads.items()
+    }
 
 
 def peer_lines(known: Fold, flight: M100) -> dict[str, Lines]:

@@ -7,7 +7,7 @@ import numpy as np
 from scoring.m100 import LEARNED, LOG, MAH, UNKNOWN, Result
 from scoring.table import DASH, Table, figure, grid, share, with_error
 from uavbatt.scoring.metrics import fixed_percentage
-from uavbatt.scoring.scores import Instant, Pooled, Row, pool
+from uavbatt.scoring.scores import Instant, Pooled, ScoreRow, pool
 
 INSTANTS = ("360 s", "240 s", "120 s", "60 s", "25%", "50%", "75%")
 JUDGED = INSTANTS[:4]
@@ -30,7 +30,7 @@ def tables(found: dict[str, list[Result]]) -> list[Table]:
     ]
 
 
-def _row(pooled: Pooled, label: str) -> Row:
+def _row(pooled: Pooled, label: str) -> ScoreRow:
     return next(r for r in pooled.rows if r.label == label)
 
 
@@ -41,7 +41,7 @@ def _errors(pooled: dict[str, Pooled], flights: int) -> Table:
 
 
 def _biases(pooled: dict[str, Pooled]) -> Table:
-    def cell(row: Row) -> str:
+    def cell(row: ScoreRow) -> str:
         return with_error(row.bias_s, row.bias_se_s, sign=True)
 
     rows = [(n, [cell(_row(p, i)) for i in INSTANTS]) for n, p in pooled.items()]

@@ -24,7 +24,7 @@ from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.log_replay import steps
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import Remembered
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
@@ -115,7 +115,7 @@ def _answer(folder: Path, pack: str, number: int) -> Answer:
 
 def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackHealth | None) -> Forecast:
     """The flight under its own true load, so that the battery alone is tested."""
-    settings = Settings(LoggedLoad(answer.time_s, answer.power_W), forecast_period_s=PERIOD_S)
+    settings = ForecastSettings(LoggedLoad(answer.time_s, answer.power_W), forecast_period_s=PERIOD_S)
     estimator = Estimator(battery, PackOptions(), settings, remembered=known)
     lines = ours(list(steps(flight, estimator)))
     assert estimator.pack_size is not None

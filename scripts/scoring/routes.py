@@ -26,8 +26,8 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import Step, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import LearnedLoad, learned_load
 from uavbatt.records import Flight, Route
@@ -57,7 +57,7 @@ class Mission:
 
     name: str
     answer: dict[str, Any]
-    run: list[Step]
+    run: list[ReplayedRow]
 
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
@@ -71,11 +71,13 @@ def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
     ]
 
 
-def _run(flight: Flight, known: Known, load: Load) -> list[Step]:
-    return list(steps(flight, Estimator(known.battery, known.pack, Settings(load))))
+def _run(flight: Flight, known: Known, load: Load) -> list[ReplayedRow]:
+    return list(steps(flight, Estimator(known.battery, known.pack, ForecastSettings(load))))
 
 
-def _scored(flight: Flight, known: Known, span_s: tuple[float, float], run: list[Step]) -> dict[str, FlightScore]:
+def _scored(
+    flight: Flight, known: Known, span_s: tuple[float, float], run: list[ReplayedRow]
+) -> dict[str, FlightScore]:
     """The flight with its route (already run), without it, and with its own later load."""
     without = replace(flight, navigation=())
     runs = {

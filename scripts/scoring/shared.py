@@ -17,8 +17,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import Outcome, Step, outcome, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import Outcome, ReplayedRow, outcome, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.telemetry import read_log
 
 EMPTIED = "quad_3s_2650_emptied.BIN"
@@ -32,7 +32,7 @@ PLACES = ("flights/ardupilot/*", "flights/px4/*.ulg", "truth/reference/r0/*", "f
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
     """All shared flights, and the pack that was flown empty."""
-    battery = battery_file.read("lipo-generic")
+    battery = battery_file.read_battery("lipo-generic")
     paths = [path for place in PLACES for path in sorted(data.glob(place))]
     rows: list[tuple[str, ...]] = []
     errors: list[tuple[float, float]] = []
@@ -69,8 +69,8 @@ def _name(path: Path) -> str:
     return f"{path.parent.name}/{path.name}" if path.name.startswith("flight_") else path.name
 
 
-def _run(path: Path, battery: BatteryFile) -> tuple[list[Step], Outcome]:
-    estimator = Estimator(battery, _options(path), Settings(forecast_period_s=PERIOD_S))
+def _run(path: Path, battery: BatteryFile) -> tuple[list[ReplayedRow], Outcome]:
+    estimator = Estimator(battery, _options(path), ForecastSettings(forecast_period_s=PERIOD_S))
     run = list(steps(read_log(path), estimator))
     if estimator.pack_size is None:
         raise ValueError(f"{path.name}: no voltage")

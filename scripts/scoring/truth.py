@@ -16,8 +16,8 @@ from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
-from uavbatt.log_replay import Step
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import ReplayedRow
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight
 from uavbatt.scoring.scores import end_of_flight
@@ -96,7 +96,7 @@ def _table(
         for number, (flight, answer) in enumerate(flights[name], 1):
             say(f"truth: {name} flight {number}, {battery.discrepancy.source}")
             for load, known in (("log", logged(flight)), ("recent", RecentMean())):
-                settings = Settings(known, forecast_period_s=PERIOD_S)
+                settings = ForecastSettings(known, forecast_period_s=PERIOD_S)
                 # cells, capacity, cut-off: the vehicle's
                 judged = _judge(replayed(flight, battery, PackOptions(), settings), answer)
                 means[load].append(judged)
@@ -113,7 +113,7 @@ def _table(
     return Table(title, head, tuple(rows), note)
 
 
-def _judge(run: list[Step], answer: Answer) -> Judged:
+def _judge(run: list[ReplayedRow], answer: Answer) -> Judged:
     score = ours(run).scored("", "", answer.start_s, answer.end_s)
     known = [s.estimate for s in run if np.isfinite(s.estimate.soc) and s.estimate.time_s <= answer.end_s]
     said = np.array([e.soc for e in known])

@@ -18,8 +18,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import Step, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.last_wall import FALLS_FASTER
 
 PERIOD_S = 5.0
@@ -64,16 +64,16 @@ class Judged:
 @cache
 def battery(name: str, make: Make) -> BatteryFile:
     """The packaged generic battery, or one fitted to the make."""
-    return battery_file.read("lipo-generic") if name == GENERIC else fitted(make)
+    return battery_file.read_battery("lipo-generic") if name == GENERIC else fitted(make)
 
 
 def estimator(case: Case) -> Estimator:
     """A fresh estimator that is told what is stated of the pack."""
     options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
-    return Estimator(battery(case.battery, case.make), options, Settings(forecast_period_s=PERIOD_S))
+    return Estimator(battery(case.battery, case.make), options, ForecastSettings(forecast_period_s=PERIOD_S))
 
 
-def replayed(case: Case) -> tuple[Flown, list[Step]]:
+def replayed(case: Case) -> tuple[Flown, list[ReplayedRow]]:
     """The flight, and every row of it through an estimator."""
     flown = case.flown()
     return flown, list(steps(flown.flight(case.name), estimator(case)))
@@ -84,7 +84,7 @@ def judged(case: Case) -> Judged:
     return judge(case, *replayed(case))
 
 
-def judge(case: Case, flown: Flown, run: Sequence[Step]) -> Judged:
+def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:
     """The figures of what was said of a flight."""
     lines, start_s, end_s = ours(run), flown.start_s, flown.end_s
     score = lines.scored(case.name, case.battery, start_s, end_s)
@@ -114,7 +114,7 @@ def _said(columns: FloatArray, at_s: float, end_s: float) -> Said:
     return Said(end_s - time_s, median_s, lo_s, hi_s)
 
 
-def _charge(run: Sequence[Step], flown: Flown, since_s: float) -> tuple[float, float]:
+def _charge(run: Sequence[ReplayedRow], flown: Flown, since_s: float) -> tuple[float, float]:
     """NEES and root mean square error of the state of charge."""
     known = [(s.estimate.soc, s.estimate.soc_sd, s.estimate.time_s) for s in run]
     soc, sd, time_s = (np.array(c) for c in zip(*known, strict=True))

@@ -91,7 +91,7 @@ def named(case: tuple[str, tuple[Any, ...]]) -> str:
 @pytest.mark.parametrize("name", PACKAGED)
 def test_packaged_files_are_intact(name: str) -> None:
     assert name in battery_file.packaged()
-    read = battery_file.read(name)
+    read = battery_file.read_battery(name)
     assert read.certificate.content_sha256 == battery_file.content_hash(read)
     assert read.battery.name == name
     assert read.status == {"lipo-generic": "generic", "lpab-3s": "certified"}[name]
@@ -99,14 +99,16 @@ def test_packaged_files_are_intact(name: str) -> None:
 
 def test_the_packaged_prior_is_the_one_in_the_code() -> None:
     """Whoever changes the prior packages it again: scripts/package_batteries."""
-    assert battery_file.content_hash(battery_file.read("lipo-generic")) == battery_file.content_hash(generic_lipo())
+    assert battery_file.content_hash(battery_file.read_battery("lipo-generic")) == battery_file.content_hash(
+        generic_lipo()
+    )
 
 
 @pytest.mark.parametrize("name", PACKAGED)
 def test_round_trip(name: str, tmp_path: Path) -> None:
-    first = battery_file.read(name)
-    path = battery_file.write(first, tmp_path / "new" / f"copy{battery_file.SUFFIX}")
-    again = battery_file.read(path)
+    first = battery_file.read_battery(name)
+    path = battery_file.write_battery(first, tmp_path / "new" / f"copy{battery_file.SUFFIX}")
+    again = battery_file.read_battery(path)
     assert battery_file.content_hash(again) == battery_file.content_hash(first) == again.certificate.content_sha256
     assert msgspec.structs.replace(again, certificate=first.certificate) == first
     assert [p.name for p in path.parent.iterdir()] == [path.name]
@@ -117,7 +119,7 @@ def test_layout_comments_and_date_are_not_content(tmp_path: Path) -> None:
     content["certificate"]["date"], content["certificate"]["tool_version"] = "1999-01-01", "9.9"
     path = written(dict(reversed(content.items())), tmp_path)
     path.write_text("# a comment\n" + path.read_text())
-    assert battery_file.read(path).certificate.date == "1999-01-01"
+    assert battery_file.read_battery(path).certificate.date == "1999-01-01"
 
 
 @pytest.mark.parametrize("name", PACKAGED)
@@ -127,10 +129,10 @@ def test_every_edit_is_noticed(name: str, tmp_path: Path) -> None:
     for path in leaves(content):
         edited = written(flipped(content, path), tmp_path)
         if path[0] == "certificate" and path[1] in PRIVATE[1:]:
-            battery_file.read(edited)
+            battery_file.read_battery(edited)
             continue
         try:
-            battery_file.read(edited)
+            battery_file.read_battery(edited)
             unnoticed.append(path)
         except (Uncertified, BadInput) as error:
             assert str(edited) in str(error) and "\n" not in str(error)
@@ -139,14 +141,14 @@ def test_every_edit_is_noticed(name: str, tmp_path: Path) -> None:
 
 def test_every_removal_is_noticed(tmp_path: Path) -> None:
     """Each leaf taken out: refused, unless the default says the same."""
-    content, was = packaged_content("lpab-3s"), msgspec.to_builtins(battery_file.read("lpab-3s"))
+    content, was = packaged_content("lpab-3s"), msgspec.to_builtins(battery_file.read_battery("lpab-3s"))
     for path in leaves(content):
         if path[0] == "certificate":
             continue
         less = copy.deepcopy(content)
         del at(less, path[:-1])[path[-1]]
         try:
-            read = battery_file.read(written(less, tmp_path))
+            read = battery_file.read_battery(written(less, tmp_path))
         except (Uncertified, BadInput):
             continue
         assert msgspec.to_builtins(read) == was, path
@@ -174,13 +176,13 @@ def test_a_fail_verdict_is_refused_even_when_sealed(tmp_path: Path) -> None:
     content = packaged_content("lpab-3s")
     content["certificate"]["verdicts"][0]["verdict"] = "fail"
     failed = msgspec.convert(content, battery_file.BatteryFile)
-    path = battery_file.write(failed, tmp_path / f"failed{battery_file.SUFFIX}")
+    path = battery_file.write_battery(failed, tmp_path / f"failed{battery_file.SUFFIX}")
     with pytest.raises(Uncertified, match="it is fail") as caught:
-        battery_file.read(path)
+        battery_file.read_battery(path)
     assert failed.certificate.verdicts[0].claim in str(caught.value)
     with pytest.raises(Uncertified, match="it is fail"):
         Estimator.from_battery(path)
-    assert battery_file.read(path, allow_uncertified=True).certificate.verdicts[0].verdict == "fail"
+    assert battery_file.read_battery(path, allow_uncertified=True).certificate.verdicts[0].verdict == "fail"
 
 
 def broken(edit: str) -> dict[str, Any]:
@@ -247,7 +249,7 @@ def test_what_is_malformed_is_named(edit: str, tmp_path: Path) -> None:
     path = written(broken(edit), tmp_path)
     for allow in (False, True):
         with pytest.raises(BadInput) as caught:
-            battery_file.read(path, allow_uncertified=allow)
+            battery_file.read_battery(path, allow_uncertified=allow)
         message = str(caught.value)
         assert message.startswith(str(path)) and BROKEN[edit] in message and "\n" not in message
 
@@ -257,21 +259,21 @@ def test_no_battery_file(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.battery.toml"
     path.write_bytes(data)
     with pytest.raises(BadInput) as caught:
-        battery_file.read(path)
+        battery_file.read_battery(path)
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="a battery file that exists"):
-        battery_file.read(tmp_path / "none.battery.toml")
+        battery_file.read_battery(tmp_path / "none.battery.toml")
     with pytest.raises(BadInput, match="not a directory"):
-        battery_file.read(tmp_path)
+        battery_file.read_battery(tmp_path)
     with pytest.raises(BadInput, match="lipo-generic, lpab-3s"):
-        battery_file.read("lipo-genric")
+        battery_file.read_battery("lipo-genric")
 
 
 def test_status_widens_the_belief() -> None:
-    certified = battery_file.read("lpab-3s")
+    certified = battery_file.read_battery("lpab-3s")
     fitted = msgspec.structs.replace(
         certified, certificate=msgspec.structs.replace(certified.certificate, status="fitted")
     )

@@ -32,11 +32,13 @@ def tampered(tmp_path: Path) -> Path:
 @pytest.fixture
 def failed(tmp_path: Path) -> Path:
     """A file that was written whole, hash and all, but whose gate said fail."""
-    certified = battery_file.read("lpab-3s")
+    certified = battery_file.read_battery("lpab-3s")
     verdicts = [*certified.certificate.verdicts]
     verdicts[0] = msgspec.structs.replace(verdicts[0], verdict="fail")
     certificate = msgspec.structs.replace(certified.certificate, verdicts=verdicts)
-    return battery_file.write(msgspec.structs.replace(certified, certificate=certificate), tmp_path / "f.battery.toml")
+    return battery_file.write_battery(
+        msgspec.structs.replace(certified, certificate=certificate), tmp_path / "f.battery.toml"
+    )
 
 
 @pytest.mark.parametrize("which", ["tampered", "failed"])
@@ -61,9 +63,9 @@ def test_refused_without_the_option_and_edited_with_it(which: str, request: pyte
 
 
 def test_claims_of_other_content_are_gone_and_its_own_hash_is_told(tampered: Path) -> None:
-    read = battery_file.read(tampered, allow_uncertified=True)
+    read = battery_file.read_battery(tampered, allow_uncertified=True)
     assert (read.certificate.verdicts, read.certificate.validated_ambient_C) == ([], [])
-    assert read.certificate.content_sha256 != battery_file.read("lipo-generic").certificate.content_sha256
+    assert read.certificate.content_sha256 != battery_file.read_battery("lipo-generic").certificate.content_sha256
 
 
 def test_a_plan_says_it(tampered: Path) -> None:
@@ -78,33 +80,35 @@ def test_a_plan_says_it(tampered: Path) -> None:
 def test_a_fleet_says_it(tampered: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.fleet.fly import Job, fly
-    from uavbatt.fleet.logs import find
+    from uavbatt.fleet.fly import Job, fly_log
+    from uavbatt.fleet.logs import find_logs
 
-    row = fly(find([str(TLOG)])[0], Job(battery_file.read(tampered, allow_uncertified=True), PackOptions(4, 5.0)))
+    row = fly_log(
+        find_logs([str(TLOG)])[0], Job(battery_file.read_battery(tampered, allow_uncertified=True), PackOptions(4, 5.0))
+    )
     assert row.certificate == "edited" and "edited, not certified" in row.warnings
 
 
 def test_it_widens_at_least_as_fitted(failed: Path) -> None:
     def spread(status: str, path: Path | str) -> tuple[float, ...]:
-        read = battery_file.read(path, allow_uncertified=True)
+        read = battery_file.read_battery(path, allow_uncertified=True)
         as_status = msgspec.structs.replace(read.certificate, status=status)
         pack = pack_of(msgspec.structs.replace(read, certificate=as_status), 3, 5.0, 9.3, 10.5)
         return pack.resistance_scale_sd, pack.capacity_scale_sd, pack.bias_sd_V
 
-    assert battery_file.read(failed, allow_uncertified=True).status == "edited"
+    assert battery_file.read_battery(failed, allow_uncertified=True).status == "edited"
     for edited, fitted in zip(spread("edited", failed), spread("fitted", failed), strict=True):
         assert edited >= fitted
 
 
 def test_what_is_written_from_it_stays_edited(tampered: Path) -> None:
     """Sealing does not wash: a copy with a sound hash is refused all the same."""
-    copy = battery_file.write(
-        battery_file.read(tampered, allow_uncertified=True), tampered.parent / "copy.battery.toml"
+    copy = battery_file.write_battery(
+        battery_file.read_battery(tampered, allow_uncertified=True), tampered.parent / "copy.battery.toml"
     )
     refused = called("replay", TLOG, "--battery", copy, folder=tampered.parent)
     assert refused.returncode == 1 and "it is edited" in refused.stderr
-    assert battery_file.read(copy, allow_uncertified=True).status == "edited"
+    assert battery_file.read_battery(copy, allow_uncertified=True).status == "edited"
 
 
 def test_the_live_page_says_it(tampered: Path) -> None:

@@ -188,7 +188,7 @@ def test_open_loop_simulation_equals_stepping() -> None:
 
 
 def test_tables_pass_through_their_knots_and_stay_monotone() -> None:
-    parameters = battery_file.read("lipo-generic").parameters
+    parameters = battery_file.read_battery("lipo-generic").parameters
     soc, volts = np.array(parameters.ocv_soc), np.array(parameters.ocv_V)
     table = dense(soc, volts)
     assert (np.diff(table) >= 0.0).all()

@@ -29,9 +29,9 @@ def test_a_log_that_begins_in_mid_air_finds_the_charge_and_the_overpotentials(ra
 
 
 def test_a_full_pack_has_no_past() -> None:
-    fresh = initial_state.underway(generic().cell, np.array([1.0]), np.array([20.0]), np.array([3.0]))
+    fresh = initial_state.state_under_load(generic().cell, np.array([1.0]), np.array([20.0]), np.array([3.0]))
     assert fresh.polarisation_V == fresh.diffusion_V == 0.0
-    charging = initial_state.underway(generic().cell, 0.5, 20.0, -1.0)  # nobody flies on a negative current
+    charging = initial_state.state_under_load(generic().cell, 0.5, 20.0, -1.0)  # nobody flies on a negative current
     assert abs(float(charging.diffusion_V)) < 1e-6
 
 

@@ -20,7 +20,7 @@ from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
 from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate import Mission, fly, write
+from uavbatt.simulate import Mission, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 
@@ -28,20 +28,22 @@ OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 @cache
 def flight(seed: int = 1, power_W: float = 300.0, rate_Hz: float = 1.0) -> Flight:
     pack = generic_pack()
-    return Flight(f"flight {seed}", "csv", tuple(fly(pack, Mission(power_W, rate_Hz=rate_Hz, seed=seed))))
+    return Flight(f"flight {seed}", "csv", tuple(simulate_flight(pack, Mission(power_W, rate_Hz=rate_Hz, seed=seed))))
 
 
 @cache
 def learned() -> VehicleFile:
-    return vehicle_file("quad", [flight(seed) for seed in (1, 2, 3)], battery_file.read("lipo-generic"), OPTIONS)
+    return vehicle_file(
+        "quad", [flight(seed) for seed in (1, 2, 3)], battery_file.read_battery("lipo-generic"), OPTIONS
+    )
 
 
 # --- what is learned ---------------------------------------------------------------------------------------------
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    path = vehicle.write(learned(), tmp_path / "quad.vehicle.toml")
-    assert vehicle.read(path) == learned()
+    path = vehicle.write_vehicle(learned(), tmp_path / "quad.vehicle.toml")
+    assert vehicle.read_vehicle(path) == learned()
     assert path.stat().st_size < 30_000 and list(tmp_path.iterdir()) == [path]
 
 
@@ -66,7 +68,7 @@ def test_phases_are_means() -> None:
 def test_coarse_rows_teach_the_same_energy() -> None:
     """A row every 12 s: the mean power is that of its rows, and the grid stays."""
     rows = flight().samples[20::12]
-    coarse = trace(Flight("coarse", "csv", rows), battery_file.read("lipo-generic"), OPTIONS)
+    coarse = trace(Flight("coarse", "csv", rows), battery_file.read_battery("lipo-generic"), OPTIONS)
     assert coarse is not None and set(np.diff(coarse.time_s)) == {GRID_S}
     mean_W = np.mean([s.voltage_V * s.current_A for s in rows])
     assert np.mean(coarse.power_W) == pytest.approx(mean_W, rel=0.03)
@@ -76,18 +78,20 @@ def test_the_landing_is_not_flight() -> None:
     """Idle rows after the flight, as before it, are no part of the trace."""
     last = flight().samples[-1]
     ground = tuple(Sample(last.time_s + t, 14.5, 0.6, armed=False) for t in range(1, 300))
-    longer = trace(Flight("landed", "csv", flight().samples + ground), battery_file.read("lipo-generic"), OPTIONS)
+    longer = trace(
+        Flight("landed", "csv", flight().samples + ground), battery_file.read_battery("lipo-generic"), OPTIONS
+    )
     assert longer is not None
     assert longer.time_s[-1] == pytest.approx(learned().traces[0].time_s[-1], abs=GRID_S)
 
 
 def test_too_short_to_learn_from() -> None:
     short = Flight("hop", "csv", flight().samples[:100])
-    assert trace(short, battery_file.read("lipo-generic"), OPTIONS) is None
+    assert trace(short, battery_file.read_battery("lipo-generic"), OPTIONS) is None
     with pytest.raises(NotEnoughData, match="quad: none of 1 logs holds 120 s") as caught:
-        vehicle_file("quad", [short], battery_file.read("lipo-generic"), OPTIONS)
+        vehicle_file("quad", [short], battery_file.read_battery("lipo-generic"), OPTIONS)
     assert caught.value.exit_code == 4
-    both = vehicle_file("quad", [short, flight()], battery_file.read("lipo-generic"), OPTIONS)
+    both = vehicle_file("quad", [short, flight()], battery_file.read_battery("lipo-generic"), OPTIONS)
     assert len(both.traces) == 1
 
 
@@ -143,7 +147,7 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 
 def assert_refused(path: Path, words: str) -> None:
     with pytest.raises(BadInput) as caught:
-        vehicle.read(path)
+        vehicle.read_vehicle(path)
     said = str(caught.value)
     assert said.startswith(str(path)) and words in said and "\n" not in said and caught.value.exit_code == 1
 
@@ -156,12 +160,12 @@ def test_fit_learns_a_vehicle_and_replay_takes_it(tmp_path: Path) -> None:
     logs = []
     for seed in (1, 2):
         logs.append(str(tmp_path / f"{seed}.BIN"))
-        write(Path(logs[-1]), list(flight(seed, rate_Hz=0.5).samples), pack)
+        write_log(Path(logs[-1]), list(flight(seed, rate_Hz=0.5).samples), pack)
     made = tmp_path / "quad.vehicle.toml"
     runner = CliRunner()
     fitted = runner.invoke(app, ["fit", *logs, "--battery", "lipo-generic", "--vehicle", str(made)])
     assert fitted.exit_code == 0 and "2 of 2 flights" in fitted.output
-    assert vehicle.read(made).name == "quad" and vehicle.read(made).battery == "lipo-generic"
+    assert vehicle.read_vehicle(made).name == "quad" and vehicle.read_vehicle(made).battery == "lipo-generic"
     replayed = runner.invoke(app, ["replay", logs[0], "--vehicle", str(made)])
     assert replayed.exit_code == 0 and "120 s before" in replayed.output
 

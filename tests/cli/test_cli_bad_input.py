@@ -188,7 +188,7 @@ def test_a_battery_file_whose_verdict_is_fail(folder: Path) -> None:
 
     content = tomllib.loads(battery_file._text("lpab-3s")[0].decode())
     content["certificate"]["verdicts"][0]["verdict"] = "fail"
-    battery_file.write(msgspec.convert(content, battery_file.BatteryFile), folder / "failed.battery.toml")
+    battery_file.write_battery(msgspec.convert(content, battery_file.BatteryFile), folder / "failed.battery.toml")
     words = ("failed.battery.toml", content["certificate"]["verdicts"][0]["claim"], "it is fail")
     assert_refused(folder, replay(TLOG, "--battery", "failed.battery.toml"), 1, words)
     out = ("-o", "out/f.csv")

@@ -55,11 +55,11 @@ def test_of_a_file_name(content: str, ask: type[Done], tmp_path: Path) -> None:
 
 
 def test_of_a_battery_file(tmp_path: Path) -> None:
-    content = battery_file.read("lpab-3s")
+    content = battery_file.read_battery("lpab-3s")
     import msgspec
 
     hostile = msgspec.structs.replace(content, battery=msgspec.structs.replace(content.battery, name=f"x{HOSTILE}"))
-    path = battery_file.write(hostile, tmp_path / "b.battery.toml")
+    path = battery_file.write_battery(hostile, tmp_path / "b.battery.toml")
     done = called("plan", "--battery", path, "--power-w", "200", "--capacity-ah", "5", folder=tmp_path)
     assert done.returncode == 0 and "x\ufffd[2J" in done.stdout
     assert_clean(done)

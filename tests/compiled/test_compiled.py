@@ -28,10 +28,10 @@ from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.log_replay import engine_for, steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
-from uavbatt.simulate import Mission, fly, with_effects
+from uavbatt.simulate import Mission, simulate_flight, with_effects
 
 pytest.importorskip("numba", reason="the extra `fast` is not installed")
 LOGS = Path(__file__).resolve().parents[2] / "logs"
@@ -44,7 +44,7 @@ def pack_4s() -> Pack:
 
 @cache
 def flown() -> tuple[Sample, ...]:
-    return tuple(fly(pack_4s(), Mission(500.0, 8.0, rate_Hz=10.0, seed=5)))
+    return tuple(simulate_flight(pack_4s(), Mission(500.0, 8.0, rate_Hz=10.0, seed=5)))
 
 
 def holed(samples: tuple[Sample, ...]) -> list[Sample]:
@@ -131,15 +131,17 @@ def asked(samples: tuple[Sample, ...], reserve_soc: float = 0.0) -> Iterator[Que
         found.extend(questions_asked)
         return questions.answers(questions_asked)
 
-    settings = Settings(reserve_soc=reserve_soc, forecast_period_s=40.0)
-    for _ in Estimator(battery_file.read("lipo-generic"), OPTIONS, settings, Engine(answers=noted)).run(samples):
+    settings = ForecastSettings(reserve_soc=reserve_soc, forecast_period_s=40.0)
+    for _ in Estimator(battery_file.read_battery("lipo-generic"), OPTIONS, settings, Engine(answers=noted)).run(
+        samples
+    ):
         yield from found
         found.clear()
 
 
 def assert_same_ends(found: list[Question]) -> None:
     for question, beside in zip(found, questions.answers(found), strict=True):
-        alone, (twin,) = questions.answer(question), compiled.engine().answers([question])
+        alone, (twin,) = questions.end_times(question), compiled.engine().answers([question])
         for plain, side_by_side, quick in zip(alone, beside, twin, strict=True):
             np.testing.assert_array_equal(side_by_side, plain)
             np.testing.assert_allclose(quick, plain, rtol=CLOSE, atol=CLOSE)
@@ -175,8 +177,8 @@ def test_a_replay_says_the_same_compiled(name: str) -> None:
     flight = replace(whole, samples=whole.samples[: len(whole.samples) // 2])
 
     def numbers(engine: Engine) -> list[list[float]]:
-        options, settings = PackOptions(capacity_Ah=5.0), Settings(forecast_period_s=10.0)
-        estimator = Estimator(battery_file.read("lipo-generic"), options, settings, engine)
+        options, settings = PackOptions(capacity_Ah=5.0), ForecastSettings(forecast_period_s=10.0)
+        estimator = Estimator(battery_file.read_battery("lipo-generic"), options, settings, engine)
         run = list(steps(flight, estimator))
         values = [(*astuple(step.estimate), *astuple(step.remaining)) for step in run]
         return [[value for value in row if isinstance(value, float)] for row in values]
@@ -250,10 +252,10 @@ def test_in_flight_numba_is_never_imported() -> None:
         "from uavbatt.battery import battery_file\n"
         "from uavbatt.battery.sizing import PackOptions\n"
         "from uavbatt.estimator import Estimator\n"
-        "from uavbatt.prediction.forecaster import Settings\n"
+        "from uavbatt.prediction.forecaster import ForecastSettings\n"
         "from uavbatt.records import Sample\n"
-        "options, settings = PackOptions(cells=4, capacity_Ah=5.0), Settings(forecast_period_s=0.0)\n"
-        "e = Estimator(battery_file.read('lipo-generic'), options, settings)\n"
+        "options, settings = PackOptions(cells=4, capacity_Ah=5.0), ForecastSettings(forecast_period_s=0.0)\n"
+        "e = Estimator(battery_file.read_battery('lipo-generic'), options, settings)\n"
         "out = [e.step(Sample(float(k), 15.6 - 0.002 * k, 20.0, 25.0))[1] for k in range(60)]\n"
         "assert out[-1].remaining_s > 0.0\n"
         "assert not {'numba', 'llvmlite', 'uavbatt.compiled'} & set(sys.modules)\n"

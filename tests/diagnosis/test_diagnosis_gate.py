@@ -20,7 +20,7 @@ from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight
 from uavbatt.log_replay import engine_for
 from uavbatt.records import Flight
-from uavbatt.simulate import Mission, fly, with_effects, write
+from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 3, 1.5, 9.6, 10.5
@@ -31,7 +31,7 @@ SLUGGISH = EffectEntry(name="charge_transfer", parameters={"transfer_V": 0.1, "t
 
 @pytest.fixture(scope="module")
 def file() -> BatteryFile:
-    return battery_file.read("lpab-3s")
+    return battery_file.read_battery("lpab-3s")
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def found(file: BatteryFile, tmp_path_factory: pytest.TempPathFactory) -> Diagno
     flights: list[Flight] = []
     for i, (power_W, ambient_C) in enumerate([(45.0, 25.0), (55.0, 15.0), (35.0, 30.0)]):
         path = folder / f"flight_{i}.csv"
-        write(path, fly(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
+        write_log(path, simulate_flight(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
         flights.append(read_log(path))
     records = [from_flight(f, CELLS, CAPACITY_AH) for f in flights]
     return diagnose(

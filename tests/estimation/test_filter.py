@@ -16,11 +16,11 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import SIZE, C
+from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import SocFilter, noise, recursion
 from uavbatt.estimation.filter import estimate_of
 from uavbatt.records import NAN, Estimate, Sample, Status
-from uavbatt.simulate import Mission, fly
+from uavbatt.simulate import Mission, simulate_flight
 
 DT_S = 2.0
 READING_SD_V = 0.012  # a cell
@@ -69,37 +69,37 @@ class ClosedForm:
 
     def predict(self, current_A: float, dt_s: float) -> None:
         made, x = linear_pack(), self.x
-        rate = current_A / (5.0 * math.exp(x[C.LOG_CAPACITY]))
+        rate = current_A / (5.0 * math.exp(x[X.LOG_CAPACITY]))
         keep = {
-            C.POLARISATION: math.exp(-dt_s / made.cell.polarisation_tau_s),
-            C.DIFFUSION: math.exp(-dt_s / made.cell.diffusion_tau_s),
-            C.CORE: math.exp(-dt_s * made.cell.cooling_WpKAh / made.cell.heat_capacity_JpKAh),
-            C.SENSOR: math.exp(-dt_s / made.cell.sensor_lag_s),
-            C.BIAS: math.exp(-dt_s / made.bias_tau_s),
+            X.POLARISATION: math.exp(-dt_s / made.cell.polarisation_tau_s),
+            X.DIFFUSION: math.exp(-dt_s / made.cell.diffusion_tau_s),
+            X.CORE: math.exp(-dt_s * made.cell.cooling_WpKAh / made.cell.heat_capacity_JpKAh),
+            X.SENSOR: math.exp(-dt_s / made.cell.sensor_lag_s),
+            X.BIAS: math.exp(-dt_s / made.bias_tau_s),
         }
         F = np.eye(SIZE)
         for component, factor in keep.items():
             F[component, component] = factor
-        F[C.SOC, C.LOG_CAPACITY] = rate * dt_s / 3600.0
-        F[C.SENSOR, C.CORE] = (1.0 - keep[C.SENSOR]) * keep[C.CORE]
-        core_C = self.ambient_C + (x[C.CORE] - self.ambient_C) * keep[C.CORE]
+        F[X.SOC, X.LOG_CAPACITY] = rate * dt_s / 3600.0
+        F[X.SENSOR, X.CORE] = (1.0 - keep[X.SENSOR]) * keep[X.CORE]
+        core_C = self.ambient_C + (x[X.CORE] - self.ambient_C) * keep[X.CORE]
         self.x = F @ x
-        self.x[C.SOC] = x[C.SOC] - rate * dt_s / 3600.0
-        self.x[C.CORE] = core_C
-        self.x[C.SENSOR] = core_C + (x[C.SENSOR] - core_C) * keep[C.SENSOR]
+        self.x[X.SOC] = x[X.SOC] - rate * dt_s / 3600.0
+        self.x[X.CORE] = core_C
+        self.x[X.SENSOR] = core_C + (x[X.SENSOR] - core_C) * keep[X.SENSOR]
         self.P = F @ self.P @ F.T + np.diag(WALK**2 * dt_s)
 
     def update(self, sample: Sample) -> tuple[float, float]:
         x = self.x
-        rate = sample.current_A / (5.0 * math.exp(x[C.LOG_CAPACITY]))
-        drop_V = rate * R0 * math.exp(x[C.LOG_RESISTANCE])
-        expected_V = 4 * (FLOOR_V + SLOPE_V * x[C.SOC] - x[C.POLARISATION] - x[C.DIFFUSION] - drop_V + x[C.BIAS])
+        rate = sample.current_A / (5.0 * math.exp(x[X.LOG_CAPACITY]))
+        drop_V = rate * R0 * math.exp(x[X.LOG_RESISTANCE])
+        expected_V = 4 * (FLOOR_V + SLOPE_V * x[X.SOC] - x[X.POLARISATION] - x[X.DIFFUSION] - drop_V + x[X.BIAS])
         H = np.zeros((2, SIZE))
-        H[0, [C.SOC, C.POLARISATION, C.DIFFUSION, C.BIAS]] = 4 * SLOPE_V, -4, -4, 4
-        H[0, C.LOG_RESISTANCE], H[0, C.LOG_CAPACITY] = -4 * drop_V, 4 * drop_V
-        H[1, C.SENSOR] = 1.0
+        H[0, [X.SOC, X.POLARISATION, X.DIFFUSION, X.BIAS]] = 4 * SLOPE_V, -4, -4, 4
+        H[0, X.LOG_RESISTANCE], H[0, X.LOG_CAPACITY] = -4 * drop_V, 4 * drop_V
+        H[1, X.SENSOR] = 1.0
         R = np.diag([(4 * READING_SD_V) ** 2, 0.4**2])
-        innovation = np.array([sample.voltage_V - expected_V, sample.temp_C - x[C.SENSOR]])
+        innovation = np.array([sample.voltage_V - expected_V, sample.temp_C - x[X.SENSOR]])
         S = H @ self.P @ H.T + R
         gain = self.P @ H.T @ np.linalg.inv(S)
         self.x = x + gain @ innovation
@@ -155,9 +155,9 @@ def own_flight(seed: int, rows: int, made: Pack) -> tuple[list[Estimate], list[f
         mean_A = 0.5 * (before_A + current_A)
         x = b.transition(made, x, mean_A, belief.ambient_C, DT_S) + WALK * math.sqrt(DT_S) * rng.standard_normal(SIZE)
         volts = float(b.voltage(made, x, current_A)) + 4 * READING_SD_V * rng.standard_normal()
-        temp_C = float(x[C.SENSOR]) + made.temperature_sd_K * rng.standard_normal()
+        temp_C = float(x[X.SENSOR]) + made.temperature_sd_K * rng.standard_normal()
         estimates.append(ours.step(Sample(k * DT_S, volts, current_A, temp_C)))
-        truth.append(float(x[C.SOC]))
+        truth.append(float(x[X.SOC]))
         before_A = current_A
     return estimates, truth
 
@@ -195,7 +195,7 @@ def test_soc_error_is_what_the_filter_says(own_flights: list[tuple[list[Estimate
 
 def test_covariance_stays_a_covariance() -> None:
     ours = SocFilter(pack())
-    for sample in fly(pack(), Mission(250.0, 5.0, seed=3))[::6]:
+    for sample in simulate_flight(pack(), Mission(250.0, 5.0, seed=3))[::6]:
         ours.step(sample)
         belief = ours.belief
         assert belief is not None
@@ -209,7 +209,7 @@ def test_covariance_stays_a_covariance() -> None:
 
 @cache
 def flight(ambient_C: float = 20.0, start_soc: float = 1.0) -> tuple[Sample, ...]:
-    return tuple(fly(pack(), Mission(250.0, ambient_C, start_soc, rate_Hz=1.0, seed=5)))
+    return tuple(simulate_flight(pack(), Mission(250.0, ambient_C, start_soc, rate_Hz=1.0, seed=5)))
 
 
 def true_soc(sample: Sample, start_soc: float = 1.0) -> float:
@@ -289,11 +289,11 @@ def test_rows_without_a_temperature() -> None:
     ours, with_temp = run(samples)
     bare, without = run([replace(s, temp_C=NAN) for s in samples])
     assert ours.belief is not None and bare.belief is not None
-    assert bare.belief.covariance[C.CORE, C.CORE] > ours.belief.covariance[C.CORE, C.CORE]
+    assert bare.belief.covariance[X.CORE, X.CORE] > ours.belief.covariance[X.CORE, X.CORE]
     assert abs(without[-1].soc - true_soc(samples[-1])) < 4.0 * without[-1].soc_sd + 0.01
     half, _ = run([s if s.time_s < 300.0 else replace(s, temp_C=NAN) for s in samples])
     assert half.belief is not None
-    assert half.belief.mean[C.SOC] == pytest.approx(with_temp[-1].soc, abs=0.03)
+    assert half.belief.mean[X.SOC] == pytest.approx(with_temp[-1].soc, abs=0.03)
 
 
 @pytest.mark.parametrize(("field", "word"), [("voltage_V", "voltage"), ("current_A", "current")])
@@ -329,7 +329,7 @@ def test_rows_at_one_instant() -> None:
     clean, _ = run([flat(2.0 * k) for k in range(20)])
     assert all(math.isfinite(e.soc) for e in estimates)
     assert ours.belief is not None and clean.belief is not None
-    assert ours.belief.mean[C.SOC] == pytest.approx(clean.belief.mean[C.SOC], abs=1e-3)
+    assert ours.belief.mean[X.SOC] == pytest.approx(clean.belief.mean[X.SOC], abs=1e-3)
     assert ours.belief.time_s == clean.belief.time_s
 
 
@@ -393,7 +393,10 @@ def test_a_restored_filter_goes_on_as_if_nothing_had_been() -> None:
 
 def test_rows_worked_out_ahead_are_those_of_filterpy() -> None:
     """Looking ahead conditions without filterpy: the same numbers, on a flight that starts fuller than full."""
-    flown = [replace(s, voltage_V=s.voltage_V + 0.2) for s in fly(pack(), Mission(260.0, 12.0, rate_Hz=4.0, seed=9))]
+    flown = [
+        replace(s, voltage_V=s.voltage_V + 0.2)
+        for s in simulate_flight(pack(), Mission(260.0, 12.0, rate_Hz=4.0, seed=9))
+    ]
     rows = [replace(s, temp_C=NAN) if 300 < k < 400 else s for k, s in enumerate(flown[:2000])]
     alone, ahead = SocFilter(pack()), SocFilter(pack())
     for row, found in zip(rows, ahead.run(rows), strict=True):

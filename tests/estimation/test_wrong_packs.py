@@ -21,7 +21,7 @@ from scoring.other_pack import CUTOFF_V, FULL_AH, Flown
 from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
-from uavbatt.log_replay import Step, steps
+from uavbatt.log_replay import ReplayedRow, steps
 from uavbatt.records import Flight
 
 pytestmark = pytest.mark.slow
@@ -38,7 +38,7 @@ def case(battery: str, ah: float) -> Case:
 
 
 @cache
-def run(battery: str, ah: float) -> tuple[Flown, list[Step]]:
+def run(battery: str, ah: float) -> tuple[Flown, list[ReplayedRow]]:
     """A flight, and what is said of it."""
     return wrong_judged.replayed(case(battery, ah))
 

@@ -13,7 +13,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.fitting import observed, prior, solve
 from uavbatt.fitting.battery import Fitted, Size, fit_battery
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate import Mission, fly
+from uavbatt.simulate import Mission, simulate_flight
 
 STARTS = (1.0, 0.9, 0.8, 0.95, 1.0)  # what the fit is not told
 POWERS_W = (250.0, 300.0, 350.0, 280.0, 320.0)
@@ -36,7 +36,7 @@ def planted() -> Pack:
 def flown(number: int) -> tuple[Sample, ...]:
     """A flight to the cut-off from its own charge and ambient temperature, gusts and sensor noise included."""
     mission = Mission(POWERS_W[number], 15.0 + 3.0 * number, STARTS[number], rate_Hz=0.5, seed=20 + number)
-    return tuple(fly(planted(), mission))
+    return tuple(simulate_flight(planted(), mission))
 
 
 def flights(every: int) -> list[Flight]:
@@ -44,8 +44,10 @@ def flights(every: int) -> list[Flight]:
 
 
 @cache
-def found(every: int) -> solve.Fit:
-    return solve.fit(observed.stack([observed.from_flight(f, 4, 5.0) for f in flights(every)]), own_prior=solve.FLEET)
+def found(every: int) -> solve.BatteryFit:
+    return solve.fit_battery(
+        observed.stack([observed.from_flight(f, 4, 5.0) for f in flights(every)]), own_prior=solve.FLEET
+    )
 
 
 def true_values() -> dict[str, float]:

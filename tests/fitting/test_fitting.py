@@ -18,7 +18,7 @@ from uavbatt.fitting.battery import Size, fit_battery, size_of
 from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.observed import Observed, binned, from_flight, held_load, stack
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.simulate import Mission, fly
+from uavbatt.simulate import Mission, simulate_flight
 
 PLANTED = {"polarisation_ratio": 0.9, "diffusion_ratio": 0.5, "heat_capacity_JpKAh": 30.0, "resistance_gain": 1.5}
 
@@ -60,9 +60,9 @@ def records() -> tuple[Observed, ...]:
 
 
 @cache
-def found() -> tuple[solve.Fit, observed.Stack]:
+def found() -> tuple[solve.BatteryFit, observed.Stack]:
     stacked = stack(list(records()))
-    return solve.fit(stacked), stacked
+    return solve.fit_battery(stacked), stacked
 
 
 def test_what_was_planted_comes_back() -> None:
@@ -96,7 +96,7 @@ def test_the_data_narrow_the_prior() -> None:
 
 def test_the_fit_explains_its_records() -> None:
     fit, stacked = found()
-    run = solve.replay(stacked, fit)
+    run = solve.replay_fit(stacked, fit)
     gap_V = (run.voltage_V * stacked.cells - stacked.voltage_V)[stacked.compare]
     assert float(np.sqrt(np.mean(gap_V**2))) < 0.02
     left = assemble.discrepancy(stacked, run, held_out=False, source="itself")
@@ -175,7 +175,7 @@ def test_a_held_load_loses_its_noise_and_keeps_its_steps() -> None:
 def flight() -> Flight:
     pack = generic_pack()
     facts = ((0.0, PackFacts(4, 5.0, critical_voltage_V=13.2)),)
-    return Flight("f", "csv", tuple(fly(pack, Mission(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts)
+    return Flight("f", "csv", tuple(simulate_flight(pack, Mission(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts)
 
 
 def test_a_fit_to_a_flight_is_a_fitted_file() -> None:
@@ -222,11 +222,11 @@ def test_an_unmetered_test_is_explained_and_its_rate_stays_open() -> None:
     start = model.rested(np.array([0.98]), np.array([23.0]))
     out = unmetered.limited_test(cell, start, np.array([8.0]), np.array([3.1]), 25.0, time_s)
     test = unmetered.MeanTest(time_s, 3 * out[0, :, 0], np.full(time_s.size, 0.02), out[1, :, 0], 3, 25.0)
-    fit = unmetered.fit(test)
+    fit = unmetered.fit_unmetered(test)
     slots = unmetered.slots_of(fit.effects)
-    again = unmetered.predict(slots, fit.effects, fit.x[None], test, time_s)
+    again = unmetered.predict_unmetered(slots, fit.effects, fit.x[None], test, time_s)
     assert again[0, :, 0] == pytest.approx(test.voltage_V, abs=0.04)
     assert fit.value("c_rate") == pytest.approx(8.0, abs=1.5)
     assert fit.standard_error("c_rate") > 0.2
-    shipped = battery_file.read("lpab-3s").parameters
+    shipped = battery_file.read_battery("lpab-3s").parameters
     assert shipped.c_rate_sd == 1.5 and shipped.resistance_scale_sd > 1.5 / 8.0

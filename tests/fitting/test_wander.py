@@ -14,7 +14,7 @@ from uavbatt.errors import BadInput
 from uavbatt.fitting import prior, wander
 from uavbatt.fitting.wander import Misfit, likelihood
 
-GENERIC = battery_file.read("lipo-generic")
+GENERIC = battery_file.read_battery("lipo-generic")
 WANDER = Wander(
     soc=[0.0, 1.0], voltage_sd_V=[0.04, 0.02], voltage_time_s=90.0, voltage_noise_V=0.008, rest_sd_V=0.01,
     temperature_sd_K=0.3, temperature_time_s=600.0, temperature_noise_K=0.05,
@@ -61,11 +61,11 @@ def test_one_record_alone_agrees_with_the_covariance_written_out() -> None:
 
 
 def test_a_wander_is_part_of_the_hash_and_a_file_without_one_has_the_hash_it_always_had(tmp_path: Path) -> None:
-    plain = battery_file.read(battery_file.write(GENERIC, tmp_path / "a.battery.toml"))
+    plain = battery_file.read_battery(battery_file.write_battery(GENERIC, tmp_path / "a.battery.toml"))
     assert plain.discrepancy.wander is None
     assert "wander" not in (tmp_path / "a.battery.toml").read_text()
     told = msgspec.structs.replace(GENERIC, discrepancy=msgspec.structs.replace(GENERIC.discrepancy, wander=WANDER))
-    again = battery_file.read(battery_file.write(told, tmp_path / "b.battery.toml"))
+    again = battery_file.read_battery(battery_file.write_battery(told, tmp_path / "b.battery.toml"))
     assert again.discrepancy.wander == WANDER
     assert battery_file.content_hash(again) != battery_file.content_hash(plain)
 
@@ -74,14 +74,14 @@ def test_knots_that_do_not_fit_each_other_are_named(tmp_path: Path) -> None:
     crooked = msgspec.structs.replace(WANDER, soc=[1.0, 0.0])
     bad = msgspec.structs.replace(GENERIC, discrepancy=msgspec.structs.replace(GENERIC.discrepancy, wander=crooked))
     with pytest.raises(BadInput, match="wander"):
-        battery_file.write(bad, tmp_path / "bad.battery.toml")
+        battery_file.write_battery(bad, tmp_path / "bad.battery.toml")
     assert not list(tmp_path.iterdir())
 
 
 def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
     beyond = EffectEntry(name="temperature_lag", parameters={"sensor_lag_s": 1000.0})
     with pytest.raises(BadInput, match="sensor_lag_s"):
-        battery_file.write(msgspec.structs.replace(GENERIC, effects=[beyond]), tmp_path / "bad.battery.toml")
+        battery_file.write_battery(msgspec.structs.replace(GENERIC, effects=[beyond]), tmp_path / "bad.battery.toml")
     assert not list(tmp_path.iterdir())
 
 

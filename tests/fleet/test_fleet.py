@@ -23,11 +23,11 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import BadInput, MissingExtra, UsageError
 from uavbatt.fleet import journal, run, tables
-from uavbatt.fleet.fly import Job, fly
-from uavbatt.fleet.logs import JOURNAL, LogFile, find
-from uavbatt.fleet.row import LOST, Row, row_of
-from uavbatt.simulate import Mission, write
-from uavbatt.simulate import fly as simulated
+from uavbatt.fleet.fly import Job, fly_log
+from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
+from uavbatt.fleet.row import LOST, FlightRow, row_of
+from uavbatt.simulate import Mission, write_log
+from uavbatt.simulate import simulate_flight as simulated
 
 GENERIC = "lipo-generic"
 
@@ -35,9 +35,9 @@ GENERIC = "lipo-generic"
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A short flight to its end, as a telemetry log."""
-    pack = pack_of(battery_file.read(GENERIC), 4, 5.0, 13.2, math.nan)
+    pack = pack_of(battery_file.read_battery(GENERIC), 4, 5.0, 13.2, math.nan)
     path = tmp_path_factory.mktemp("log") / "a.tlog"
-    write(path, simulated(pack, Mission(power_W=700.0, rate_Hz=0.5)), pack)
+    write_log(path, simulated(pack, Mission(power_W=700.0, rate_Hz=0.5)), pack)
     return path.read_bytes()
 
 
@@ -58,7 +58,7 @@ def logs(tmp_path: Path, log: bytes) -> Path:
 
 
 def job() -> Job:
-    return Job(battery_file.read(GENERIC), PackOptions())
+    return Job(battery_file.read_battery(GENERIC), PackOptions())
 
 
 def call(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -131,8 +131,8 @@ def test_an_existing_cluster(logs: Path, tmp_path: Path) -> None:
         while not told.exists() and time.monotonic() < until:
             time.sleep(0.05)
         address = json.loads(told.read_text())["address"]
-        found = find([str(logs)])
-        done = list(run.run(run.connected(1, address), found, job(), tmp_path / "out"))
+        found = find_logs([str(logs)])
+        done = list(run.run_fleet(run.connected(1, address), found, job(), tmp_path / "out"))
         assert [d.done for d in done] == [0, 1, 2, 3, 4]
         assert sum(row.status == "ok" for row in run.rows(tmp_path / "out", found, job())) == 2
     finally:
@@ -145,9 +145,9 @@ def test_no_scheduler_no_logs_no_extra(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(UsageError, match="expected a Dask scheduler that answers"), run.connected(1, "nowhere:?"):
         pass
     with pytest.raises(UsageError, match=r"nothing.*found none"):
-        find([str(tmp_path / "nothing*.tlog")])
+        find_logs([str(tmp_path / "nothing*.tlog")])
     with pytest.raises(UsageError, match="address that can be listed"):
-        find(["nosuchprotocol://x/*.tlog"])
+        find_logs(["nosuchprotocol://x/*.tlog"])
     monkeypatch.setitem(sys.modules, "distributed", None)
     run.check_extra()
     with pytest.raises(MissingExtra, match=r"uavbatt\[fleet\]") as caught:
@@ -163,13 +163,13 @@ def test_logs_behind_addresses(tmp_path: Path, log: bytes) -> None:
         memory.pipe_file(name, log)
     with zipfile.ZipFile(tmp_path / "flights.zip", "w") as archive:
         archive.writestr("summer/c.tlog", log)
-    found = find(["memory://fleet/*.tlog", f"zip://summer/*.tlog::file://{tmp_path}/flights.zip"])
+    found = find_logs(["memory://fleet/*.tlog", f"zip://summer/*.tlog::file://{tmp_path}/flights.zip"])
     assert [(f.name.split("/")[-1] if "zip" not in f.name else "zip", f.size) for f in found] == [
         ("a.tlog", len(log)), ("b.tlog", len(log)), ("zip", len(log)),
     ]  # fmt: skip
     assert all(f.read() == log for f in found)
-    assert [fly(f, job()).status for f in found[1:]] == ["ok", "ok"]
-    gone = fly(LogFile("memory://fleet/gone.tlog", 1, ""), job())
+    assert [fly_log(f, job()).status for f in found[1:]] == ["ok", "ok"]
+    gone = fly_log(LogFile("memory://fleet/gone.tlog", 1, ""), job())
     assert gone.status == LOST and "a log that can be read" in gone.reason
 
 
@@ -177,7 +177,7 @@ def test_the_table_of_an_earlier_run_is_no_log(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     for name in ("a.csv", "flights.csv", "out/flights.csv", "out/flights.jsonl"):
         (tmp_path / name).write_text("time_s,voltage_V\n")
-    assert [Path(log.name).relative_to(tmp_path.resolve()) for log in find([str(tmp_path)])] == [
+    assert [Path(log.name).relative_to(tmp_path.resolve()) for log in find_logs([str(tmp_path)])] == [
         Path("a.csv"),
         Path("flights.csv"),
     ]
@@ -186,14 +186,14 @@ def test_the_table_of_an_earlier_run_is_no_log(tmp_path: Path) -> None:
 def test_the_journal_survives_a_crash(tmp_path: Path) -> None:
     keys = {"k0": 0, "k1": 1, "k2": 2, "k3": 3}
     with journal.Journal(tmp_path, keys) as first:
-        first.add(2, "k2", Row(file="c", end_soc=0.25))
-        first.add(0, "k0", Row(file="a", status=LOST, reason="its disk was away"))
-        first.add(1, "k1", Row(file="b", inside_60=True))
+        first.add(2, "k2", FlightRow(file="c", end_soc=0.25))
+        first.add(0, "k0", FlightRow(file="a", status=LOST, reason="its disk was away"))
+        first.add(1, "k1", FlightRow(file="b", inside_60=True))
     path = tmp_path / JOURNAL
     path.write_bytes(path.read_bytes() + b'{"key": "k3", "fi')
     with journal.Journal(tmp_path, keys) as second:
         assert [n in second for n in range(4)] == [False, True, True, False]
-        second.add(3, "k3", Row(file="d"))
+        second.add(3, "k3", FlightRow(file="d"))
     with journal.Journal(tmp_path, keys) as third:
         rows = list(third.rows())
     assert [row.file for row in rows] == ["b", "c", "d"]
@@ -204,23 +204,23 @@ def test_keys_tell_what_changed() -> None:
     one = LogFile("a", 5, "1")
     same = journal.job_key(job())
     assert journal.key(one, same) == journal.key(LogFile("a", 5, "1"), journal.job_key(job()))
-    other = journal.job_key(Job(battery_file.read("lpab-3s"), PackOptions()))
-    stated = journal.job_key(Job(battery_file.read(GENERIC), PackOptions(capacity_Ah=4.0)))
+    other = journal.job_key(Job(battery_file.read_battery("lpab-3s"), PackOptions()))
+    stated = journal.job_key(Job(battery_file.read_battery(GENERIC), PackOptions(capacity_Ah=4.0)))
     keys = [(one, same), (LogFile("a", 6, "1"), same), (LogFile("a", 5, "2"), same), (one, other), (one, stated)]
     assert len({journal.key(*pair) for pair in keys}) == 5
-    assert row_of({**Row(file="x").plain(), "of a later version": 1}).file == "x"
+    assert row_of({**FlightRow(file="x").plain(), "of a later version": 1}).file == "x"
 
 
 def test_whatever_happens_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "N123" / "a.csv"
     path.parent.mkdir()
     path.write_text("time_s,voltage_V,current_A\n0,16,10\n1,15.9,10\n")
-    found = find([str(path)])[0]
-    by_name = Job(battery_file.read(GENERIC), PackOptions(capacity_Ah=5.0), aircraft_pattern=r"/(N\d+)/")
-    assert fly(found, by_name).aircraft == "N123"
-    assert "capacity" in fly(found, job()).reason  # nobody states one
+    found = find_logs([str(path)])[0]
+    by_name = Job(battery_file.read_battery(GENERIC), PackOptions(capacity_Ah=5.0), aircraft_pattern=r"/(N\d+)/")
+    assert fly_log(found, by_name).aircraft == "N123"
+    assert "capacity" in fly_log(found, job()).reason  # nobody states one
     monkeypatch.setattr("uavbatt.fleet.fly.read_bytes", lambda *_: 1 / 0)
-    row = fly(found, by_name)
+    row = fly_log(found, by_name)
     assert (row.status, row.reason) == ("bad", "ZeroDivisionError in uavbatt itself: division by zero")
     with pytest.raises(BadInput, match="a folder that can be written"):
         journal.Journal(path, {})

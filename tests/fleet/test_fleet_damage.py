@@ -100,10 +100,12 @@ def test_no_cell_is_a_formula(flown: Path) -> None:
 
 def test_every_beginning_that_a_spreadsheet_runs(tmp_path: Path) -> None:
     from uavbatt.fleet import tables
-    from uavbatt.fleet.row import Row
+    from uavbatt.fleet.row import FlightRow
 
     hostile = ("=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1")
-    tables.write(tmp_path, [Row(file=text, hardware=text, duration_s=-1.0, warnings="a = b") for text in hostile])
+    tables.write_tables(
+        tmp_path, [FlightRow(file=text, hardware=text, duration_s=-1.0, warnings="a = b") for text in hostile]
+    )
     with (tmp_path / tables.CSV).open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["file"] for row in rows] == [row["hardware"] for row in rows] == [f"'{text}" for text in hostile]

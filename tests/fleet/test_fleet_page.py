@@ -9,17 +9,17 @@ from xml.etree import ElementTree
 
 import pytest
 
-from uavbatt.fleet.row import Row
+from uavbatt.fleet.row import FlightRow
 from uavbatt.records import NAN
 from uavbatt.report.fleet import fleet_report
 from uavbatt.report.fleet_groups import Group, Verdict, change, gathered, verdict
 
 
-def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **more: object) -> list[Row]:
+def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **more: object) -> list[FlightRow]:
     noise = random.Random(1)
     start = datetime(2025, 3, 1, tzinfo=UTC)
     return [
-        Row(
+        FlightRow(
             file=f"/logs/{aircraft}/{n}.tlog",
             aircraft=aircraft,
             aircraft_from="--by",
@@ -40,7 +40,7 @@ def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **
     ]
 
 
-def group(made: list[Row]) -> Group:
+def group(made: list[FlightRow]) -> Group:
     return next(iter(gathered(made).groups.values()))
 
 
@@ -70,7 +70,7 @@ def test_a_battery_with_a_serial_is_its_own_group_on_any_aircraft() -> None:
 
 
 def test_the_page_is_well_formed_whatever_files_are_called() -> None:
-    bad = Row(file="/x/<b>&\x07.BIN", status="bad", reason="expected <a log> & nothing else", look="x")
+    bad = FlightRow(file="/x/<b>&\x07.BIN", status="bad", reason="expected <a log> & nothing else", look="x")
     scored = {"error_120_s": 30.0, "inside_120": True, "error_60_s": float("nan"), "inside_60": False}
     made = [
         *rows("heron $x$ <i>", 0.4),
@@ -124,5 +124,5 @@ def test_at_most_one_flight_in_five_is_to_be_looked_at_the_gravest_first() -> No
 
 
 def test_a_fleet_of_failures_does_not_look_calm() -> None:
-    page = fleet_report(gathered([Row(file="a.BIN", status="bad", reason="no log")] * 3), "x (generic)")
+    page = fleet_report(gathered([FlightRow(file="a.BIN", status="bad", reason="no log")] * 3), "x (generic)")
     assert "None of 3 logs could be flown" in page and 'class="answer bad"' in page and "0 need a look" not in page

@@ -21,10 +21,10 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fleet.fly import Job
-from uavbatt.fleet.logs import JOURNAL, LogFile, find
+from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.processes import TRIES, Processes
 from uavbatt.fleet.row import LOST
-from uavbatt.simulate import Mission, fly, write
+from uavbatt.simulate import Mission, simulate_flight, write_log
 
 COMMAND = [sys.executable, "-c", "from uavbatt.cli import main; main()", "fleet"]
 LISTENS = "0A"
@@ -35,7 +35,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short flight to its end."""
     pack = generic_pack(4, 5.0, 13.2, math.nan)
     path = tmp_path_factory.mktemp("logs") / "a.tlog"
-    write(path, fly(pack, Mission(power_W=700.0, rate_Hz=0.2)), pack)
+    write_log(path, simulate_flight(pack, Mission(power_W=700.0, rate_Hz=0.2)), pack)
     return path
 
 
@@ -47,7 +47,7 @@ def waiting(tmp_path: Path) -> LogFile:
 
 
 def job() -> Job:
-    return Job(battery_file.read("lipo-generic"), PackOptions())
+    return Job(battery_file.read_battery("lipo-generic"), PackOptions())
 
 
 def tree(pid: int) -> list[int]:
@@ -112,7 +112,7 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
     killer = threading.Thread(target=kill)
     with closing(Processes(1)) as crew:
         crew.fly(1, waiting, job())
-        crew.fly(2, find([str(log)])[0], job())
+        crew.fly(2, find_logs([str(log)])[0], job())
         killer.start()
         rows = dict(crew.finished() for _ in range(2))
     killer.join(5.0)

@@ -15,7 +15,7 @@ from uavbatt.live.announced import Announcer
 from uavbatt.live.config import FeedSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -61,7 +61,7 @@ def test_current_dies_0A() -> None:
 
 def test_stale_after_converging_is_said() -> None:
     """Without a current sensor the number converges for long; the link breaks meanwhile."""
-    bench = Bench(PackOptions(capacity_Ah=5.0, cells=4), settings=Settings(forecast_period_s=1.0))
+    bench = Bench(PackOptions(capacity_Ah=5.0, cells=4), settings=ForecastSettings(forecast_period_s=1.0))
     rows(bench, 30.0, NAN)
     shown = bench.daemon.board.reports[0].at(bench.now_s)
     assert shown.status == "converging" and shown.remaining_s > 0.0
@@ -160,6 +160,6 @@ def test_a_warning_of_the_estimate_reaches_station_and_page(monkeypatch: pytest.
 
 def test_a_number_that_never_comes_is_said_once() -> None:
     """Twelve cells are stated of a pack of four: refused from the first row on, and the crew hears of it."""
-    bench = Bench(PackOptions(cells=12, capacity_Ah=5.0), settings=Settings(forecast_period_s=1.0))
+    bench = Bench(PackOptions(cells=12, capacity_Ah=5.0), settings=ForecastSettings(forecast_period_s=1.0))
     rows(bench, 60.0, 12.0)
     assert len([text for text in texts(bench) if "time unknown" in text]) == 1

@@ -19,7 +19,7 @@ from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSe
 from uavbatt.live.web import content, metrics
 from uavbatt.log_replay import steps
 from uavbatt.mavlink import framing
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.recording import forecast_period_s
@@ -70,7 +70,7 @@ def test_only_three_messages_travel_towards_the_autopilot() -> None:
 
 
 def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
-    settings = Settings(forecast_period_s=1.0)
+    settings = ForecastSettings(forecast_period_s=1.0)
     bench = Bench(PackOptions(), record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), settings=settings)
     bench.send(heartbeat(False))
     bench.send(dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0))
@@ -80,7 +80,7 @@ def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
     bench.daemon.close()
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.battery0.jsonl")
     assert forecast_period_s(log) == 1.0
-    estimator = Estimator(battery_file.read("lipo-generic"), settings=settings)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), settings=settings)
     replayed = [output.line(s.estimate, s.remaining) for s in steps(read_log(log), estimator)]
     assert [json.loads(text) for text in lines.read_text().splitlines()] == replayed
     assert len(replayed) == 300

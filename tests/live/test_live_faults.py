@@ -27,7 +27,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.log_replay import steps
 from uavbatt.records import Sample
-from uavbatt.simulate import Mission, fly
+from uavbatt.simulate import Mission, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -38,7 +38,9 @@ GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three mi
 @cache
 def flight(start_soc: float = 1.0, seed: int = 1) -> tuple[Sample, ...]:
     pack = generic_pack(4, 5.0, 13.2, math.nan)
-    return tuple(fly(pack, Mission(power_W=180.0, start_soc=start_soc, seed=seed))[: GROUND_ROWS + FLIGHT_ROWS])
+    return tuple(
+        simulate_flight(pack, Mission(power_W=180.0, start_soc=start_soc, seed=seed))[: GROUND_ROWS + FLIGHT_ROWS]
+    )
 
 
 def true_soc(samples: tuple[Sample, ...], start_soc: float = 1.0) -> float:
@@ -172,7 +174,7 @@ def test_a_jump_of_the_wall_clock_moves_neither_estimate_nor_recording(tmp_path:
     agrees(bench, undisturbed())
     bench.daemon.close()
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.jsonl")
-    run = steps(read_log(log), Estimator(battery_file.read("lipo-generic"), OPTIONS))
+    run = steps(read_log(log), Estimator(battery_file.read_battery("lipo-generic"), OPTIONS))
     assert [json.loads(t) for t in lines.read_text().splitlines()] == [
         output.line(s.estimate, s.remaining) for s in run
     ]

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import OPTIONS, Bench, FakeLink
-from live_rig import ROOT, StreamVehicle, Vehicle, connecting, free_port, listening, until
+from live_rig import PATIENCE_S, ROOT, StreamVehicle, Vehicle, connecting, free_port, listening, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
@@ -28,7 +28,7 @@ from uavbatt.live.daemon import Daemon
 from uavbatt.live.web import serve
 from uavbatt.mavlink.endpoint import parse
 from uavbatt.mavlink.links import open_link
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.telemetry import read_log
 
 KEY = bytes(range(32))
@@ -89,7 +89,8 @@ def flown(request: pytest.FixtureRequest) -> Iterator[tuple[Daemon, Any]]:
     endpoint, vehicle = at(request.param)
     station = FakeLink()
     daemon = Daemon(
-        Config(link=LinkSection(endpoint=endpoint, gcs=["x"])), battery_file.read("lipo-generic"), OPTIONS, Settings(),
+        Config(link=LinkSection(endpoint=endpoint, gcs=["x"])), battery_file.read_battery("lipo-generic"),
+        OPTIONS, ForecastSettings(),
         open_link(endpoint), [station],
     )  # fmt: skip
     vehicle.start()
@@ -120,7 +121,9 @@ def test_a_log_that_is_played_on_a_socket_gives_its_rows(ours: str, theirs: str)
     log = ROOT / "logs/quad_4s.tlog"
     link = open_link(f"{ours}:127.0.0.1:{port}")
     settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
-    daemon = Daemon(settings, battery_file.read("lipo-generic"), PackOptions(), Settings(), link, [station])
+    daemon = Daemon(
+        settings, battery_file.read_battery("lipo-generic"), PackOptions(), ForecastSettings(), link, [station]
+    )
     command = [sys.executable, str(ROOT / "scripts/play_tlog.py"), str(log), f"{theirs}:127.0.0.1:{port}"]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     player = subprocess.Popen([*command, "--speed", "20", "--seconds", "60"], env=env)
@@ -129,10 +132,10 @@ def test_a_log_that_is_played_on_a_socket_gives_its_rows(ours: str, theirs: str)
     step = daemon._step
     daemon._step = lambda row, now_s: (seen.append(row.sample.voltage_V), step(row, now_s))[1]  # type: ignore[method-assign]
     try:
-        until(lambda: (daemon.turn(), len(seen) >= 0.6 * len(wanted))[1], 20.0)
+        until(lambda: (daemon.turn(), len(seen) >= 0.6 * len(wanted))[1])
     finally:
         player.terminate()
-        player.wait(5.0)
+        player.wait(PATIENCE_S)
         daemon.close()
     begins = range(len(wanted)) if ours == "tcp" else [0]  # before the connection it plays to nobody
     assert any(seen == wanted[k : k + len(seen)] for k in begins)
@@ -217,7 +220,7 @@ def test_the_page_is_read_with_the_token_only() -> None:
     def asked(path: str, **headers: str) -> int:
         request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
         try:
-            return int(urllib.request.urlopen(request, timeout=5.0).status)
+            return int(urllib.request.urlopen(request, timeout=PATIENCE_S).status)
         except urllib.error.HTTPError as error:
             return error.code
         except urllib.error.URLError:

@@ -164,7 +164,7 @@ def test_only_the_mission_is_asked_for_and_only_when_allowed() -> None:
 def test_a_mission_written_through_the_proxy_reaches_the_estimator(tmp_path: Path) -> None:
     """Every byte goes to the autopilot as it came; the frames that write a mission go to the estimator as well."""
     fc, gcs = free_port(), free_port()
-    settings = proxy.Settings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], str(tmp_path / "control"))
+    settings = proxy.ProxySettings(f"tcpin:127.0.0.1:{fc}", [f"tcpin:127.0.0.1:{gcs}"], str(tmp_path / "control"))
     served, client = proxy.Proxy(settings), ProxyClient(settings)
     link = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
     frames = [bytes(item(seq, (1, 1)).pack(link)) for seq in range(len(ITEMS))]
@@ -186,11 +186,11 @@ def test_a_mission_written_through_the_proxy_reaches_the_estimator(tmp_path: Pat
             time.sleep(0.005)
         return len(passed) == len(sent) and len(heard) == len(ITEMS)
 
-    until(lambda: (turn(), client.pid)[1], 5.0)
+    until(lambda: (turn(), client.pid)[1])
     for at in range(0, len(sent), 37):  # a stream knows no frames
         station.sendall(sent[at : at + 37])
         turn()
-    until(turn, 5.0)
+    until(turn)
     for end in (client, served, vehicle, station):
         end.close()
     assert passed == sent

@@ -24,7 +24,7 @@ from uavbatt.live.daemon import Daemon
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.web import content
 from uavbatt.mavlink.links import open_link
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -78,7 +78,7 @@ def test_wrong_vehicle_first_through_the_process() -> None:
             if system == 1:
                 line.sendto(bytes(row(16.0).pack(link)), ("127.0.0.1", port))
             time.sleep(0.1)
-        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60, 25.0)
+        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60)
         assert said.get_srcSystem() == 1
         process.terminate()
         assert "uavbatt: heard systems 42, 1; following 1\n" in process.stderr.readlines()
@@ -184,7 +184,13 @@ def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLin
     settings = Config(link=LinkSection(endpoint="x", gcs=["y"]))
     link = open_link(f"udpin:127.0.0.1:{port}")
     daemon = Daemon(
-        settings, battery_file.read("lipo-generic"), OPTIONS, Settings(), link, [station], clock_s=lambda: now_s[0]
+        settings,
+        battery_file.read_battery("lipo-generic"),
+        OPTIONS,
+        ForecastSettings(),
+        link,
+        [station],
+        clock_s=lambda: now_s[0],
     )
     yield daemon, now_s, Source(port), Source(port), station
     daemon.close()
@@ -193,7 +199,7 @@ def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLin
 def taken(daemon: Daemon, frames: int) -> None:
     """Turn until that many more frames were found."""
     wanted = daemon.board.counts.get("frames", 0) + frames
-    until(lambda: (daemon.turn(), daemon.board.counts["frames"] >= wanted)[1], 5.0)
+    until(lambda: (daemon.turn(), daemon.board.counts["frames"] >= wanted)[1])
 
 
 @pytest.mark.parametrize("what", ["voltage", "current", "charge drawn"])
@@ -240,7 +246,7 @@ def test_one_autopilot_on_two_ways_is_one() -> None:
 
 def test_the_proxy_tells_the_estimator_who_sends(tmp_path: Path) -> None:
     port = free_port()
-    settings = proxy.Settings(f"udpin:127.0.0.1:{port}", [], str(tmp_path / "control"))
+    settings = proxy.ProxySettings(f"udpin:127.0.0.1:{port}", [], str(tmp_path / "control"))
     served, client, sources = proxy.Proxy(settings), ProxyClient(settings), (Source(port), Source(port))
     heard: list[object] = []
 
@@ -249,7 +255,7 @@ def test_the_proxy_tells_the_estimator_who_sends(tmp_path: Path) -> None:
         heard.extend(sender for _, sender in client.read(0.0))
         return len(heard)
 
-    until(lambda: (turn(), client.pid)[1], 5.0)
+    until(lambda: (turn(), client.pid)[1])
     for source in 2 * sources:
         before = len(heard)
         source.send(row(16.0))

@@ -20,13 +20,13 @@ from uavbatt.battery.model import SOC_GRID, Array, Parameters
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimator import Estimator
-from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
+from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
-from uavbatt.simulate import Mission, fly
+from uavbatt.simulate import Mission, simulate_flight
 from uavbatt.telemetry import read_log
 
 MEAN_LAG_S = 2.5  # the end is judged by a 5 s mean, whose middle lies this far back
@@ -39,15 +39,15 @@ def pack() -> Pack:
 
 def belief(soc: float = 0.7, temp_C: float = 25.0, soc_sd: float = 0.01, exact: bool = False) -> Belief:
     mean, sd = np.zeros(SIZE), np.zeros(SIZE)
-    mean[C.SOC], mean[C.CORE], mean[C.SENSOR] = soc, temp_C, temp_C
-    sd[C.SOC], sd[C.LOG_RESISTANCE], sd[C.LOG_CAPACITY] = soc_sd, 0.05, 0.02
+    mean[X.SOC], mean[X.CORE], mean[X.SENSOR] = soc, temp_C, temp_C
+    sd[X.SOC], sd[X.LOG_RESISTANCE], sd[X.LOG_CAPACITY] = soc_sd, 0.05, 0.02
     return Belief.gaussian(0.0, mean, np.diag((sd * (0.0 if exact else 1.0)) ** 2) + 1e-14 * np.eye(SIZE), temp_C)
 
 
 def forecast(
     made: Pack, now: Belief, power_W: float = 250.0, spread: float = 1e-6, reserve_soc: float = 0.0
 ) -> Forecast:
-    found = Forecaster(made, Settings(ConstantLoad(power_W, spread), reserve_soc)).forecast(now, 0.0)
+    found = Forecaster(made, ForecastSettings(ConstantLoad(power_W, spread), reserve_soc)).forecast(now, 0.0)
     assert found is not None
     return found
 
@@ -188,13 +188,13 @@ def test_the_same_belief_gives_the_same_forecast() -> None:
 
 @cache
 def flown(seed: int, ambient_C: float = 20.0) -> tuple[Sample, ...]:
-    return tuple(fly(pack(), Mission(300.0, ambient_C, rate_Hz=1.0, seed=seed)))
+    return tuple(simulate_flight(pack(), Mission(300.0, ambient_C, rate_Hz=1.0, seed=seed)))
 
 
 def run(samples: tuple[Sample, ...], period_s: float = 20.0) -> list[tuple[Estimate, Remaining]]:
     options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0)
-    settings = Settings(forecast_period_s=period_s)
-    estimator = Estimator(battery_file.read("lipo-generic"), options, settings)
+    settings = ForecastSettings(forecast_period_s=period_s)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, settings)
     return [estimator.step(s) for s in samples]
 
 
@@ -263,8 +263,8 @@ def test_refused_on_the_ground() -> None:
 
 def test_a_stated_load_is_forecast_on_the_ground() -> None:
     options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    settings = Settings(ConstantLoad(300.0, 0.04))
-    estimator = Estimator(battery_file.read("lipo-generic"), options, settings)
+    settings = ForecastSettings(ConstantLoad(300.0, 0.04))
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, settings)
     said = [estimator.step(s)[1] for s in flown(1)[:15]][-1]
     assert said.remaining_lo_s < end_of(flown(1)) - 20.0 < said.remaining_hi_s
 
@@ -292,7 +292,7 @@ ARDUPILOT = (
 def judge(path: Path, battery: BatteryFile, options: PackOptions, period_s: float) -> tuple[int, int]:
     """(rows after 60 s in the air that have voltage and current, refused ones among them); each line is sound."""
     flight = read_log(path)
-    estimator = Estimator(battery, options, Settings(forecast_period_s=period_s))
+    estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=period_s))
     since_s, rows, refused = math.inf, 0, 0
     for sample in flight:
         estimator.update_facts(flight.facts_at(sample.time_s))
@@ -317,7 +317,7 @@ def judge(path: Path, battery: BatteryFile, options: PackOptions, period_s: floa
 @pytest.mark.parametrize("name", ARDUPILOT)
 def test_ardupilot_logs(shared_data: Path, name: str) -> None:
     rows, refused = judge(
-        shared_data / "flights/ardupilot" / name, battery_file.read("lipo-generic"), PackOptions(), 30.0
+        shared_data / "flights/ardupilot" / name, battery_file.read_battery("lipo-generic"), PackOptions(), 30.0
     )
     assert refused <= 0.05 * rows
 
@@ -327,11 +327,11 @@ def test_m100_flights(shared_data: Path) -> None:
     logs = sorted((shared_data / "flights/m100").glob("m100_*.csv"))
     assert len(logs) == 40
     for path in logs:
-        rows, refused = judge(path, battery_file.read("lipo-generic"), options, 60.0)
+        rows, refused = judge(path, battery_file.read_battery("lipo-generic"), options, 60.0)
         assert rows > 20 and refused <= 0.05 * rows, path.name
 
 
 def test_reference_flights(shared_data: Path) -> None:
     for path in sorted((shared_data / "truth/reference/r0").glob("*.tlog")):
-        rows, refused = judge(path, battery_file.read("lipo-generic"), PackOptions(), 60.0)
+        rows, refused = judge(path, battery_file.read_battery("lipo-generic"), PackOptions(), 60.0)
         assert rows > 200 and refused <= 0.05 * rows, path.name

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from factories import generic_pack
 
-from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
-from uavbatt.prediction.forecaster import Forecast, Forecaster, Settings
+from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
 from uavbatt.prediction.load import (
     GUST_MEMORY_S,
     MANOEUVRE_MEMORY_S,
@@ -190,9 +190,9 @@ def width(load: Load, recent: RecentLoad = CALM) -> float:
 
 def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     mean, sd = np.zeros(SIZE), np.full(SIZE, 1e-6)
-    mean[C.SOC], mean[C.CORE], mean[C.SENSOR], sd[C.SOC] = 0.7, 25.0, 25.0, 0.01
+    mean[X.SOC], mean[X.CORE], mean[X.SENSOR], sd[X.SOC] = 0.7, 25.0, 25.0, 0.01
     pack = generic_pack()
-    forecaster = Forecaster(pack, Settings(load))
+    forecaster = Forecaster(pack, ForecastSettings(load))
     forecaster._load, forecaster._flown_s, forecaster._flown_J = recent, 200.0, 56000.0
     forecaster._took_off_s = -200.0
     found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)

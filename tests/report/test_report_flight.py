@@ -11,7 +11,7 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Outcome, Step
+from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
 from uavbatt.report.flight import flight_report
 from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
@@ -22,7 +22,7 @@ HOSTILE = "<script>alert(1)</script>\"'&\x00\u202e\ud800.BIN"
 REFUSAL = "not flying"
 
 
-def step(time_s: float, **changed: object) -> Step:
+def step(time_s: float, **changed: object) -> ReplayedRow:
     """One ordinary row, changed as asked; `refused` refuses the forecast with its value as the reason."""
     reason = str(changed.pop("refused", ""))
     remaining = Remaining(time_s, 500.0 - time_s / 2, 300.0, 700.0, NAN, Status.OK)
@@ -31,14 +31,14 @@ def step(time_s: float, **changed: object) -> Step:
     estimate = Estimate(
         time_s, 0.8, 0.02, 11.5, 20.0, 25.0, 230.0, 0.01, 0.8, Status.OK, predicted_voltage_V=11.49, core_temp_C=26.0
     )
-    return Step(replace(estimate, **changed), remaining)  # type: ignore[arg-type]
+    return ReplayedRow(replace(estimate, **changed), remaining)  # type: ignore[arg-type]
 
 
 def render(
-    steps: list[Step], outcome: Outcome = NO_OUTCOME, source: str = "flight.BIN", notes: tuple[str, ...] = ()
+    steps: list[ReplayedRow], outcome: Outcome = NO_OUTCOME, source: str = "flight.BIN", notes: tuple[str, ...] = ()
 ) -> str:
     flight = Flight(source, "csv", tuple(Sample(s.estimate.time_s, 11.5) for s in steps), notes=notes, skipped_bytes=7)
-    html = flight_report(flight, steps, RESOLVED, outcome, battery_file.read("lipo-generic"))
+    html = flight_report(flight, steps, RESOLVED, outcome, battery_file.read_battery("lipo-generic"))
     found = list(ElementTree.fromstring(html.partition("\n")[2].encode("utf-8")).iter())
     assert not any(e.tag == "script" or "src" in e.attrib for e in found)
     assert all(e.attrib["href"].startswith("#") for e in found if "href" in e.attrib)
@@ -91,13 +91,13 @@ def test_nan_everywhere_is_a_page_without_figures(count: int) -> None:
         ("soc", "soc_sd", "voltage_V", "current_A", "temp_C", "power_W", "innovation_V", "nis", "predicted_voltage_V",
          "core_temp_C"), NAN)  # fmt: skip
     blank = Remaining(0.0, NAN, NAN, NAN, NAN, Status.OK)
-    html = render([Step(step(float(t), **nothing).estimate, blank) for t in range(count)])
+    html = render([ReplayedRow(step(float(t), **nothing).estimate, blank) for t in range(count)])
     assert "<svg" not in html
     assert "nan" not in html.lower()
 
 
 def test_unbounded_intervals_and_a_single_row_draw() -> None:
-    wide = [Step(s.estimate, replace(s.remaining, remaining_hi_s=math.inf)) for s in (step(0.0), step(1.0))]
+    wide = [ReplayedRow(s.estimate, replace(s.remaining, remaining_hi_s=math.inf)) for s in (step(0.0), step(1.0))]
     assert "<svg" in render(wide)
     assert "<svg" in render(wide[:1])
 

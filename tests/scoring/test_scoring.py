@@ -22,12 +22,12 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import Step, steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
-from uavbatt.simulate import Mission, fly, with_effects
+from uavbatt.simulate import Mission, simulate_flight, with_effects
 
 # --- tables ------------------------------------------------------------------------------------------------------
 
@@ -54,7 +54,7 @@ def benchmark() -> tuple[Any, ...]:
     pack = generic_pack(6, 5.45, 21.6, 22.0)
     flights = []
     for k, aircraft in enumerate("AAABB"):
-        rows = fly(pack, Mission(420.0 + 20.0 * k, rate_Hz=0.5, seed=50 + k))[::6]
+        rows = simulate_flight(pack, Mission(420.0 + 20.0 * k, rate_Hz=0.5, seed=50 + k))[::6]
         flight = Flight(f"m100_{k}_{aircraft}.csv", "csv", tuple(replace(r, armed=None) for r in rows))
         flights.append(data.M100(f"m100_{k}_{aircraft}", aircraft, flight, rows[-3].time_s))
     return tuple(flights)
@@ -129,7 +129,7 @@ OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 @cache
 def known_pack(capacity_scale_sd: float = 0.02) -> BatteryFile:
     """The generic cell as a fit would state it: packs of the type differ little, and the model is good."""
-    generic = battery_file.read("lipo-generic")
+    generic = battery_file.read_battery("lipo-generic")
     errors = {name: 0.25 * error for name, error in generic.parameters.standard_error.items()}
     table = msgspec.structs.replace(
         generic.parameters, resistance_scale_sd=0.06, capacity_scale_sd=capacity_scale_sd, standard_error=errors
@@ -145,7 +145,7 @@ def flown(
 ) -> Flight:
     pack = pack_of(known_pack(), 4, 5.0, 13.2, 14.0)
     pack = with_effects(pack, {effect: value} if effect else {})
-    return Flight("flown", "csv", tuple(fly(pack, Mission(power_W, ambient_C, rate_Hz=0.5, seed=seed))))
+    return Flight("flown", "csv", tuple(simulate_flight(pack, Mission(power_W, ambient_C, rate_Hz=0.5, seed=seed))))
 
 
 def end_s(flight: Flight) -> float:
@@ -157,21 +157,21 @@ def logged(flight: Flight) -> LoggedLoad:
     return lines.logged(flight)  # type: ignore[no-any-return]
 
 
-def replayed(flight: Flight, battery: BatteryFile, load: Load) -> list[Step]:
-    return list(steps(flight, Estimator(battery, OPTIONS, Settings(load, forecast_period_s=20.0))))
+def replayed(flight: Flight, battery: BatteryFile, load: Load) -> list[ReplayedRow]:
+    return list(steps(flight, Estimator(battery, OPTIONS, ForecastSettings(load, forecast_period_s=20.0))))
 
 
-def at(run: list[Step], flight: Flight, share: float) -> Step:
+def at(run: list[ReplayedRow], flight: Flight, share: float) -> ReplayedRow:
     """The line in force when this share of the flight is over."""
     time_s = 20.0 + share * (end_s(flight) - 20.0)
     return [s for s in run if s.estimate.time_s <= time_s][-1]
 
 
-def width_s(step: Step) -> float:
+def width_s(step: ReplayedRow) -> float:
     return step.remaining.remaining_hi_s - step.remaining.remaining_lo_s
 
 
-def error_s(step: Step, flight: Flight) -> float:
+def error_s(step: ReplayedRow, flight: Flight) -> float:
     return step.remaining.remaining_s - (end_s(flight) - step.estimate.time_s)
 
 
@@ -199,13 +199,15 @@ def test_gusts_of_this_flight_widen_the_recent_load(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_fitted_file_is_narrower_than_a_generic_one() -> None:
-    own, generic = (replayed(flown(), b, logged(flown())) for b in (known_pack(), battery_file.read("lipo-generic")))
+    own, generic = (
+        replayed(flown(), b, logged(flown())) for b in (known_pack(), battery_file.read_battery("lipo-generic"))
+    )
     for share in (0.1, 0.3, 0.5, 0.7, 0.9):
         assert width_s(at(own, flown(), share)) < 0.8 * width_s(at(generic, flown(), share))
         assert abs(error_s(at(own, flown(), share), flown())) < 15.0
 
 
-def warns_of_wear(step: Step) -> bool:
+def warns_of_wear(step: ReplayedRow) -> bool:
     return any("more ohms than its type" in w for w in step.estimate.warnings)
 
 

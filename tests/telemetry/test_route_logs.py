@@ -16,7 +16,7 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.mavlink.fields import BATTERY_STATUS
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Mode, Navigation, Wind
 from uavbatt.records import Flight
-from uavbatt.simulate import IDLE_S, fly, write
+from uavbatt.simulate import IDLE_S, simulate_flight, write_log
 from uavbatt.simulate import Mission as Flown
 from uavbatt.simulate_route import RouteFlight, route_flight, watts_of
 from uavbatt.telemetry import read_log
@@ -55,12 +55,12 @@ def route() -> RouteFlight:
 def folder(tmp_path_factory: pytest.TempPathFactory, route: RouteFlight) -> Path:
     """One simulated flight as `.tlog`, `.BIN` and `.csv`."""
     made = tmp_path_factory.mktemp("route")
-    content = battery_file.read("lipo-generic")
+    content = battery_file.read_battery("lipo-generic")
     pack = pack_of(content, 4, 5.0, 13.2, 14.0)
     watts = watts_of(200.0)
-    samples = fly(pack, Flown(200.0), lambda time_s: route.power_W(time_s, watts), route.lands_s)
+    samples = simulate_flight(pack, Flown(200.0), lambda time_s: route.power_W(time_s, watts), route.lands_s)
     for kind in ("tlog", "BIN", "csv"):
-        write(made / f"flight.{kind}", samples, pack, route)
+        write_log(made / f"flight.{kind}", samples, pack, route)
     return made
 
 

@@ -19,11 +19,11 @@ from pymavlink.generator.mavcrc import x25crc
 
 from uavbatt.mavlink import fields
 from uavbatt.records import Sample
-from uavbatt.simulate import Mission, fly, write
+from uavbatt.simulate import Mission, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.column_rules import add_rows, times_s
-from uavbatt.telemetry.columns import UNKNOWN, Rows, rows_of
+from uavbatt.telemetry.columns import UNKNOWN, Columns, rows_of
 from uavbatt.telemetry.formats import dataflash_binary, tlog_frames, tlog_payloads
 from uavbatt.telemetry.formats.checksum import checksums
 
@@ -40,7 +40,7 @@ def test_columns_keep_the_rules_of_rows(rows: list[tuple[float, float, float, in
     raw_s, volts, amps, instance, armed = (np.array([r[i] for r in rows], np.float64) for i in range(5))
     empty = np.full(len(rows), math.nan)
     time_s = times_s(many, raw_s)
-    columns = Rows(time_s, volts, amps, empty, empty, empty, armed.astype(np.int8))
+    columns = Columns(time_s, volts, amps, empty, empty, empty, armed.astype(np.int8))
     add_rows(many, instance.astype(np.int64), columns)
     assert list(many.columns) == list(one.rows)
     assert repr({number: kept.samples() for number, kept in many.columns.items()}) == repr(one.rows)
@@ -107,10 +107,10 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The same simulated flight as it is written by both writers."""
 
     pack = generic_pack(4, 5.0, 13.2, math.nan)
-    samples = fly(pack, Mission(power_W=250.0, rate_Hz=5.0))
+    samples = simulate_flight(pack, Mission(power_W=250.0, rate_Hz=5.0))
     folder = tmp_path_factory.mktemp("flown")
     for name in ("a.tlog", "a.BIN"):
-        write(folder / name, samples, pack)
+        write_log(folder / name, samples, pack)
     return {name: (folder / name).read_bytes() for name in ("a.tlog", "a.BIN")}
 
 
@@ -182,7 +182,7 @@ def test_a_type_may_be_defined_anew(tmp_path: Path) -> None:
     path = tmp_path / "a.BIN"
     path.write_bytes(data)
     assert [(s.time_s, s.voltage_V) for s in read_log(path).samples] == [(0.0, 16.0), (1.0, 15.0)]
-    assert dataflash_binary.read(data).skipped_bytes == 0
+    assert dataflash_binary.read_dataflash(data).skipped_bytes == 0
 
 
 def test_a_clean_log_needs_no_dialect(flown: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:

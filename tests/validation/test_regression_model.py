@@ -59,7 +59,7 @@ def test_it_falls_all_the_way_under_load_and_the_knee_comes_later_when_warm() ->
 
 def test_a_planted_law_is_recovered() -> None:
     runs = planted(0.005)
-    found = regression.fit(regression.rows_of(runs, [1e-6] * len(runs), [0] * len(runs)), 3)
+    found = regression.fit_regression(regression.rows_of(runs, [1e-6] * len(runs), [0] * len(runs)), 3)
     t = np.linspace(60.0, 520.0, 47)
     for T in (0.0, 25.0, 40.0):
         truth = regression.curve(TRUE, t, np.full(t.size, T), np.zeros(t.size), np.zeros(t.size), 3)
@@ -76,7 +76,9 @@ def test_a_step_between_series_does_not_pass_for_temperature() -> None:
     truth = regression.curve(TRUE, t, T, np.zeros(1), np.zeros(1), 3)[0]
 
     def predicted(numbers: list[int]) -> float:
-        return float(regression.fit(regression.rows_of(runs, [1e-6] * len(runs), numbers), 3).voltage(t, T)[0])
+        return float(
+            regression.fit_regression(regression.rows_of(runs, [1e-6] * len(runs), numbers), 3).voltage(t, T)[0]
+        )
 
     assert abs(predicted(series) - truth) < 0.5 * abs(predicted([0] * len(runs)) - truth)
 

@@ -45,13 +45,15 @@ def planted(variant: Variant, changed: dict[str, float], sd_V: float = 0.01) -> 
     for name, value in changed.items():
         x[[s.name for s in slots].index(name)] = value
     blank = OneTimeTests(COLD, 60.0 * np.arange(9), np.zeros((6, 9)), np.zeros(6, dtype=np.intp), 3)
-    volts = cold_model.predict(variant, slots, x[None], blank)[0]
+    volts = cold_model.predict_cold(variant, slots, x[None], blank)[0]
     noise = np.random.default_rng(2).normal(0.0, sd_V, volts.shape)
     return OneTimeTests(COLD, blank.time_s, volts + noise, blank.series, 3)
 
 
 def rmse(variant: Variant, tests: OneTimeTests) -> float:
-    return math.sqrt(float(np.mean(cold_model.residuals(cold_model.fit(variant, tests, 1, fresh=2), tests) ** 2)))
+    return math.sqrt(
+        float(np.mean(cold_model.residuals(cold_model.fit_cold_model(variant, tests, 1, fresh=2), tests) ** 2))
+    )
 
 
 def test_without_heat_the_voltage_under_constant_load_can_only_fall() -> None:

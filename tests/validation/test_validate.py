@@ -95,8 +95,8 @@ def test_the_rival_is_gated_on_the_same_readings(study: Validation) -> None:
 
 def test_what_ships_can_be_read_and_names_what_it_does_not_vouch_for(study: Validation, tmp_path: Path) -> None:
     assert study.battery is not None
-    path = battery_file.write(study.battery, tmp_path / "x.battery.toml")
-    read = battery_file.read(path)  # a verdict `fail` would be refused
+    path = battery_file.write_battery(study.battery, tmp_path / "x.battery.toml")
+    read = battery_file.read_battery(path)  # a verdict `fail` would be refused
     assert read.certificate.data_sha256 == study.dataset.sha256
     assert any("not vouched for" in r and "-5" in r for r in read.battery.remarks)
 

@@ -53,9 +53,9 @@ __all__ = [
     "Wander",
     "content_hash",
     "packaged",
-    "read",
+    "read_battery",
     "sealed",
-    "write",
+    "write_battery",
 ]
 
 SUFFIX = ".battery.toml"
@@ -82,7 +82,7 @@ def sealed(file: BatteryFile) -> BatteryFile:
     return msgspec.structs.replace(file, certificate=dated)
 
 
-def write(file: BatteryFile, path: Path) -> Path:
+def write_battery(file: BatteryFile, path: Path) -> Path:
     """Seal and write the file, whole or not at all; returns the path.
 
     Raises BadInput, and writes nothing, when `read` would refuse what is in it.
@@ -95,7 +95,7 @@ def write(file: BatteryFile, path: Path) -> Path:
     return path
 
 
-def read(name_or_path: str | Path, *, allow_uncertified: bool = False) -> BatteryFile:
+def read_battery(name_or_path: str | Path, *, allow_uncertified: bool = False) -> BatteryFile:
     """Read a packaged battery by name (`lpab-3s`) or a file by path.
 
     Raises BadInput when it is missing or malformed, Uncertified when its hash does not match its content or a

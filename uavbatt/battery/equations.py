@@ -28,7 +28,7 @@ REFERENCE_TEMP_C = 25.0
 SECONDS_PER_HOUR = 3600.0
 
 
-def acts(value: Number) -> bool:
+def is_on(value: Number) -> bool:
     """Return True if a parameter whose neutral value is 0 differs from it in any column."""
     return bool(value.any()) if isinstance(value, np.ndarray) else bool(value != 0.0)
 
@@ -38,19 +38,19 @@ def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:
     return soc - c_rate * (dt_s / SECONDS_PER_HOUR)
 
 
-def kept(dt_s: Number, tau_s: Number) -> Number:
+def decay(dt_s: Number, tau_s: Number) -> Number:
     """Share of a deviation that a first-order lag has left after `dt_s`: exp(-dt/tau), for tau > 0."""
     return np.exp(-dt_s / tau_s)
 
 
-def approach(value: Number, target: Number, share: Number) -> Number:
+def relax_to(value: Number, target: Number, share: Number) -> Number:
     """Return the value that keeps `share` of its deviation from a held target."""
     return target + (value - target) * share
 
 
 def relax(value: Number, target: Number, dt_s: Number, tau_s: Number) -> Number:
     """First-order lag towards a held target, exact: x' = (target - x)/tau, for tau > 0."""
-    return approach(value, target, kept(dt_s, tau_s))
+    return relax_to(value, target, decay(dt_s, tau_s))
 
 
 def arrhenius(temp_C: Number, activation_K: Number) -> Number:
@@ -58,9 +58,9 @@ def arrhenius(temp_C: Number, activation_K: Number) -> Number:
     return np.exp(activation_K * (1.0 / (temp_C + KELVIN) - 1.0 / (REFERENCE_TEMP_C + KELVIN)))
 
 
-def risen(gain_h: Number, c_rate: Number) -> Number:
+def load_factor(gain_h: Number, c_rate: Number) -> Number:
     """Factor on what grows with the load in either direction: 1 + g |c|."""
-    return 1.0 + gain_h * np.abs(c_rate) if acts(gain_h) else 1.0
+    return 1.0 + gain_h * np.abs(c_rate) if is_on(gain_h) else 1.0
 
 
 def settled_temperature(heat_W: Number, ambient_C: Number, cooling_WpK: Number) -> Number:
@@ -77,7 +77,7 @@ def transfer_resistance(c_rate: Number, full_V: Number, half_rate: Number) -> Nu
     return full_V / (np.abs(c_rate) + half_rate)
 
 
-def turned_share(drawn: Number, charge: Number) -> Number:
+def hysteresis_fraction(drawn: Number, charge: Number) -> Number:
     """Share of the way from the charge to the discharge branch after `drawn` of the charge, `charge` to 1/e.
 
     Plett's one-state hysteresis (2015, eq. 2.33) for a current that never turns back: h' = (1 - h) / charge.

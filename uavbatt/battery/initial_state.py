@@ -31,7 +31,7 @@ class Charge(NamedTuple):
     sd: float
 
 
-def underway(p: Parameters, soc: Number, temp_C: Number, c_rate: Number) -> State:
+def state_under_load(p: Parameters, soc: Number, temp_C: Number, c_rate: Number) -> State:
     """A cell at `soc` that came down from full under `c_rate` [1/h], one temperature throughout [°C]."""
     at_rest = model.rested(soc, temp_C)
     rate = np.maximum(c_rate, 1e-6)

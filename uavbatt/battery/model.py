@@ -87,9 +87,9 @@ def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
 
 def _ocv_V(p: Parameters, soc: Number, position: Number, index: Number) -> Number:
     charged_V = eq.interpolated(p.ocv_V, index, position - index)
-    if not eq.acts(p.hysteresis_V):
+    if not eq.is_on(p.hysteresis_V):
         return charged_V
-    return charged_V - p.hysteresis_V * eq.turned_share(1.0 - soc, TURN_CHARGE)
+    return charged_V - p.hysteresis_V * eq.hysteresis_fraction(1.0 - soc, TURN_CHARGE)
 
 
 def _r0_ohmAh(p: Parameters, position: Number, index: Number, core_C: Number) -> Number:
@@ -123,7 +123,7 @@ def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: N
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
     """c R_t [V]: what a sluggish reaction takes at once."""
-    if not eq.acts(p.transfer_V):
+    if not eq.is_on(p.transfer_V):
         return 0.0
     return c_rate * eq.transfer_resistance(c_rate, p.transfer_V, p.transfer_half_rate)
 
@@ -131,14 +131,14 @@ def transfer_drop(p: Parameters, c_rate: Number) -> Number:
 def rate_at_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: Number) -> Number:
     """C-rate at which a cell behind `series_ohmAh`, its own resistance included, gives a power [W/Ah]."""
     rate = eq.current_at_power(emf_V, series_ohmAh, power_WpAh)
-    if not eq.acts(p.transfer_V):
+    if not eq.is_on(p.transfer_V):
         return rate
     sluggish_ohmAh = eq.transfer_resistance(rate, p.transfer_V, p.transfer_half_rate)
     return eq.current_at_power(emf_V, series_ohmAh + sluggish_ohmAh, power_WpAh)
 
 
 class Lags(NamedTuple):
-    """The share of a deviation that is left after one step, `equations.kept` for each lag."""
+    """The share of a deviation that is left after one step, `equations.decay` for each lag."""
 
     polarisation: Number
     diffusion: Number
@@ -149,41 +149,41 @@ class Lags(NamedTuple):
 def lags(p: Parameters, dt_s: Number) -> Lags:
     """The lags of a step of `dt_s`."""
     return Lags(
-        eq.kept(dt_s, p.polarisation_tau_s),
-        eq.kept(dt_s, p.diffusion_tau_s),
-        eq.kept(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
-        eq.kept(dt_s, p.sensor_lag_s),
+        eq.decay(dt_s, p.polarisation_tau_s),
+        eq.decay(dt_s, p.diffusion_tau_s),
+        eq.decay(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
+        eq.decay(dt_s, p.sensor_lag_s),
     )
 
 
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
     """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
-    return lagged_step(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))
+    return step_with_decay(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))
 
 
-def lagged_step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
+def step_with_decay(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
     """`step` where the lags of `dt_s` are known already."""
-    later = unseen_step(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
-    sensor_C = eq.approach(s.sensor_C, later.core_C, lags.sensor)
+    later = step_cell(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
+    sensor_C = eq.relax_to(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
 
 
-def unseen_step(
+def step_cell(
     p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
     """`step` from a known resistance [ohm·Ah], with the sensor left as it is: nobody reads it in a forecast."""
     drop_V = c_rate * r_ohmAh
     lost_V = drop_V + s.polarisation_V + s.diffusion_V
-    if eq.acts(p.transfer_V):
+    if eq.is_on(p.transfer_V):
         lost_V = lost_V + transfer_drop(p, c_rate)
     slow_V = drop_V * p.diffusion_ratio
-    if eq.acts(p.diffusion_activation_K):
+    if eq.is_on(p.diffusion_activation_K):
         slow_V = slow_V * eq.arrhenius(s.core_C, p.diffusion_activation_K)
-    drained = c_rate * (p.charge_gain * eq.risen(p.rate_gain_h, c_rate))
+    drained = c_rate * (p.charge_gain * eq.load_factor(p.rate_gain_h, c_rate))
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),
-        polarisation_V=eq.approach(s.polarisation_V, drop_V * p.polarisation_ratio, lags.polarisation),
-        diffusion_V=eq.approach(s.diffusion_V, slow_V, lags.diffusion),
+        polarisation_V=eq.relax_to(s.polarisation_V, drop_V * p.polarisation_ratio, lags.polarisation),
+        diffusion_V=eq.relax_to(s.diffusion_V, slow_V, lags.diffusion),
         core_C=_core_C(p, s.core_C, p.heat_gain * c_rate * lost_V, c_rate, ambient_C, dt_s, lags.core),
         sensor_C=s.sensor_C,
     )
@@ -193,9 +193,9 @@ def _core_C(
     p: Parameters, core_C: Number, heat_W: Number, c_rate: Number, ambient_C: Number, dt_s: Number, still: Number
 ) -> Number:
     """Core temperature after a step in which `heat_W` [W/Ah] is held; `still` is what stays of it without airflow."""
-    cooling = p.cooling_WpKAh * eq.risen(p.airflow_gain_h, c_rate)
-    share = eq.kept(dt_s, p.heat_capacity_JpKAh / cooling) if eq.acts(p.airflow_gain_h) else still
-    return eq.approach(core_C, eq.settled_temperature(heat_W, ambient_C, cooling), share)
+    cooling = p.cooling_WpKAh * eq.load_factor(p.airflow_gain_h, c_rate)
+    share = eq.decay(dt_s, p.heat_capacity_JpKAh / cooling) if eq.is_on(p.airflow_gain_h) else still
+    return eq.relax_to(core_C, eq.settled_temperature(heat_W, ambient_C, cooling), share)
 
 
 class Stride(NamedTuple):
@@ -220,5 +220,5 @@ def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: fl
 def advance_by(p: Parameters, s: State, c_rate: Number, ambient_C: Number, over: Stride) -> State:
     """`advance` where the stride is known already."""
     for _ in range(over.steps):
-        s = lagged_step(p, s, c_rate, ambient_C, over.dt_s, over.lags)
+        s = step_with_decay(p, s, c_rate, ambient_C, over.dt_s, over.lags)
     return s

@@ -74,7 +74,7 @@ def weak_voltage(pack: Installation, p: Parameters, s: State, c_rate: Number) ->
 
 def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:
     """Return the mean of the cells less the others' `strong_V` [V], as the weakest cell pulls it; never positive."""
-    if not eq.acts(pack.deficit):
+    if not eq.is_on(pack.deficit):
         return 0.0
     return (weak_voltage(pack, p, s, c_rate) - strong_V) / pack.cells
 

@@ -26,7 +26,7 @@ from uavbatt.battery.pack import Installation, c_rate, grown, metered_voltage, t
 from uavbatt.battery.scaling import Pack
 
 
-class C(IntEnum):
+class X(IntEnum):
     """Index of a component in the vector."""
 
     SOC = 0
@@ -39,7 +39,7 @@ class C(IntEnum):
     BIAS = 7
 
 
-SIZE = len(C)
+SIZE = len(X)
 DOUBT_LENGTH = 1.0  # of the charge
 
 
@@ -90,11 +90,11 @@ class Unpacked(NamedTuple):
 def unpack(pack: Pack, x: Array) -> Unpacked:
     """The model's records for the columns of x, the pack's scales applied."""
     installation = pack.installation._replace(
-        capacity_Ah=pack.installation.capacity_Ah * np.exp(x[C.LOG_CAPACITY]),
+        capacity_Ah=pack.installation.capacity_Ah * np.exp(x[X.LOG_CAPACITY]),
     )
     cell = grown(pack.cell, installation)
-    cell = cell._replace(resistance_gain=cell.resistance_gain * np.exp(x[C.LOG_RESISTANCE]))
-    state = State(x[C.SOC], x[C.POLARISATION], x[C.DIFFUSION], x[C.CORE], x[C.SENSOR])
+    cell = cell._replace(resistance_gain=cell.resistance_gain * np.exp(x[X.LOG_RESISTANCE]))
+    state = State(x[X.SOC], x[X.POLARISATION], x[X.DIFFUSION], x[X.CORE], x[X.SENSOR])
     return Unpacked(cell, installation, state)
 
 
@@ -103,9 +103,9 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
     now = unpack(pack, x)
     later = model.advance(now.cell, now.state, c_rate(now.installation, current_A), ambient_C, dt_s)
     out = x.copy()
-    out[C.SOC], out[C.POLARISATION], out[C.DIFFUSION] = later.soc, later.polarisation_V, later.diffusion_V
-    out[C.CORE], out[C.SENSOR] = later.core_C, later.sensor_C
-    out[C.BIAS] = eq.relax(x[C.BIAS], 0.0, dt_s, pack.bias_tau_s)
+    out[X.SOC], out[X.POLARISATION], out[X.DIFFUSION] = later.soc, later.polarisation_V, later.diffusion_V
+    out[X.CORE], out[X.SENSOR] = later.core_C, later.sensor_C
+    out[X.BIAS] = eq.relax(x[X.BIAS], 0.0, dt_s, pack.bias_tau_s)
     return out
 
 
@@ -122,7 +122,7 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
     """Voltage that the telemetry should report [V] under a true pack current [A], the discrepancy included."""
-    return reported_voltage(pack, unpack(pack, x), x[C.BIAS], current_A)
+    return reported_voltage(pack, unpack(pack, x), x[X.BIAS], current_A)
 
 
 def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:

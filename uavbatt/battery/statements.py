@@ -251,7 +251,7 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
         raise UsageError(f"{flight.source}: {error}") from None
 
 
-def check(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
+def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
     """Raise UsageError when what the caller states of the pack cannot be, by the first rows of the flight."""
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is not None:

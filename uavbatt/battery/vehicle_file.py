@@ -77,7 +77,7 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return f"<VehicleFile {self.name}: {len(self.traces)} flights, {self.phases.flight_W:.0f} W>"
 
 
-def write(file: VehicleFile, path: Path) -> Path:
+def write_vehicle(file: VehicleFile, path: Path) -> Path:
     """Write the file, whole or not at all; returns the path."""
     content = msgspec.to_builtins(file)
     content = {key: value for key, value in content.items() if value is not None}  # TOML has no null
@@ -86,7 +86,7 @@ def write(file: VehicleFile, path: Path) -> Path:
     return path
 
 
-def read(path: str | Path) -> VehicleFile:
+def read_vehicle(path: str | Path) -> VehicleFile:
     """Read and check a vehicle file; BadInput names the file and the place."""
     source = Path(path)
     if not source.is_file():

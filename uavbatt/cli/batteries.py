@@ -21,7 +21,7 @@ def batteries(
     from uavbatt.files import write_json
 
     check_writable(as_json)
-    found = [battery_file.read(name) for name in battery_file.packaged()]
+    found = [battery_file.read_battery(name) for name in battery_file.packaged()]
     for content in found:
         typed = content.battery
         size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")

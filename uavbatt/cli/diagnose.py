@@ -77,7 +77,7 @@ def diagnose(
         if json_file is not None:
             write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
         raise
-    path = str(battery_file.write(new, output)) if output is not None else None
+    path = str(battery_file.write_battery(new, output)) if output is not None else None
     for line in _lines(found, closed):
         say(line, json_file, report)
     if json_file is not None:

@@ -44,7 +44,7 @@ def fit(
     """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
     from uavbatt import dataset
     from uavbatt.battery import battery_file
-    from uavbatt.battery.statements import check, check_whole
+    from uavbatt.battery.statements import check_statements, check_whole
     from uavbatt.fitting.battery import fit_battery, size_of
     from uavbatt.limits import Resting
 
@@ -60,7 +60,7 @@ def fit(
     if battery:
         content = read_battery(battery, allow_uncertified)
         for flight in flights:
-            check(content, stated, flight)
+            check_statements(content, stated, flight)
     else:
         name = (output or vehicle or Path("fitted")).name.split(".")[0]
         size = size_of(name, datasets, flights, stated.cells, stated.capacity_Ah, stated.cutoff_V)
@@ -76,7 +76,7 @@ def fit(
         for line in found.unknown:
             say(f"not determined: {line}")
     if output is not None:
-        say(f"{battery_file.write(content, output)}: fitted to {content.discrepancy.source}; not certified")
+        say(f"{battery_file.write_battery(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None:
         say(_vehicle(vehicle, content, flights, stated))
 
@@ -88,7 +88,7 @@ def _vehicle(path: Path, content: BatteryFile, flights: list[Flight], stated: Pa
     if not flights:
         raise UsageError("--vehicle: expected flight logs, bench tests say nothing about an aircraft")
     learned = learn(path.name.removesuffix(vehicle_file.SUFFIX), flights, content, stated)
-    vehicle_file.write(learned, path)
+    vehicle_file.write_vehicle(learned, path)
     phases = learned.phases
     return (
         f"{path}: {len(learned.traces)} of {len(flights)} flights; mean power {phases.flight_W:.0f} W, first minute "

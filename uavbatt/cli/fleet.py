@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from uavbatt.fleet.fly import Job
-    from uavbatt.fleet.row import Row
+    from uavbatt.fleet.row import FlightRow
     from uavbatt.fleet.run import Finished
 
 PAGE = "fleet.html"
@@ -71,20 +71,20 @@ def fleet(
     check_extra(scheduler)
     from uavbatt.fleet import run
     from uavbatt.fleet.fly import Job
-    from uavbatt.fleet.logs import JOURNAL, find
-    from uavbatt.prediction.forecaster import Settings
+    from uavbatt.fleet.logs import JOURNAL, find_logs
+    from uavbatt.prediction.forecaster import ForecastSettings
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    settings = Settings(reserve_soc=reserve_soc)
+    settings = ForecastSettings(reserve_soc=reserve_soc)
     content = read_battery(battery, allow_uncertified)
     job = Job(content, options, settings, _column(by), _pattern(aircraft), teaches=packs is not None)
-    found = find(logs)
+    found = find_logs(logs)
     flown = 0
     crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
     with _progress() as show:
-        for finished in run.run(crew, found, job, output):
+        for finished in run.run_fleet(crew, found, job, output):
             flown += finished.row is not None
             if finished.dropped:
                 left_out = f"damaged rows left out: {finished.dropped}; their logs are flown again"
@@ -95,7 +95,7 @@ def fleet(
         _fill(packs, run.rows(output, found, job))
 
 
-def _fill(packs: Path, rows: Iterable[Row]) -> None:
+def _fill(packs: Path, rows: Iterable[FlightRow]) -> None:
     """Save in the ledger what the flights taught."""
     from uavbatt.fleet.ledger import fill
     from uavbatt.packs.ledger import Ledger
@@ -108,7 +108,7 @@ def _fill(packs: Path, rows: Iterable[Row]) -> None:
     say(f"{saved} flights in {packs}, which remembers {count} pack{'s' * (count != 1)}; see `uavbatt packs {packs}`")
 
 
-def _tell(folder: Path, rows: Iterable[Row], job: Job, flown: int, logs: int) -> None:
+def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: int) -> None:
     """Write the page; say in a few lines what came of the run. Raises UavbattError when no log could be flown."""
     from uavbatt.fleet.tables import CSV, PARQUET
     from uavbatt.report.fleet import counted, fleet_report

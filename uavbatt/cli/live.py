@@ -51,7 +51,7 @@ def live(
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
 ) -> None:
     """Estimate in flight: telemetry in, time left out (scripts/uavbatt.toml says more)."""
-    from uavbatt.live.config import checked, read
+    from uavbatt.live.config import checked, read_config
 
     given: dict[str, dict[str, Any]] = {
         "link": {"endpoint": endpoint or None, "gcs": gcs or None, "request": request, "system": system}
@@ -69,9 +69,9 @@ def live(
     for kind in feed or []:
         if kind not in ("proxy", "battery", "named"):
             raise UsageError(f"--feed {kind}: expected proxy, battery or named")
-    merged = checked(_overridden(read(config), given))
+    merged = checked(_overridden(read_config(config), given))
     _check_places(merged)
-    _become(merged)
+    _exec_live(merged)
 
 
 def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
@@ -94,7 +94,7 @@ def _check_places(config: Config) -> None:
         raise UsageError(f"--state {state}: expected a file, it is a folder")
 
 
-def _become(config: Config) -> None:
+def _exec_live(config: Config) -> None:
     """Go on as `live_process` in this very process: what reads a command line is not carried along in flight."""
     import msgspec
 

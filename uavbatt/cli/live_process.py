@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.live.config import Config, PackSection
     from uavbatt.mavlink.endpoint import Link
-    from uavbatt.prediction.forecaster import Settings
+    from uavbatt.prediction.forecaster import ForecastSettings
 
 CONFIG_VARIABLE = "UAVBATT_LIVE"
 
@@ -32,7 +32,7 @@ def run(config: Config) -> None:
     from uavbatt.battery import battery_file
     from uavbatt.live.daemon import Daemon
 
-    content = battery_file.read(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
+    content = battery_file.read_battery(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
     if content.status == "edited":
         print(terminal_line(f"uavbatt: {config.pack.battery}: {content.caveat}"), file=sys.stderr, flush=True)
     options, settings = stated(config.pack)
@@ -66,26 +66,26 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
         parse(text)
     if "proxy" not in config.feed.kinds:
         return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]
-    from uavbatt.live.proxy import Settings
+    from uavbatt.live.proxy import ProxySettings
     from uavbatt.live.proxy_client import ProxyClient, control_path
 
     link, feed = config.link, config.feed
     control = feed.proxy_control or control_path(link.endpoint)
     asks = (link.request, link.request_mission)
-    return ProxyClient(Settings(link.endpoint, link.gcs, control, *asks, soc=feed.proxy_soc)), ()
+    return ProxyClient(ProxySettings(link.endpoint, link.gcs, control, *asks, soc=feed.proxy_soc)), ()
 
 
-def stated(pack: PackSection) -> tuple[PackOptions, Settings]:
+def stated(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
     """The pack and the forecasts as the configuration states them, for the estimator."""
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.prediction.forecaster import Settings
+    from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.records import NAN, Flight
 
     if pack.load == "log":
         raise UsageError("--load log: expected learned, recent or watts; in flight no log knows what is to come")
-    flown = vehicle_file.read(Path(pack.vehicle)) if pack.vehicle else None
+    flown = vehicle_file.read_vehicle(Path(pack.vehicle)) if pack.vehicle else None
     chosen = stated_load(pack.load, Flight("live", "live", ()), flown)
     options = PackOptions(
         cells=pack.cells,
@@ -93,7 +93,7 @@ def stated(pack: PackSection) -> tuple[PackOptions, Settings]:
         cutoff_V=pack.cutoff_voltage_V or NAN,
         ambient_C=NAN if pack.ambient_C is None else pack.ambient_C,
     )
-    return options, Settings(chosen, pack.reserve_soc, pack.forecast_period_s)
+    return options, ForecastSettings(chosen, pack.reserve_soc, pack.forecast_period_s)
 
 
 def main() -> int:

@@ -39,7 +39,7 @@ DEFAULT_BATTERY = "lipo-generic"
 FASTEST_WIND_MS = 100.0
 
 
-def known(value: float | None, option: str) -> float:
+def positive_or_nan(value: float | None, option: str) -> float:
     """NaN for an option that was not given; UsageError unless it is positive and finite."""
     if value is None:
         return NAN
@@ -69,7 +69,10 @@ def stated_pack(
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
 
-    capacity_Ah, cutoff_V = known(capacity_ah, "--capacity-ah"), known(cutoff_voltage, "--cutoff-voltage")
+    capacity_Ah, cutoff_V = (
+        positive_or_nan(capacity_ah, "--capacity-ah"),
+        positive_or_nan(cutoff_voltage, "--cutoff-voltage"),
+    )
     check_stated(cells, capacity_Ah, cutoff_V, reserve_soc=reserve_soc, names=OPTIONS)
     return PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
 
@@ -130,7 +133,7 @@ def read_battery(name: str, allow_uncertified: bool) -> BatteryFile:
     """The battery file that the options name; one that was let through is told, whatever else the command prints."""
     from uavbatt.battery import battery_file
 
-    content = battery_file.read(name, allow_uncertified=allow_uncertified)
+    content = battery_file.read_battery(name, allow_uncertified=allow_uncertified)
     if content.status == "edited":
         remark(f"uavbatt: {name}: {content.caveat}")
     return content

@@ -23,7 +23,7 @@ from uavbatt.cli.options import (
     ReserveOption,
     UncertifiedOption,
     check_writable,
-    known,
+    positive_or_nan,
     read_battery,
     say,
     stated_pack,
@@ -85,10 +85,10 @@ def plan(
         conditions = (ambient_c, start_soc, reserve_soc)
         plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary))
         return
-    load = _load(known(power_w, "--power-w"), flight, vehicle, content, options)
+    load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
     with pack_memory.opened(packs, pack, only_read=True) as memory:
         remembered = memory.recalled_now(content)
-    found = planning.made(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
+    found = planning.make_plan(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:
@@ -120,7 +120,7 @@ def _load(
         words = f"as in {Path(flight.source).name}, {flown.phases.flight_W:.0f} W on average"
     else:
         assert vehicle is not None
-        flown = vehicle_file.read(vehicle)
+        flown = vehicle_file.read_vehicle(vehicle)
         words = f"as {flown.name} flew {len(flown.traces)} times, {flown.phases.flight_W:.0f} W on average"
     return FromTakeOff(learned_load(flown)), words
 

@@ -13,7 +13,7 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackSize
-    from uavbatt.plan_route import Fit, LegEnd, MissionPlan
+    from uavbatt.plan_route import LegEnd, MissionPlan, RouteFit
 
 MOST_LEGS = 40  # lines on a terminal
 
@@ -35,10 +35,10 @@ def plan_mission(
 
     from uavbatt.battery import vehicle_file
     from uavbatt.navigation import ReturnSettings, Wind
-    from uavbatt.plan_route import Planned, made
+    from uavbatt.plan_route import Planned, make_route_plan
     from uavbatt.telemetry.formats.mission_file import read_mission
 
-    read, flown = read_mission(mission), vehicle_file.read(vehicle)
+    read, flown = read_mission(mission), vehicle_file.read_vehicle(vehicle)
     if read.home is None:
         raise UsageError(f"--mission {mission}: expected the place of home in it")
     if flown.powers is None:
@@ -50,7 +50,7 @@ def plan_mission(
     if math.isfinite(read.cruise_ms):
         settings = replace(settings, cruise_ms=read.cruise_ms)
     planned = Planned(read.mission, read.home, settings, flown.powers, air)
-    found = made(content, resolved, planned, *conditions)
+    found = make_route_plan(content, resolved, planned, *conditions)
     report, summary = outputs
     for line in _lines(found, mission.name):
         say(line, report, summary)
@@ -109,13 +109,13 @@ def _charge(middle: float, lo: float, hi: float) -> str:
     return f"{middle:.0%} [{lo:.0%}, {hi:.0%}] of the charge"
 
 
-def _row(fit: Fit) -> str:
+def _row(fit: RouteFit) -> str:
     route = fit.route
     charge = _charge(route.soc, route.soc_lo, route.soc_hi)
     return f"  {fit.ambient_C:>5.0f} °C  {route.risk:>5.0%}  {clock(fit.spare_s):>10}  {charge}  {fit.remark}".rstrip()
 
 
-def _fit(fit: Fit) -> dict[str, Any]:
+def _fit(fit: RouteFit) -> dict[str, Any]:
     """One temperature for a program."""
     route = fit.route
     return {

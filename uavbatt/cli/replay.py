@@ -89,7 +89,7 @@ def replay(
     check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
     content = read_battery(battery, allow_uncertified)
     planned = read_mission(mission) if mission is not None else None
-    flown = vehicle_file.read(vehicle) if vehicle is not None else None
+    flown = vehicle_file.read_vehicle(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results, failed = list[dict[str, Any]](), False
     with pack_memory.opened(packs, pack) as memory:
@@ -124,10 +124,10 @@ def _one(
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
-    from uavbatt.battery.statements import check
+    from uavbatt.battery.statements import check_statements
     from uavbatt.estimator import Estimator
     from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps, with_mission
-    from uavbatt.prediction.forecaster import Settings
+    from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
     from uavbatt.telemetry.formats.recording import forecast_period_s
@@ -136,10 +136,14 @@ def _one(
     flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
     if planned is not None:
         flight = with_mission(flight, planned)
-    check(content, options, flight)
+    check_statements(content, options, flight)
     period_s = forecast_period_s(log)
     to_come = stated_load(load[0], flight, load[1], content)
-    settings = Settings(to_come, reserve_soc, period_s) if math.isfinite(period_s) else Settings(to_come, reserve_soc)
+    settings = (
+        ForecastSettings(to_come, reserve_soc, period_s)
+        if math.isfinite(period_s)
+        else ForecastSettings(to_come, reserve_soc)
+    )
     engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
     estimator = Estimator(content, options, settings, engine, memory.recalled(flight, content))
     run = []

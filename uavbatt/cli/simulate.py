@@ -17,7 +17,7 @@ from uavbatt.cli.options import (
     UncertifiedOption,
     WindOption,
     check_writable,
-    known,
+    positive_or_nan,
     read_battery,
     remark,
     stated_wind,
@@ -54,7 +54,7 @@ def simulate(
     """Simulate a flight of a battery file's own model until the pack is empty or a mission is flown, as a log."""
     from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
-    from uavbatt.simulate import Mission, fly, with_effects, write
+    from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
 
     check_writable(output, reads=[mission])
     if wind is not None and mission is None:
@@ -63,15 +63,18 @@ def simulate(
     content = read_battery(battery, allow_uncertified)
     series = cells or content.battery.cells_series
     share = series / content.battery.cells_series
-    given_V, given_Ah = known(cutoff_voltage, "--cutoff-voltage"), known(capacity_ah, "--capacity-ah")
+    given_V, given_Ah = (
+        positive_or_nan(cutoff_voltage, "--cutoff-voltage"),
+        positive_or_nan(capacity_ah, "--capacity-ah"),
+    )
     check_stated(series, given_Ah, given_V, names=OPTIONS)
     cutoff_V = given_V if given_V == given_V else content.battery.cutoff_V * share
     low_V = (content.battery.low_V or float("nan")) * share
     pack = pack_of(content, series, given_Ah, cutoff_V, low_V)
     pack = with_effects(pack, dict(_effect(text) for text in effect or []))
     flight = Mission(power_w, ambient_c, start_soc, rate_hz, seed)
-    samples = fly(pack, flight) if route is None else _along(route, pack, flight)
-    write(output, samples, pack, route)
+    samples = simulate_flight(pack, flight) if route is None else _along(route, pack, flight)
+    write_log(output, samples, pack, route)
     remark(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s")
 
 
@@ -90,11 +93,11 @@ def _route(mission: Path, wind: str | None) -> RouteFlight:
 
 def _along(route: RouteFlight, pack: Pack, flight: Mission) -> list[Sample]:
     """The rows of a flight along a route."""
-    from uavbatt.simulate import fly
+    from uavbatt.simulate import simulate_flight
     from uavbatt.simulate_route import watts_of
 
     watts = watts_of(flight.power_W)
-    return fly(pack, flight, lambda time_s: route.power_W(time_s, watts), route.lands_s)
+    return simulate_flight(pack, flight, lambda time_s: route.power_W(time_s, watts), route.lands_s)
 
 
 def _effect(text: str) -> tuple[str, float]:

@@ -85,7 +85,9 @@ def validate(
     if ship is not None and result.battery is not None:
         from uavbatt.battery import battery_file
 
-        written = battery_file.write(result.battery, ship / f"{result.battery.battery.name}{battery_file.SUFFIX}")
+        written = battery_file.write_battery(
+            result.battery, ship / f"{result.battery.battery.name}{battery_file.SUFFIX}"
+        )
         say(f"shipped: {written}", report, json_file)
     elif ship is not None:
         remark("nothing shipped: the verdict is not pass")

@@ -17,12 +17,12 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import SIZE, C
+from uavbatt.battery.state_space import SIZE, X
 from uavbatt.compiled.jit import as_numbers, compiled, share
 from uavbatt.estimation import noise, recursion
 from uavbatt.estimation.block import BLOCK_S, Block
 from uavbatt.estimation.kalman import NUDGE, Moments
-from uavbatt.estimation.recursion import FULL_SOC_SD, GATE, FilterState, Innovation, Row, weighed
+from uavbatt.estimation.recursion import FULL_SOC_SD, GATE, FilteredRow, FilterState, Innovation, weighed
 from uavbatt.records import Sample
 
 share(noise)
@@ -30,7 +30,7 @@ share(recursion)
 PER_NUDGES = 0.5 / NUDGE
 
 
-def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[Row], FilterState]:
+def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[FilteredRow], FilterState]:
     """Take a window of rows in, as `recursion.filter_window` does; returns the filter after each and the last state."""
     if not samples:
         return [], state
@@ -47,7 +47,7 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
     )
     moments = [state.moments, *(Moments(*one) for one in list(zip(*beliefs, strict=True))[1:])]
     rows = [
-        Row(moments[k], time_s, Innovation(*row))
+        FilteredRow(moments[k], time_s, Innovation(*row))
         for k, time_s, row in zip(in_force.tolist(), times_s.tolist(), shown.tolist(), strict=True)
     ]
     end = FilterState(moments[-1], rows[-1].time_s, current_A, block_A, Block(*block.tolist()), state.ambient_C)
@@ -55,7 +55,7 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
 
 
 @compiled
-def carried(F: Array, P: Array) -> Array:
+def predicted_covariance(F: Array, P: Array) -> Array:
     """F P Fᵀ; what has no influence, most of F, is passed over."""
     half, out = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
     for i in range(SIZE):
@@ -91,7 +91,7 @@ def projected(P: Array, H: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def nudge(at: Array, x: Array, k: int) -> None:
+def finite_difference_step(at: Array, x: Array, k: int) -> None:
     """Make of point k - 1 of a central difference point k: up and down in each component in turn, `x` itself last."""
     j = k // 2
     if k % 2:
@@ -109,19 +109,19 @@ def predict(
 ) -> tuple[Array, Array]:
     """Mean and covariance `dt_s` later, as `kalman.predict` by `state_space.transition`."""
     columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
-    stride, bias_kept = model.stride(pack.cell, dt_s), eq.kept(dt_s, pack.bias_tau_s)
+    stride, bias_kept = model.stride(pack.cell, dt_s), eq.decay(dt_s, pack.bias_tau_s)
     for k in range(2 * SIZE + 1):
-        nudge(at, x, k)
+        finite_difference_step(at, x, k)
         now = b.unpack(pack, at)
         later = model.advance_by(now.cell, now.state, c_rate(now.installation, mean_A), ambient_C, stride)
-        columns[k, C.SOC], columns[k, C.POLARISATION], columns[k, C.DIFFUSION] = later[:3]
-        columns[k, C.CORE], columns[k, C.SENSOR] = later.core_C, later.sensor_C
-        columns[k, C.LOG_RESISTANCE], columns[k, C.LOG_CAPACITY] = at[C.LOG_RESISTANCE], at[C.LOG_CAPACITY]
-        columns[k, C.BIAS] = eq.approach(at[C.BIAS], 0.0, bias_kept)
+        columns[k, X.SOC], columns[k, X.POLARISATION], columns[k, X.DIFFUSION] = later[:3]
+        columns[k, X.CORE], columns[k, X.SENSOR] = later.core_C, later.sensor_C
+        columns[k, X.LOG_RESISTANCE], columns[k, X.LOG_CAPACITY] = at[X.LOG_RESISTANCE], at[X.LOG_CAPACITY]
+        columns[k, X.BIAS] = eq.relax_to(at[X.BIAS], 0.0, bias_kept)
     for j in range(SIZE):
         for i in range(SIZE):
             F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) * PER_NUDGES[j]
-    spread = carried(F, P)
+    spread = predicted_covariance(F, P)
     rate, before = c_rate(pack.installation, mean_A), c_rate(pack.installation, block_A)
     q = noise.process_variances(pack, x, rate, dt_s, before)
     for j in range(SIZE):
@@ -172,16 +172,16 @@ def update(
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
     volts, at = np.empty(2 * SIZE + 1), x.copy()
     for k in range(2 * SIZE + 1):
-        nudge(at, x, k)
-        volts[k] = b.reported_voltage(pack, b.unpack(pack, at), at[C.BIAS], current_A)
+        finite_difference_step(at, x, k)
+        volts[k] = b.reported_voltage(pack, b.unpack(pack, at), at[X.BIAS], current_A)
     expected_V = volts[2 * SIZE]
     for j in range(SIZE):
         H[0, j] = (volts[2 * j] - volts[2 * j + 1]) * PER_NUDGES[j]
     y[0] = voltage_V - expected_V
     R[0, 0] = noise.reading_variance(pack, x, current_A, step_A)
     if size == 2:
-        H[1, C.SENSOR] = 1.0
-        y[1] = temp_C - (x[C.SENSOR] + pack.installation.offset_K)
+        H[1, X.SENSOR] = 1.0
+        y[1] = temp_C - (x[X.SENSOR] + pack.installation.offset_K)
         R[1, 1] = pack.temperature_sd_K**2
     PHt, S = projected(P, H)
     for i in range(size):
@@ -197,10 +197,10 @@ def update(
                 R[i, j] += S[i, j] * (nis / GATE - 1.0)
                 S[i, j] *= nis / GATE
     later, spread = joseph(x, P, PHt, S, H, R, y)
-    excess = later[C.SOC] - 1.0
+    excess = later[X.SOC] - 1.0
     if excess > 0.0:
         full, sure, short = np.zeros((1, SIZE)), np.zeros((1, 1)), np.zeros(1)
-        full[0, C.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, -excess
+        full[0, X.SOC], sure[0, 0], short[0] = 1.0, FULL_SOC_SD**2, -excess
         PHt, S = projected(spread, full)
         later, spread = joseph(later, spread, PHt, S + sure, full, sure, short)
     for i in range(SIZE):
@@ -248,9 +248,9 @@ def look(
     expected_V, soc = 0.0, 0.0
     for k in range(log_weight.size):
         weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])
-        left = x[k, C.SOC] - drawn_As / (3600.0 * now.installation.present_capacity_Ah)
+        left = x[k, X.SOC] - drawn_As / (3600.0 * now.installation.present_capacity_Ah)
         between = b.Unpacked(now.cell, now.installation, now.state._replace(soc=left))
-        expected_V += weight * b.reported_voltage(pack, between, x[k, C.BIAS], current_A)
+        expected_V += weight * b.reported_voltage(pack, between, x[k, X.BIAS], current_A)
         soc += weight * left
     shown[0], shown[2], shown[3] = voltage_V - expected_V, expected_V, soc
 
@@ -305,7 +305,7 @@ def run(
         log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A = close(
             pack, x, P, log_weight, block, block_A, ambient_C
         )
-        shown[k, 3] = np.sum(np.exp(log_weight) * x[:, C.SOC])
+        shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
         means[last], covariances[last], log_weights[last] = x, P, log_weight
         in_force[k] = last

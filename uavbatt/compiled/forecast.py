@@ -16,7 +16,7 @@ from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import C
+from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question
@@ -25,10 +25,10 @@ from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
     """Simulate the forecasts of a window, as `prediction.batch.answers` does; returns the end of each sample."""
-    return [answer(question) for question in questions]
+    return [compiled_end_times(question) for question in questions]
 
 
-def answer(q: Question) -> EndTimes:
+def compiled_end_times(q: Question) -> EndTimes:
     """Simulate one forecast; returns the end of each sample."""
     steps, drawn = q.dt_s.size, sampling.wander()
     ends = time_to_end(
@@ -62,14 +62,14 @@ def time_to_end(
     memory, end_s, low_s = np.exp(-dt_s / pack.bias_tau_s), np.empty(batch), np.empty(batch)
     kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
     for j in range(batch):
-        end_s[j], low_s[j] = one(
+        end_s[j], low_s[j] = time_to_end_one(
             pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, memory, kick_V2, bias[:, j], row[:, j], by_rows
         )
     return end_s, low_s
 
 
 @compiled
-def one(
+def time_to_end_one(
     pack: Pack,
     x: Array,
     power_W: Array,
@@ -87,7 +87,7 @@ def one(
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
     size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
     steps = min(dt_s.size, bias.size)
-    bias_V, before, at_s, end_s, low_s = x[C.BIAS], 0.0, 0.0, np.inf, np.inf
+    bias_V, before, at_s, end_s, low_s = x[X.BIAS], 0.0, 0.0, np.inf, np.inf
     last_end, last_low, below_end, below_low = 0.0, 0.0, 0, 0
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
@@ -124,7 +124,7 @@ def one(
         if dt_s[k] != lags_s:
             lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
         doubt_V2 = b.ocv_doubt(pack, state.soc, rate * (dt_s[k] / SECONDS_PER_HOUR))
-        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags)
+        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags)
         bias_V = memory[k] * bias_V + np.sqrt(kick_V2[k] + doubt_V2) * bias[k]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)

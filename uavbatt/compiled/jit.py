@@ -3,7 +3,7 @@
 numba is told to compile each of them from its own source where compiled code calls it (`register_jitable`), for the
 numbers of one column instead of arrays of them. What numba does not know of named tuples (`_replace`, properties) is
 said here once, for all of them. So a function of the model may use what both numpy and numba understand of single
-numbers: ufuncs, `np.minimum`, branches, `math`; what is told apart by type (`equations.acts`) has its twin here.
+numbers: ufuncs, `np.minimum`, branches, `math`; what is told apart by type (`equations.is_on`) has its twin here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from uavbatt.compiled.cache import cache_dir
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 REPLACED = ("resistance_gain", "capacity_Ah", "soc")  # the fields that the model replaces in its records
-OWN_TWIN = (equations.acts,)
+OWN_TWIN = (equations.is_on,)
 
 
 def share(module: ModuleType) -> None:
@@ -73,7 +73,7 @@ def _defined(body: str, **names: Any) -> Any:
 overload_method(types.BaseNamedTuple, "_replace")(
     _defined(f"return generate(record, {', '.join(f'{name}={name}' for name in REPLACED)})", generate=_replace)
 )
-overload(equations.acts)(lambda value: lambda value: value != 0.0)
+overload(equations.is_on)(lambda value: lambda value: value != 0.0)
 _capacity: Any = Installation.present_capacity_Ah
 overload_attribute(types.BaseNamedTuple, "present_capacity_Ah")(
     lambda self: _capacity.fget if self.instance_class is Installation else None  # its argument has no type either

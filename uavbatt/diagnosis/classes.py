@@ -9,7 +9,7 @@ import numpy as np
 from uavbatt.diagnosis.candidates import QUANTITIES, UNITS
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.rivals import LARGEST_CLASS
-from uavbatt.diagnosis.search import Finding, Trial
+from uavbatt.diagnosis.search import FoundEffect, Trial
 from uavbatt.diagnosis.words import separating
 
 COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
@@ -37,7 +37,7 @@ class EffectClass:
     would_separate: str
 
 
-def class_of(problem: Problem, finding: Finding, doubted: bool) -> EffectClass:
+def class_of(problem: Problem, finding: FoundEffect, doubted: bool) -> EffectClass:
     """A finding as it is told; `doubted` when the model is not believed to be complete."""
     members = _named(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}

@@ -29,7 +29,7 @@ from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.fitting.assemble import rounded
 from uavbatt.log_replay import steps
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.scores import end_of_flight
@@ -156,7 +156,7 @@ def remaining(
     pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
     true_V = (volts - pack.offset_V) / pack.gain_V
     load = LoggedLoad(time_s, np.maximum(true_V * true_current(pack, amps, volts), 0.0))
-    estimator = Estimator(file, options, Settings(load, forecast_period_s=FORECAST_S), engine)
+    estimator = Estimator(file, options, ForecastSettings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
     for step in steps(replace(flight, samples=tuple(thin)), estimator):

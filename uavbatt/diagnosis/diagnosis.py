@@ -27,7 +27,7 @@ from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
-from uavbatt.diagnosis.search import Finding, Trial, search
+from uavbatt.diagnosis.search import FoundEffect, Trial, search
 from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
@@ -51,7 +51,7 @@ class Diagnosis:
     residual_after: list[Residual]
     floor_V: float
     left: Shape
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[FoundEffect, ...] = ()
     blocks: tuple[Block, ...] = ()  # where in the records the evidence lies
     hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
@@ -127,7 +127,7 @@ class _Searched(NamedTuple):
     problem: Problem
     nothing: Refit
     best: Refit
-    findings: list[Finding]
+    findings: list[FoundEffect]
     singles: Trial
 
 
@@ -181,7 +181,7 @@ def per_number(problem: Problem, fit: Refit) -> Left:
 
 
 def _doubts(
-    problem: Problem, findings: list[Finding], best: Refit, left: Left, listed: set[str], floor: float
+    problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, listed: set[str], floor: float
 ) -> tuple[str, ...]:
     """Return why the model after all is not believed to be complete; empty when it is."""
     doubts = []

@@ -96,7 +96,7 @@ def idle_A(evidence: Evidence) -> float:
     return min(means, default=float("inf"))
 
 
-def check(records: list[Observed]) -> None:
+def check_records(records: list[Observed]) -> None:
     """NotEnoughData, with the reason, when the records cannot tell effects apart."""
     if not records:
         raise NotEnoughData("no record has a measured current: nothing can be traced without it")
@@ -133,7 +133,7 @@ def _change(records: list[Observed]) -> float:
 
 def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Array]) -> Evidence:
     """Check, bin and whiten the records. ocv_soc: (soc, OCV) of the battery file, ascending."""
-    check(records)
+    check_records(records)
     records = sorted((r for r in records if _long_enough(r)), key=_content)
     known = _wander(file, float(records[0].cells))
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah

@@ -20,7 +20,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import INDEX, Candidate
 from uavbatt.diagnosis.evidence import Evidence
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.simulation import Own, Shown, simulate
+from uavbatt.diagnosis.simulation import Own, Simulated, simulate
 
 NUDGE = 2e-3
 NUISANCES = 3
@@ -89,7 +89,7 @@ class _Batch:
         soc = np.minimum(believed + self.start_sd * v[..., 0], 1.03)
         return x, Own(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
 
-    def shown(self, u: Array, v: Array) -> Shown:
+    def shown(self, u: Array, v: Array) -> Simulated:
         """Simulate; the variants are variants × candidates."""
         x, own = self.settings(u, v)
         flat = (-1, self.records)
@@ -116,7 +116,7 @@ class _Batch:
             slopes[:, j, : volts.rows.size] = np.moveaxis(flat.reshape(change.shape), 1, 0)
 
 
-def at_best(problem: Problem, fit: Refit) -> Shown:
+def at_best(problem: Problem, fit: Refit) -> Simulated:
     """Return what the sensors should show with the refit's values (one variant)."""
     batch = _Batch(problem, [fit.candidate])
     return batch.shown(fit.u[None, None], fit.v[None, None])
@@ -136,7 +136,7 @@ def slopes_on_file(problem: Problem, fit: Refit) -> Array:
     return both
 
 
-def whitened(evidence: Evidence, shown: Shown, width: int) -> Array:
+def whitened(evidence: Evidence, shown: Simulated, width: int) -> Array:
     """Model minus measurement as independent unit numbers, [variants, records, width]."""
     stack = evidence.stack
     out = np.zeros((shown.voltage_V.shape[1], len(evidence.names), width))

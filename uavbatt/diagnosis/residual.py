@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Evidence
-from uavbatt.diagnosis.simulation import Shown
+from uavbatt.diagnosis.simulation import Simulated
 
 PARTS = 3
 
@@ -46,7 +46,7 @@ class Residual:
         return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
-def residuals(evidence: Evidence, shown: Shown, variant: int = 0) -> list[Residual]:
+def residuals(evidence: Evidence, shown: Simulated, variant: int = 0) -> list[Residual]:
     """The residuals of every record under one simulated variant."""
     stack = evidence.stack
     out = []

@@ -30,7 +30,7 @@ FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class FoundEffect:
     """One effect that is missing: the refits that cannot be told apart, best first, and what they are worth."""
 
     members: tuple[Refit, ...]
@@ -74,7 +74,7 @@ class Trial:
 
 def search(
     problem: Problem, options: list[Candidate], nothing: Refit, tell: Callable[[str], None]
-) -> tuple[Refit, list[Finding], Trial]:
+) -> tuple[Refit, list[FoundEffect], Trial]:
     """The best model with what was found, most evidence first, and the trial of the single effects."""
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -105,7 +105,7 @@ def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int)
     return Trial(before, tuple(fits), tuple(worth(f, before) for f in fits))
 
 
-def finding(problem: Problem, tried: Trial) -> Finding:
+def finding(problem: Problem, tried: Trial) -> FoundEffect:
     """The class of the rivals that cannot be told from the best."""
     fits = [tried.fits[i] for i in tried.rivals]
     steady = [_steady(tried.worths[i].constancy) for i in tried.rivals]
@@ -115,7 +115,7 @@ def finding(problem: Problem, tried: Trial) -> Finding:
     likely = likely * _usual(fits)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
     members = [order[k] for k in seated([fits[i] for i in order])]
-    return Finding(
+    return FoundEffect(
         members=tuple(fits[i] for i in members),
         worth=tried.worths[tried.rivals[members[0]]],
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),

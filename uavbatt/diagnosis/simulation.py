@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery import model, openloop, pack
-from uavbatt.battery.initial_state import underway
+from uavbatt.battery.initial_state import state_under_load
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.openloop import States
 from uavbatt.battery.pack import Installation
@@ -28,7 +28,7 @@ class Own(NamedTuple):
     ambient_K: Array
 
 
-class Shown(NamedTuple):
+class Simulated(NamedTuple):
     """Readings that the sensors should show: [rows, variants, records]; soc for reports."""
 
     voltage_V: Array
@@ -65,7 +65,7 @@ def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
     return current
 
 
-def simulate(base: Pack, evidence: Evidence, x: Array, own: Own, walk: States = openloop.states) -> Shown:
+def simulate(base: Pack, evidence: Evidence, x: Array, own: Own, walk: States = openloop.states) -> Simulated:
     """Run quantities x [variants, records, quantities] with the records' own values.
 
     walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin).
@@ -82,11 +82,11 @@ def simulate(base: Pack, evidence: Evidence, x: Array, own: Own, walk: States = 
     start_C = np.tile(stack.start_temp_C, variants) - installation.offset_K + own.start_K.ravel()
     ambient_C = np.where(np.tile(evidence.known_ambient, variants), np.tile(stack.ambient_C, variants), start_C)
     ambient_C = ambient_C + own.ambient_K.ravel()
-    start = underway(cell, own.soc.ravel(), start_C, rate[0])
+    start = state_under_load(cell, own.soc.ravel(), start_C, rate[0])
     states = walk(cell, start, _between(rate), np.tile(stack.dt_s, (1, variants)), ambient_C)
     true_V = _voltages(cell, installation, states, rate, current_A)
     shape = (*stack.time_s.shape[:1], variants, records)
-    return Shown(
+    return Simulated(
         pack.metered_voltage(installation, true_V).reshape(shape),
         (states.sensor_C + installation.offset_K).reshape(shape),
         states.soc.reshape(shape),

@@ -16,14 +16,14 @@ import numpy as np
 
 from uavbatt.battery.capacity_prior import Capacities, known_capacity
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, C, mixed_covariance
+from uavbatt.battery.state_space import Belief, X, mixed_covariance
 from uavbatt.estimation.block import Block, is_complete
 from uavbatt.estimation.kalman import Moments, filterpy_condition
 from uavbatt.estimation.recursion import (
     NOTHING,
+    FilteredRow,
     FilterState,
     Innovation,
-    Row,
     Window,
     filter_window,
     start,
@@ -102,20 +102,20 @@ class SocFilter:
         Returns the filter after each sample.
         """
         paired = [self._skew.paired(sample) if is_complete(sample) else sample for sample in samples]
-        rows: list[Row] = []
+        rows: list[FilteredRow] = []
         if self._state is None:
             first = next((k for k, sample in enumerate(paired) if is_complete(sample)), None)
             if first is None:
                 return [NOT_BEGUN] * len(paired)
             self._state, row = start(self.pack, paired[first], self._ambient_C, self._capacities)
-            rows = [*[Row(None, NAN, NOTHING)] * first, row]
+            rows = [*[FilteredRow(None, NAN, NOTHING)] * first, row]
         more, self._state = window(self.pack, self._state, paired[len(rows) :])
         found = _filtered([*rows, *more], self._state.ambient_C, self._last)
         self._last = found[-1] if found else self._last
         return found
 
 
-def _filtered(rows: list[Row], ambient_C: float, last: Filtered) -> list[Filtered]:
+def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list[Filtered]:
     """The rows as the filter shows them; what is told of a belief is worked out once for each."""
     found = []
     known, moments, weight = last.summary, None, np.zeros(0)
@@ -137,18 +137,18 @@ def summary(at: Moments) -> Summary:
     weight = at.weight
     x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
     sd = np.sqrt(np.diag(covariance))
-    resistance, capacity = float(x[C.LOG_RESISTANCE]), float(x[C.LOG_CAPACITY])
-    shared = covariance[C.LOG_RESISTANCE, C.LOG_CAPACITY]
+    resistance, capacity = float(x[X.LOG_RESISTANCE]), float(x[X.LOG_CAPACITY])
+    shared = covariance[X.LOG_RESISTANCE, X.LOG_CAPACITY]
     return Summary(
-        soc=float(x[C.SOC]),
-        soc_sd=float(sd[C.SOC]),
-        core_temp_C=float(x[C.CORE]),
+        soc=float(x[X.SOC]),
+        soc_sd=float(sd[X.SOC]),
+        core_temp_C=float(x[X.CORE]),
         resistance_scale=math.exp(resistance),
-        resistance_scale_sd=math.exp(resistance) * float(sd[C.LOG_RESISTANCE]),
+        resistance_scale_sd=math.exp(resistance) * float(sd[X.LOG_RESISTANCE]),
         capacity_scale=math.exp(capacity),
-        capacity_scale_sd=math.exp(capacity) * float(sd[C.LOG_CAPACITY]),
+        capacity_scale_sd=math.exp(capacity) * float(sd[X.LOG_CAPACITY]),
         wear=math.expm1(resistance - capacity),
-        wear_sd=math.sqrt(max(sd[C.LOG_RESISTANCE] ** 2 + sd[C.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
+        wear_sd=math.sqrt(max(sd[X.LOG_RESISTANCE] ** 2 + sd[X.LOG_CAPACITY] ** 2 - 2.0 * shared, 0.0)),
     )
 
 

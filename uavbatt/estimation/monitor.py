@@ -15,7 +15,7 @@ import numpy as np
 
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, C
+from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.sensors import (
     DEAD_S,
     LEAST_RISE_CELL_V,
@@ -118,5 +118,5 @@ class Monitor(NamedTuple):
 
 def discrepancy_sds(belief: Belief, pack: Pack) -> float:
     """The discrepancy that is believed in, in standard deviations of its prior where the charge is believed to be."""
-    mean_V, soc = belief.weights @ belief.means[:, [C.BIAS, C.SOC]]
+    mean_V, soc = belief.weights @ belief.means[:, [X.BIAS, X.SOC]]
     return float(mean_V) / math.hypot(pack.bias_sd_V, float(np.interp(soc, SOC_GRID, pack.ocv_sd_V)))

@@ -16,7 +16,7 @@ from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, State
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import SIZE, C
+from uavbatt.battery.state_space import SIZE, X
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
@@ -67,7 +67,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
     read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
-        state = initial_state.underway(pack.cell, read.soc, temp_C, c_rate)
+        state = initial_state.state_under_load(pack.cell, read.soc, temp_C, c_rate)
         ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
         drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
@@ -77,7 +77,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> Firs
     mean, covariance = initial_state.joint(pack.cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
-    return First(initial_state.underway(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
+    return First(initial_state.state_under_load(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
 
 
 def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:
@@ -86,14 +86,14 @@ def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Ca
     `charge` [2, 2] is the covariance of (soc, discrepancy), `members` the prior of the pack's scales.
     """
     sd = np.zeros(SIZE)
-    sd[C.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
-    sd[C.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
-    sd[C.CORE] = sd[C.SENSOR] = temp_sd_K
+    sd[X.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
+    sd[X.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
+    sd[X.CORE] = sd[X.SENSOR] = temp_sd_K
     covariance = np.diag(sd**2)
-    covariance[np.ix_((C.SOC, C.BIAS), (C.SOC, C.BIAS))] = charge
+    covariance[np.ix_((X.SOC, X.BIAS), (X.SOC, X.BIAS))] = charge
     bank = np.tile(covariance, (members.sd.size, 1, 1))
-    bank[:, C.LOG_RESISTANCE, C.LOG_RESISTANCE] = members.resistance_sd**2
-    bank[:, C.LOG_CAPACITY, C.LOG_CAPACITY] = members.sd**2
+    bank[:, X.LOG_RESISTANCE, X.LOG_RESISTANCE] = members.resistance_sd**2
+    bank[:, X.LOG_CAPACITY, X.LOG_CAPACITY] = members.sd**2
     return bank
 
 
@@ -104,20 +104,20 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, befor
     """
     share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
     q = np.zeros(mean.shape)
-    q[C.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
+    q[X.SOC] = (share * max(abs(rate_c), 0.2) * dt_s / 3600.0) ** 2
     if dt_s > LONGEST_GAP_S:
-        q[C.SOC] += (0.5 * rate_c * dt_s / 3600.0) ** 2
-    drop_V = np.abs(rate_c) * scaled_resistance(pack, mean) * np.exp(-mean[C.LOG_CAPACITY])
+        q[X.SOC] += (0.5 * rate_c * dt_s / 3600.0) ** 2
+    drop_V = np.abs(rate_c) * scaled_resistance(pack, mean) * np.exp(-mean[X.LOG_CAPACITY])
     fast_V, slow_V = drop_V * pack.cell.polarisation_ratio, drop_V * pack.cell.diffusion_ratio
-    q[C.POLARISATION] = _lagging(pack.lag_share[0], mean[C.POLARISATION], fast_V, dt_s, pack.cell.polarisation_tau_s)
-    q[C.DIFFUSION] = _lagging(pack.lag_share[1], mean[C.DIFFUSION], slow_V, dt_s, pack.cell.diffusion_tau_s)
-    q[C.CORE] = CORE_WALK_K2PS * dt_s
-    q[C.SENSOR] = CORE_WALK_K2PS * dt_s
-    q[C.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
-    q[C.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
-    q[C.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
-    q[C.BIAS] += b.ocv_doubt(pack, mean[C.SOC], rate_c * dt_s / 3600.0)
-    q[C.BIAS] += (REACTION_SD_V * (reacting(rate_c) - reacting(before_c))) ** 2
+    q[X.POLARISATION] = _lagging(pack.lag_share[0], mean[X.POLARISATION], fast_V, dt_s, pack.cell.polarisation_tau_s)
+    q[X.DIFFUSION] = _lagging(pack.lag_share[1], mean[X.DIFFUSION], slow_V, dt_s, pack.cell.diffusion_tau_s)
+    q[X.CORE] = CORE_WALK_K2PS * dt_s
+    q[X.SENSOR] = CORE_WALK_K2PS * dt_s
+    q[X.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
+    q[X.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
+    q[X.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
+    q[X.BIAS] += b.ocv_doubt(pack, mean[X.SOC], rate_c * dt_s / 3600.0)
+    q[X.BIAS] += (REACTION_SD_V * (reacting(rate_c) - reacting(before_c))) ** 2
     return q
 
 
@@ -128,7 +128,7 @@ def reacting(rate_c: float) -> float:
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:
     """Resistance at once [ohm·Ah] of the pack that is believed in."""
-    return model.resistance(pack.cell, mean[C.SOC], mean[C.CORE]) * np.exp(mean[C.LOG_RESISTANCE])
+    return model.resistance(pack.cell, mean[X.SOC], mean[X.CORE]) * np.exp(mean[X.LOG_RESISTANCE])
 
 
 def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: float, tau_s: float) -> Number:

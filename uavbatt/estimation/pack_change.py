@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from uavbatt.battery import model
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, C
+from uavbatt.battery.state_space import Belief, X
 from uavbatt.records import NAN, Estimate
 
 RESTED_C_RATE, SWAP_ROWS = 0.15, 3
@@ -72,9 +72,9 @@ class SwapWatch(NamedTuple):
         """Return what the pack that was seen last can show at rest after a silence of `gap_s`."""
         if gap_s > SETTLED_S or self.belief is None:
             return Bounds(predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V)
-        mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[C.SOC, C.SOC])
+        mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[X.SOC, X.SOC])
         drawn = max(self.current_A, 0.0) * gap_s / 3600.0 / float(pack.installation.present_capacity_Ah)
-        lag_V = max(float(mean[C.POLARISATION] + mean[C.DIFFUSION]), 0.0)
-        low_V = float(model.open_circuit_voltage(pack.cell, mean[C.SOC] - drawn - sd)) - lag_V
-        high_V = float(model.open_circuit_voltage(pack.cell, min(mean[C.SOC] + sd, 1.0)))
+        lag_V = max(float(mean[X.POLARISATION] + mean[X.DIFFUSION]), 0.0)
+        low_V = float(model.open_circuit_voltage(pack.cell, mean[X.SOC] - drawn - sd)) - lag_V
+        high_V = float(model.open_circuit_voltage(pack.cell, min(mean[X.SOC] + sd, 1.0)))
         return Bounds(low_V - ODD_CELL_V, high_V + ODD_CELL_V)

@@ -21,7 +21,7 @@ from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import SIZE, C
+from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
 from uavbatt.estimation.kalman import Condition, Moments, jacobian
@@ -53,7 +53,7 @@ class Innovation(NamedTuple):
     soc: float
 
 
-class Row(NamedTuple):
+class FilteredRow(NamedTuple):
     """The filter after one row of a window; no moments before its first complete row."""
 
     moments: Moments | None
@@ -70,11 +70,11 @@ class Between(NamedTuple):
     voltage_V: float
 
 
-Window = Callable[[Pack, FilterState, Sequence[Sample]], tuple[list[Row], FilterState]]
+Window = Callable[[Pack, FilterState, Sequence[Sample]], tuple[list[FilteredRow], FilterState]]
 NOTHING = Innovation(math.nan, math.nan, math.nan, math.nan)
 
 
-def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> tuple[FilterState, Row]:
+def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> tuple[FilterState, FilteredRow]:
     """Start the filter at a row with voltage and current: from the rested voltage, or wide from one under load.
 
     ambient_C : given ambient temperature [°C], NaN where nobody gave one; members : the capacities to weigh.
@@ -89,35 +89,35 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
     first = noise.first_state(pack, cell_V, temp_C, rate)
     x = np.zeros((members.log_scale.size, SIZE))
-    x[:, : C.SENSOR + 1] = first.state
-    x[:, C.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
-    x[:, C.BIAS], x[:, C.LOG_CAPACITY] = first.mean[1], members.log_scale
-    x[:, C.LOG_RESISTANCE] = members.log_resistance
+    x[:, : X.SENSOR + 1] = first.state
+    x[:, X.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
+    x[:, X.BIAS], x[:, X.LOG_CAPACITY] = first.mean[1], members.log_scale
+    x[:, X.LOG_RESISTANCE] = members.log_resistance
     P = noise.start_covariances(first.state, first.covariance, temp_sd_K, members)
     moments = Moments(x, P, np.log(members.weight))
     ambient_C = ambient_C if math.isfinite(ambient_C) else temp_C
     state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C)
     expected_V = float(moments.weight @ b.voltage(pack, x.T, current_A))
-    shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, C.SOC]))
-    return state, Row(moments, sample.time_s, shown)
+    shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, X.SOC]))
+    return state, FilteredRow(moments, sample.time_s, shown)
 
 
 def filter_window(
     pack: Pack, state: FilterState, samples: Sequence[Sample], condition: Condition = kalman.condition
-) -> tuple[list[Row], FilterState]:
+) -> tuple[list[FilteredRow], FilterState]:
     """Take a window of rows in, one after the other.
 
     condition : how a measurement is taken in; filterpy's in flight (`kalman.filterpy_condition`).
     Returns the filter after each row, and the state after the last.
     """
-    rows: list[Row] = []
+    rows: list[FilteredRow] = []
     between: list[tuple[int, Between]] = []
     for sample in samples:
         state, shown = _take(pack, state, sample, condition)
         if isinstance(shown, Between):
             between.append((len(rows), shown))
             shown = NOTHING
-        rows.append(Row(state.moments, state.time_s, shown))
+        rows.append(FilteredRow(state.moments, state.time_s, shown))
     for (k, _), innovation in zip(between, _innovations(pack, [row for _, row in between]), strict=True):
         rows[k] = rows[k]._replace(innovation=innovation)
     return rows, state
@@ -143,8 +143,8 @@ def _take(
 def _between(pack: Pack, state: FilterState, sample: Sample) -> Between:
     """Within a block: the moments after the last one, less the charge drawn since."""
     x = state.moments.x.copy()
-    capacity_As = 3600.0 * pack.installation.present_capacity_Ah * np.exp(x[:, C.LOG_CAPACITY])
-    x[:, C.SOC] -= state.block.charge_As / capacity_As
+    capacity_As = 3600.0 * pack.installation.present_capacity_Ah * np.exp(x[:, X.LOG_CAPACITY])
+    x[:, X.SOC] -= state.block.charge_As / capacity_As
     return Between(x, state.moments.weight, state.current_A, sample.voltage_V)
 
 
@@ -158,7 +158,7 @@ def _innovations(pack: Pack, rows: list[Between]) -> list[Innovation]:
     volts = b.voltage(pack, x.reshape(count * members, -1).T, current_A).reshape(count, members)
     expected_V = np.sum(volts * weight, axis=1).tolist()
     return [
-        Innovation(row.voltage_V - volts_V, math.nan, volts_V, float(row.weight @ row.x[:, C.SOC]))
+        Innovation(row.voltage_V - volts_V, math.nan, volts_V, float(row.weight @ row.x[:, X.SOC]))
         for row, volts_V in zip(rows, expected_V, strict=True)
     ]
 
@@ -182,7 +182,7 @@ def _update(pack: Pack, at: Moments, block: Block, step_A: float, condition: Con
 
     def reading(x: Array) -> Array:
         volts = b.voltage(pack, x, current_A)
-        warmth = x[C.SENSOR] + pack.installation.offset_K
+        warmth = x[X.SENSOR] + pack.installation.offset_K
         return np.stack([volts, warmth]) if has_temp else np.stack([volts])
 
     observation, expected = jacobian(reading, at.x)
@@ -199,20 +199,20 @@ def _update(pack: Pack, at: Moments, block: Block, step_A: float, condition: Con
     x, P = _at_most_full(*condition(at.x, at.P, innovation, observation, doubted), condition)
     log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
     after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weight)
-    weight, soc = at.weight, float(after.weight @ x[:, C.SOC])
+    weight, soc = at.weight, float(after.weight @ x[:, X.SOC])
     return after, Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
 
 
 def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Array]:
     """Constrain the charge of every member to 1 by a pseudo-measurement with sd FULL_SOC_SD: correlations follow."""
-    over = x[:, C.SOC] > 1.0
+    over = x[:, X.SOC] > 1.0
     if not over.any():
         return x, P
     row = np.zeros((int(over.sum()), 1, SIZE))
-    row[:, 0, C.SOC] = 1.0
+    row[:, 0, X.SOC] = 1.0
     noise_R = np.full((len(row), 1, 1), FULL_SOC_SD**2)
     x, P = x.copy(), P.copy()
-    x[over], P[over] = condition(x[over], P[over], 1.0 - x[over][:, [C.SOC]], row, noise_R)
+    x[over], P[over] = condition(x[over], P[over], 1.0 - x[over][:, [X.SOC]], row, noise_R)
     return x, P
 
 

@@ -33,7 +33,7 @@ def parameter_table(
     ocv_V, r0_ohmAh = prior.knots(slots, x)
     return ParameterTable(
         ocv_soc=[float(z) for z in prior.OCV_SOC],
-        ocv_V=[rounded(v) for v in prior.rising(ocv_V)],
+        ocv_V=[rounded(v) for v in prior.made_monotone(ocv_V)],
         resistance_soc=[float(z) for z in prior.RESISTANCE_SOC],
         resistance_ohmAh=[rounded(r) for r in r0_ohmAh],
         resistance_scale_sd=rounded(resistance_scale_sd),

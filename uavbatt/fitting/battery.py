@@ -17,7 +17,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander
 from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.observed import Stack
-from uavbatt.fitting.solve import Fit, OwnPrior
+from uavbatt.fitting.solve import BatteryFit, OwnPrior
 from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
 from uavbatt.records import Flight, PackFacts
 
@@ -64,11 +64,11 @@ def fit_battery(
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
     stack = observed.stack(bench + flown)
     effects, own_prior = _freedom(len(bench), len(flown))
-    found = solve.fit(stack, effects, own_prior=own_prior, progress=progress, evaluations=60)
+    found = solve.fit_battery(stack, effects, own_prior=own_prior, progress=progress, evaluations=60)
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
-    shown = solve.replay(stack, found)
+    shown = solve.replay_fit(stack, found)
     left = assemble.discrepancy(stack, shown, held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights")
     typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
     left = msgspec.structs.replace(left, wander=wander.learned(stack, shown, list(typical)))
@@ -157,7 +157,7 @@ def _first(values: list[float]) -> float:
     return next((v for v in values if np.isfinite(v)), float("nan"))
 
 
-def _known(found: Fit) -> tuple[str, ...]:
+def _known(found: BatteryFit) -> tuple[str, ...]:
     """Each parameter with its confidence."""
     lines = []
     for i, slot in enumerate(found.slots):
@@ -176,7 +176,7 @@ def _range_C(stack: Stack) -> dict[str, float]:
     return {FITTED_LOW: round(float(low), 1), FITTED_HIGH: round(float(high), 1)}
 
 
-def _unknown(found: Fit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
+def _unknown(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
     """Say in words which quantities the records cannot tell."""
     told_nothing = [
         s.name for i, s in enumerate(found.slots) if np.sqrt(found.covariance_u[i, i]) > LEAST_GAIN and s.sd > 0.0

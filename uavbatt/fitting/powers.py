@@ -25,7 +25,7 @@ STEADY_MS2 = 0.3
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 
 
-class Rows(NamedTuple):
+class PowerRows(NamedTuple):
     """Means over blocks of one flight: power [W], airspeed, climb [m/s], shares of take-off and landing, length [s]."""
 
     power_W: Array
@@ -45,7 +45,7 @@ def powers(flights: list[Flight]) -> Powers | None:
     return min(fits, key=lambda fit: fit[0])[1]
 
 
-def flown_rows(flight: Flight) -> Rows | None:
+def flown_rows(flight: Flight) -> PowerRows | None:
     """Return one flight in blocks; None when too little of it is known."""
     progress, rows = Progress(), []
     before_s, before = math.nan, None
@@ -66,14 +66,14 @@ def flown_rows(flight: Flight) -> Rows | None:
     return _blocks(table)
 
 
-def _blocks(table: Array) -> Rows:
+def _blocks(table: Array) -> PowerRows:
     """Means over blocks of BLOCK_S of rows (time, power, airspeed, climb, taking off, landing, length)."""
     _, block = np.unique(np.floor(table[:, 0] / BLOCK_S), return_inverse=True)
     lengths_s = np.bincount(block, table[:, -1]).astype(float)
     power_W, airspeed_ms, climb_ms, taking_off, landing = (
         np.bincount(block, column * table[:, -1]) / lengths_s for column in table[:, 1:6].T
     )
-    return Rows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
+    return PowerRows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
@@ -86,7 +86,7 @@ def _is_steady(before: Position | None, now: Position | None) -> bool:
     return change_ms <= STEADY_MS2 * (now.time_s - before.time_s)
 
 
-def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
+def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
     """The shape of all flights and the hover of each in turns; the misfit and the powers."""
     columns = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
@@ -120,7 +120,7 @@ def _fit(told: list[Rows], induced_ms: float) -> tuple[float, Powers]:
     )
 
 
-def _unusual(told: list[Rows], columns: list[Array], left: list[Array]) -> Array:
+def _unusual(told: list[PowerRows], columns: list[Array], left: list[Array]) -> Array:
     """Return what remains of each flight's mean power where it flies far from its hover: fast or climbing."""
     means = []
     for rows, misfit in zip(told, left, strict=True):

@@ -97,14 +97,14 @@ def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
     return ocv_V, x[..., at["r0_ohmAh"], None] * shape
 
 
-def disorder(slots: tuple[Slot, ...], x: Array) -> Array:
+def monotonicity_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
     """Residuals [..., knots - 1] that a fit is charged where its OCV does not rise with the charge by OCV_SLOPE_V."""
     ocv_V, _ = knots(slots, x)
     short_V = OCV_SLOPE_V * np.diff(OCV_SOC) - np.diff(ocv_V, axis=-1)
     return np.asarray(np.maximum(short_V, 0.0) / DISORDER_SD_V)
 
 
-def rising(ocv_V: Array) -> Array:
+def made_monotone(ocv_V: Array) -> Array:
     """The OCV at its knots without the last millivolts of disorder that a fit may leave."""
     least_V = OCV_SLOPE_V * OCV_SOC
     return np.asarray(np.maximum.accumulate(ocv_V - least_V) + least_V)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from uavbatt.battery.initial_state import underway
+from uavbatt.battery.initial_state import state_under_load
 from uavbatt.battery.model import SOC_GRID, Array
 from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.battery.scaling import dense
@@ -42,7 +42,7 @@ SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit(Posterior):
+class BatteryFit(Posterior):
     """Posterior of the shared slots, and each record's own (start soc, ln scales)."""
 
     own: Array  # [records, 3]
@@ -71,7 +71,7 @@ def run(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Arra
     cell = cell._replace(resistance_gain=np.exp(flat[:, 1]))
     capacity = np.tile(stack.capacity_Ah, variants) * np.exp(flat[:, 2])
     rate = np.tile(stack.current_A, (1, variants)) / capacity
-    start = underway(cell, flat[:, 0], np.tile(stack.start_temp_C, variants), rate[0])
+    start = state_under_load(cell, flat[:, 0], np.tile(stack.start_temp_C, variants), rate[0])
     return simulate(cell, start, rate, np.tile(stack.dt_s, (1, variants)), np.tile(stack.ambient_C, variants))
 
 
@@ -87,14 +87,14 @@ def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
     return np.moveaxis(scaled, 1, 0)
 
 
-def fit(
+def fit_battery(
     stack: Stack,
     effects: tuple[str, ...] = prior.BASE_EFFECTS,
     own_prior: OwnPrior | Sequence[OwnPrior] = OwnPrior(),
     start_u: Array | None = None,
     progress: Callable[[int], None] | None = None,
     evaluations: int = 40,
-) -> Fit:
+) -> BatteryFit:
     """The most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
     own_prior : one for all records, or each record's own.
@@ -120,7 +120,7 @@ def fit(
         return np.concatenate([evaluate(v[None])[0].ravel(), disordered(v[None])[0], v])
 
     def disordered(v: Array) -> Array:
-        return prior.disorder(slots, prior.values(slots, v[:, :shared]))
+        return prior.monotonicity_penalty(slots, prior.values(slots, v[:, :shared]))
 
     def jacobian(v: Array) -> Array:
         nudges = np.zeros((shared + len(OWN), v.size))
@@ -150,7 +150,7 @@ def fit(
     slopes = np.asarray(found.jac, dtype=float)
     covariance = np.linalg.inv(slopes.T @ slopes)
     own = own_mean + own_sd * found.x[shared:].reshape(records, len(OWN))
-    return Fit(
+    return BatteryFit(
         slots=slots,
         effects=effects,
         u=found.x[:shared],
@@ -160,6 +160,6 @@ def fit(
     )
 
 
-def replay(stack: Stack, found: Fit, own: Array | None = None) -> Trajectory:
+def replay_fit(stack: Stack, found: BatteryFit, own: Array | None = None) -> Trajectory:
     """Open-loop simulation of the stack's records with the fitted cell (own: [records, 3])."""
     return run(stack, found.slots, found.effects, found.x[None], (found.own if own is None else own)[None])

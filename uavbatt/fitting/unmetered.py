@@ -71,7 +71,9 @@ def slots_of(effects: tuple[str, ...]) -> tuple[Slot, ...]:
     return (*prior.cell_slots(effects), *LOAD_SLOTS)
 
 
-def predict(slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, test: MeanTest, time_s: Array) -> Array:
+def predict_unmetered(
+    slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, test: MeanTest, time_s: Array
+) -> Array:
     """Pack voltage [V] and surface temperature [°C] at `time_s` for values x [batch, slots]: [2, instants, batch]."""
     at = {s.name: i for i, s in enumerate(slots)}
     load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
@@ -82,17 +84,17 @@ def predict(slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, test: M
     return out
 
 
-def fit(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Posterior:
+def fit_unmetered(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Posterior:
     """Most probable cell and load for the mean test."""
     slots = slots_of(effects)
     sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
 
     def evaluate(u: Array) -> Array:
         x = prior.values(slots, u)
-        volts, surface = predict(slots, effects, x, test, test.time_s)
+        volts, surface = predict_unmetered(slots, effects, x, test, test.time_s)
         misfit_V = (volts - test.voltage_V[:, None]) / sigma_V[:, None]
         misfit_K = np.nan_to_num(surface - test.surface_C[:, None]) / SURFACE_SD_K
-        return np.concatenate([misfit_V, misfit_K, prior.disorder(slots, x).T, u.T])
+        return np.concatenate([misfit_V, misfit_K, prior.monotonicity_penalty(slots, x).T, u.T])
 
     def objective(u: Array) -> Array:
         return evaluate(u[None])[:, 0]

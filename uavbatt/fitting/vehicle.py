@@ -13,7 +13,7 @@ from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.powers import powers
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Flight
 
 GRID_S = 10.0
@@ -57,7 +57,7 @@ def speeds(flights: list[Flight]) -> Speeds | None:
 
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
     """One flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
-    estimator = Estimator(battery, options, Settings(forecast_period_s=math.inf))
+    estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows = []
     for sample in flight.samples:
         estimator.update_facts(flight.facts_at(sample.time_s))

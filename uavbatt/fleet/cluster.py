@@ -9,9 +9,9 @@ from typing import Any
 
 from uavbatt import __version__
 from uavbatt.errors import UavbattError, UsageError
-from uavbatt.fleet.fly import Job, bad, fly
+from uavbatt.fleet.fly import Job, bad, fly_log
 from uavbatt.fleet.logs import LogFile
-from uavbatt.fleet.row import LOST, Row
+from uavbatt.fleet.row import LOST, FlightRow
 
 WAIT_FOR_WORKERS_S = 30
 
@@ -29,11 +29,11 @@ class Cluster:
 
     def fly(self, number: int, log: LogFile, job: Job) -> None:
         """Have a log flown."""
-        future = self._client.submit(fly, log, job, pure=False, retries=1)
+        future = self._client.submit(fly_log, log, job, pure=False, retries=1)
         self._under_way[future] = (number, log, job)
         self._coming.add(future)
 
-    def finished(self) -> tuple[int, Row]:
+    def finished(self) -> tuple[int, FlightRow]:
         """The next row that comes back, with the number of its log."""
         future = next(self._coming)
         number, log, job = self._under_way.pop(future)
@@ -41,10 +41,10 @@ class Cluster:
         future.release()
         return number, row
 
-    def _row(self, future: Any, log: LogFile, job: Job) -> Row:
+    def _row(self, future: Any, log: LogFile, job: Job) -> FlightRow:
         """The row of a future. `fly` raises nothing, so an error here is the cluster's."""
         try:
-            row: Row = future.result()
+            row: FlightRow = future.result()
         except Exception as error:
             if self._client.status != "running":
                 raise UavbattError("the cluster went away: run again, what is done stays done") from None

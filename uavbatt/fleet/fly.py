@@ -17,10 +17,10 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
-from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, Row
-from uavbatt.log_replay import Outcome, Step, engine_for, outcome, steps
+from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
+from uavbatt.log_replay import Outcome, ReplayedRow, engine_for, outcome, steps
 from uavbatt.packs.exchange import plain_flight
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight
 from uavbatt.remembering import taught
 from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
@@ -39,14 +39,14 @@ class Job:
 
     battery: BatteryFile
     options: PackOptions
-    settings: Settings = Settings()
+    settings: ForecastSettings = ForecastSettings()
     by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
     teaches: bool = False  # what each flight says of its pack is worked out as well
 
 
-def fly(log: LogFile, job: Job) -> Row:
+def fly_log(log: LogFile, job: Job) -> FlightRow:
     """The row of one log; never raises for anything that a log can cause."""
     try:
         return _flown(read_bytes(log.name, log.read()), log, job)
@@ -59,13 +59,13 @@ def fly(log: LogFile, job: Job) -> Row:
     return bad(log, job, reason)
 
 
-def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> Row:
+def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
     """The row of a log that could not be flown."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
-    return Row(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
+    return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
-def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
+def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
     estimator = Estimator(job.battery, job.options, job.settings, engine)
     run = list(steps(flight, estimator))
@@ -79,7 +79,7 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> Row:
     charge_Ah, _ = charges_Ah(flight.samples, limit_s)
     energy_Wh, flown_s = _energy(flight, limit_s)
     temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
-    row = Row(
+    row = FlightRow(
         file=log.name,
         kind=flight.kind,
         aircraft=_aircraft(log, job, who.system),
@@ -129,7 +129,7 @@ def _taught(flight: Flight, job: Job) -> str:
     return json.dumps(plain_flight(found)) if found is not None else ""
 
 
-def _identified(row: Row, job: Job) -> Row:
+def _identified(row: FlightRow, job: Job) -> FlightRow:
     """The row with the name of its aircraft, and who gave it."""
     named = str(getattr(row, job.by) or "") if job.by else ""
     if named:
@@ -148,7 +148,7 @@ def _energy(flight: Flight, limit_s: float) -> tuple[float, float]:
     return (joules / 3600.0, flown_s) if flown_s > 0.0 else (NAN, 0.0)
 
 
-def _scored(row: Row, found: Outcome) -> Row:
+def _scored(row: FlightRow, found: Outcome) -> FlightRow:
     """The row with the errors of the forecasts before the end that the log shows."""
     scored: dict[str, float | bool] = {}
     for checkpoint in found.checkpoints:
@@ -158,11 +158,11 @@ def _scored(row: Row, found: Outcome) -> Row:
     return replace(row, **scored)  # type: ignore[arg-type]  # names and types are those of CHECKPOINTS
 
 
-def _warnings(flight: Flight, run: list[Step]) -> list[str]:
+def _warnings(flight: Flight, run: list[ReplayedRow]) -> list[str]:
     return list(dict.fromkeys([w for s in run for w in s.estimate.warnings] + list(flight.notes)))
 
 
-def _reasons(row: Row, doubts: tuple[str, ...]) -> list[str]:
+def _reasons(row: FlightRow, doubts: tuple[str, ...]) -> list[str]:
     """Return the reasons why a person should look at this flight; empty when it is like any other."""
     found = []
     if row.end_soc < EMPTY_SOC:

@@ -20,7 +20,7 @@ from uavbatt.errors import BadInput
 from uavbatt.files import atomic_write
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import JOURNAL, LogFile
-from uavbatt.fleet.row import LOST, Row, row_of
+from uavbatt.fleet.row import LOST, FlightRow, row_of
 
 
 def key(log: LogFile, job_key: str) -> str:
@@ -63,14 +63,14 @@ class Journal:
     def __len__(self) -> int:
         return len(self._places)
 
-    def add(self, number: int, key: str, row: Row) -> None:
+    def add(self, number: int, key: str, row: FlightRow) -> None:
         """Keep the row of log `number`; it is on disk when this returns."""
         self._places[number] = self._file.seek(0, os.SEEK_END)
         line = json.dumps({"key": key, **row.plain()}, allow_nan=False)  # ASCII: a file name may be no text at all
         self._file.write(line.encode() + b"\n")
         self._file.flush()
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[FlightRow]:
         """The rows of this run in the order of its logs, one at a time."""
         for number in sorted(self._places):
             self._file.seek(self._places[number])

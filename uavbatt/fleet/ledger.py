@@ -7,13 +7,13 @@ from collections import defaultdict
 from collections.abc import Iterable
 
 from uavbatt.errors import UavbattError
-from uavbatt.fleet.row import Row
+from uavbatt.fleet.row import FlightRow
 from uavbatt.packs.exchange import flight_of
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import FlightRecord
 
 
-def fill(ledger: Ledger, rows: Iterable[Row]) -> tuple[int, list[str]]:
+def fill(ledger: Ledger, rows: Iterable[FlightRow]) -> tuple[int, list[str]]:
     """Save what the rows' flights taught of their packs; how many flights, and why packs were left out."""
     taught: dict[str, list[FlightRecord]] = defaultdict(list)
     for row in rows:

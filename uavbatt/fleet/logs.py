@@ -41,7 +41,7 @@ class LogFile:
             raise Unreadable(self.name, "", f"a log that can be read: {_words(error)}") from None
 
 
-def find(patterns: Iterable[str]) -> list[LogFile]:
+def find_logs(patterns: Iterable[str]) -> list[LogFile]:
     """Every log that the patterns name, each once, by name. Raises UsageError for a pattern that names nothing."""
     found: dict[str, LogFile] = {}
     for pattern in patterns:

@@ -28,7 +28,7 @@ from uavbatt.fleet.logs import LogFile
 
 if TYPE_CHECKING:  # a worker loads the rest when it knows on how many threads
     from uavbatt.fleet.fly import Job
-    from uavbatt.fleet.row import Row
+    from uavbatt.fleet.row import FlightRow
 
 TRIES = 2
 LOOK_PERIOD_S = 1.0
@@ -95,11 +95,11 @@ class Processes:
         self._queue.append(Task(number, log, job))
         self._hand_out()
 
-    def finished(self) -> tuple[int, Row]:
+    def finished(self) -> tuple[int, FlightRow]:
         """The next row that comes back, with the number of its log."""
         return next(found for found in self._rows() if found is not None)
 
-    def _rows(self) -> Iterator[tuple[int, Row] | None]:
+    def _rows(self) -> Iterator[tuple[int, FlightRow] | None]:
         """Yield the rows of each worker that has something to say or has grown too big."""
         while True:
             if time.monotonic() >= self._look_s:
@@ -123,15 +123,15 @@ class Processes:
             if self._queue and worker.is_ready and worker.task is None:
                 worker.give(self._queue.popleft())
 
-    def _heard(self, worker: Worker) -> tuple[int, Row] | None:
+    def _heard(self, worker: Worker) -> tuple[int, FlightRow] | None:
         try:
-            row: Row | None = worker.line.recv()
+            row: FlightRow | None = worker.line.recv()
         except (EOFError, OSError):
             return self._lost(worker, "the worker died on it, of too little memory perhaps")
         task, worker.task, worker.is_ready = worker.task, None, True
         return None if task is None or row is None else (task.number, row)
 
-    def _lost(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
+    def _lost(self, worker: Worker, reason: str) -> tuple[int, FlightRow] | None:
         """A new process in the place of this one; the row of its log if that has been tried often enough."""
         code, task = worker.end(), worker.task
         if not worker.is_ready:
@@ -163,7 +163,7 @@ def _work(line: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(50_000)  # as the command does: rows are values without circles
-    from uavbatt.fleet.fly import fly
+    from uavbatt.fleet.fly import fly_log
 
     job: Job | None = None
     try:
@@ -172,7 +172,7 @@ def _work(line: Connection) -> None:
             new, log = line.recv()
             job = new or job
             assert job is not None
-            line.send(fly(log, job))
+            line.send(fly_log(log, job))
     except (EOFError, OSError):
         return
 

@@ -25,7 +25,7 @@ CHECKPOINTS = ("half", "360", "240", "120", "60")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class FlightRow:
     """The result of one flight. `status`: OK, or BAD or LOST with the reason in words."""
 
     file: str
@@ -84,7 +84,7 @@ class Row:
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(self).items()}
 
 
-def row_of(plain: Mapping[str, Any]) -> Row:
+def row_of(plain: Mapping[str, Any]) -> FlightRow:
     """The row of a dictionary that `Row.plain` made; keys that this version does not know are left out.
 
     Raises ValueError when it is no row: a name is missing, a value is of another type or fits no table.
@@ -92,7 +92,7 @@ def row_of(plain: Mapping[str, Any]) -> Row:
     values = {name: NAN if plain[name] is None and kind == "float" else plain[name] for name, kind in COLUMNS
               if name in plain}  # fmt: skip
     try:
-        row = msgspec.convert(values, Row)
+        row = msgspec.convert(values, FlightRow)
     except msgspec.ValidationError as error:
         raise ValueError(str(error)) from None
     if row.status not in (OK, BAD, LOST):
@@ -104,4 +104,4 @@ def row_of(plain: Mapping[str, Any]) -> Row:
     return row
 
 
-COLUMNS: tuple[tuple[str, str], ...] = tuple((f.name, str(f.type)) for f in fields(Row))
+COLUMNS: tuple[tuple[str, str], ...] = tuple((f.name, str(f.type)) for f in fields(FlightRow))

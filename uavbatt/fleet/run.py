@@ -18,7 +18,7 @@ from uavbatt.fleet import journal, tables
 from uavbatt.fleet.fly import Job
 from uavbatt.fleet.logs import LogFile
 from uavbatt.fleet.processes import Processes
-from uavbatt.fleet.row import Row
+from uavbatt.fleet.row import FlightRow
 
 _UNDER_WAY_PER_WORKER = 3
 
@@ -31,7 +31,7 @@ class Crew(Protocol):
     def fly(self, number: int, log: LogFile, job: Job) -> None:
         """Have a log flown."""
 
-    def finished(self) -> tuple[int, Row]:
+    def finished(self) -> tuple[int, FlightRow]:
         """The next row that comes back, with the number of its log."""
 
 
@@ -42,7 +42,7 @@ class Finished:
     dropped: damaged rows of earlier runs that were taken out of the journal.
     """
 
-    row: Row | None
+    row: FlightRow | None
     done: int
     total: int
     dropped: int = 0
@@ -75,7 +75,9 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew]:
         yield cluster
 
 
-def run(crew: AbstractContextManager[Crew], logs: Sequence[LogFile], job: Job, folder: Path) -> Iterator[Finished]:
+def run_fleet(
+    crew: AbstractContextManager[Crew], logs: Sequence[LogFile], job: Job, folder: Path
+) -> Iterator[Finished]:
     """Fly every log that `folder` has no row of yet, then write its tables; yields as logs are done.
 
     crew: see `connected`; not entered when there is nothing to do. The first item tells how many were done before.
@@ -91,11 +93,11 @@ def run(crew: AbstractContextManager[Crew], logs: Sequence[LogFile], job: Job, f
                 for number, row in _flown(at_work, logs, job, to_do):
                     done.add(number, keys[number], row)
                     yield Finished(row, len(done), len(logs))
-        tables.write(folder, done.rows())
+        tables.write_tables(folder, done.rows())
         done.tidy()
 
 
-def rows(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[Row]:
+def rows(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[FlightRow]:
     """The rows of a finished run, one at a time."""
     job_key = journal.job_key(job)
     keys = {journal.key(log, job_key): number for number, log in enumerate(logs)}
@@ -103,7 +105,7 @@ def rows(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[Row]:
         yield from done.rows()
 
 
-def _flown(crew: Crew, logs: Sequence[LogFile], job: Job, to_do: Sequence[int]) -> Iterator[tuple[int, Row]]:
+def _flown(crew: Crew, logs: Sequence[LogFile], job: Job, to_do: Sequence[int]) -> Iterator[tuple[int, FlightRow]]:
     """(number of the log, its row) as they come back."""
     job = replace(job, flights_each=len(to_do) // crew.size)
     sent = 0

@@ -15,7 +15,7 @@ from typing import Any
 
 from uavbatt.files import atomic_write
 from uavbatt.fleet.logs import TABLE
-from uavbatt.fleet.row import COLUMNS, Row
+from uavbatt.fleet.row import COLUMNS, FlightRow
 
 PARQUET, CSV = "flights.parquet", TABLE
 _BATCH = 1000
@@ -24,7 +24,7 @@ _TEXTS = tuple(name for name, kind in COLUMNS if kind == "str" and name != _TIME
 _RUN = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
-def write(folder: Path, rows: Iterable[Row]) -> None:
+def write_tables(folder: Path, rows: Iterable[FlightRow]) -> None:
     """Write both tables into `folder`, each whole or not at all; unknown is null, an empty cell in the CSV."""
     import pyarrow
     from pyarrow import csv, parquet
@@ -62,7 +62,7 @@ def _schema(pyarrow: Any) -> Any:
     )
 
 
-def _batches(rows: Iterable[Row]) -> Iterator[list[dict[str, Any]]]:
+def _batches(rows: Iterable[FlightRow]) -> Iterator[list[dict[str, Any]]]:
     left = iter(rows)
     while batch := [row.plain() for row in islice(left, _BATCH)]:
         yield batch

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from uavbatt.live.report import Report, Shown
+from uavbatt.live.report import Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
 from uavbatt.records import Status
 
@@ -97,7 +97,7 @@ class Announcer:
             said += self._new_warnings(now_s, report.estimate.warnings)
         return [(severity, f"Battery {self._instance}: {text}"[:LONGEST_TEXT]) for severity, text in said]
 
-    def _alarm(self, now_s: float, shown: Shown) -> list[tuple[int, str]]:
+    def _alarm(self, now_s: float, shown: Display) -> list[tuple[int, str]]:
         left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
         for threshold_s in self._waiting:
             if left_s > REARM * threshold_s:
@@ -111,7 +111,7 @@ class Announcer:
         severity = SEVERITY_CRITICAL if min(crossed) < CRITICAL_BELOW_S else SEVERITY_WARNING
         return [(severity, f"{_minutes(left_s)} left at worst")]
 
-    def _loss(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
+    def _loss(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
         if math.isfinite(shown.remaining_s):
             self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
             return []
@@ -128,7 +128,7 @@ class Announcer:
         self._spoke_s["loss"] = now_s
         return [(SEVERITY_WARNING if is_armed else SEVERITY_NOTICE, f"time unknown, {_short(shown.reason)}")]
 
-    def _never_known(self, now_s: float, shown: Shown, is_armed: bool | None) -> list[tuple[int, str]]:
+    def _never_known(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
         """In the air without a number from the start: said once."""
         is_due = is_armed is True and not self._is_without_said and now_s - self._lost_s >= WITHOUT_AFTER_S
         if not is_due or shown.status is not Status.REFUSED:

@@ -24,9 +24,9 @@ from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
-from uavbatt.prediction.forecaster import NOT_FLYING, Settings
+from uavbatt.prediction.forecaster import NOT_FLYING, ForecastSettings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Status
-from uavbatt.telemetry.live import LiveReader, Row
+from uavbatt.telemetry.live import LiveReader, LiveRow
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES
 
@@ -41,7 +41,7 @@ class Batteries:
         config: Config,
         battery: BatteryFile,
         options: PackOptions,
-        settings: Settings,
+        settings: ForecastSettings,
         reader: LiveReader,
         clocks: Callable[[float], state.Clock],
         now_s: float,
@@ -66,7 +66,7 @@ class Batteries:
             self.tracked.clear()
             self._reader.resume({})
 
-    def step(self, row: Row, now_s: float) -> Report:
+    def step(self, row: LiveRow, now_s: float) -> Report:
         """One row through its estimator. `now_s`: monotonic [s]."""
         instance = row.instance
         if not self.tracked:
@@ -133,7 +133,7 @@ class Batteries:
             batteries=batteries,
         )
         try:
-            state.write(Path(path), content, self._clocks(now_s))
+            state.write_state(Path(path), content, self._clocks(now_s))
             self._problem = ""
         except (OSError, UavbattError) as error:
             self._problem = f"state not saved: {error}"
@@ -162,7 +162,7 @@ class Batteries:
         clock = self._clocks(now_s)
         return clock.wall_s if clock.is_clock_set else math.nan
 
-    def _remember(self, keeper: PackKeeper, row: Row, now_s: float) -> None:
+    def _remember(self, keeper: PackKeeper, row: LiveRow, now_s: float) -> None:
         """On the ground the estimate begins with what is remembered of the pack; in the air its rows are kept."""
         tracked, said = self.tracked[row.instance], self._reader.pack(row.instance)
         known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
@@ -176,7 +176,7 @@ class Batteries:
         """Return the state that an earlier process has left for this one."""
         if not self._config.state.file:
             return Resumption(state.Found(None, 0.0, ""))
-        found = state.read(
+        found = state.read_state(
             Path(self._config.state.file),
             SavedBattery,
             self._clocks(now_s),

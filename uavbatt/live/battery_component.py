@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from uavbatt.live.report import Report, Shown
+from uavbatt.live.report import Display, Report
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.records import NAN, Status
 
@@ -74,7 +74,7 @@ def _frame(report: Report, now_s: float, battery_id: int, out: Outgoing) -> byte
     )
 
 
-def charge_state(shown: Shown) -> int:
+def charge_state(shown: Display) -> int:
     """Return MAV_BATTERY_CHARGE_STATE by the time that the alarm goes by: a ground station colours its battery by it.
 
     UNDEFINED where no time is known. It goes to ground stations only: what PX4 or ArduPilot does when a battery is

@@ -116,7 +116,7 @@ class Config(Section, frozen=True):
     state: StateSection = StateSection()
 
 
-def read(path: Path | None = None) -> Config:
+def read_config(path: Path | None = None) -> Config:
     """The configuration of `path`, or of the place that the environment names, or the defaults."""
     named = path if path is not None else _named()
     if named is None:

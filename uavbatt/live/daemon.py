@@ -28,10 +28,10 @@ from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.mavlink.pipe import wait
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Status
 from uavbatt.telemetry.formats.recording import PERIOD_NAME
-from uavbatt.telemetry.live import Row
+from uavbatt.telemetry.live import LiveRow
 
 LONGEST_WAIT_S = 0.1
 REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
@@ -47,7 +47,7 @@ class Daemon:
         config: Config,
         battery: BatteryFile,
         options: PackOptions,
-        settings: Settings,
+        settings: ForecastSettings,
         link: Link,
         stations: Sequence[Link] = (),
         *,
@@ -96,7 +96,7 @@ class Daemon:
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
         self._sender.send(now_s, in_order(self.batteries.reports), self._reader)
-        self._look_after(now_s)
+        self._housekeeping(now_s)
         return len(pieces)
 
     def close(self) -> None:
@@ -144,7 +144,7 @@ class Daemon:
             self._recorder.remember(PERIOD_NAME.encode(), period)
         self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
-    def _step(self, row: Row, now_s: float) -> None:
+    def _step(self, row: LiveRow, now_s: float) -> None:
         """One row through its estimator and to the proxy, which must have it before the next frame."""
         before = self.batteries.reports.get(row.instance)
         if before is not None and before.age_s(now_s) > STALE_AFTER_S:
@@ -158,7 +158,7 @@ class Daemon:
         if self._recorder is not None:
             self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
 
-    def _look_after(self, now_s: float) -> None:
+    def _housekeeping(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
         notes = [*self.batteries.notes(now_s), *self._listener.notes()]
         if self._recorder is not None and self._recorder.problem:

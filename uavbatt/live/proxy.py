@@ -12,7 +12,7 @@ is `ok`). The original reaches the estimator, which records it; a time that was 
 datagram; a stream's partial frame waits at most 20 ms. Control messages: `kind (1 byte) | length (u16, little endian) |
 body`.
 
-Run as `python -m uavbatt.live.proxy JSON` with the keys of `Settings`. Standard library only.
+Run as `python -m uavbatt.live.proxy JSON` with the keys of `ProxySettings`. Standard library only.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MOST_STATIONS = 16  # whose frames are put together at a time
 LONGEST_BODY = 60_000
 
 
-class Settings(NamedTuple):
+class ProxySettings(NamedTuple):
     """The proxy gets these settings at its start."""
 
     autopilot: str
@@ -137,7 +137,7 @@ class Control:
 class Proxy:
     """The loop; `turn` is one pass of it."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: ProxySettings) -> None:
         self._settings = settings
         self.rewriter = Rewriter(settings.soc)
         self.autopilot = open_autopilot(settings.autopilot)
@@ -262,7 +262,7 @@ def main() -> int:
     with suppress(OSError):  # frames go before everything else, where that is allowed
         os.nice(-10 - os.nice(0))
     try:
-        proxy = Proxy(Settings(**json.loads(sys.argv[1])))
+        proxy = Proxy(ProxySettings(**json.loads(sys.argv[1])))
     except (UavbattError, OSError) as error:
         print(terminal_line(f"uavbatt proxy: {error}"), file=sys.stderr)
         return 2

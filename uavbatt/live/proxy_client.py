@@ -44,7 +44,7 @@ class ProxyClient:
 
     is_stream = True
 
-    def __init__(self, settings: proxy.Settings) -> None:
+    def __init__(self, settings: proxy.ProxySettings) -> None:
         self._settings = settings
         self._pipe: Pipe | None = None
         self._messages = proxy.Messages()

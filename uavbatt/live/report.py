@@ -19,7 +19,7 @@ TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Display:
     """The values that may be shown now; NaN is unknown."""
 
     status: Status
@@ -57,12 +57,12 @@ class Report:
         """Return True on the ground, where no number is missing: the take-off is waited for."""
         return self.remaining.reason == NOT_FLYING and self.estimate.status is not Status.REFUSED
 
-    def at(self, now_s: float) -> Shown:
+    def at(self, now_s: float) -> Display:
         """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
         age_s = self.age_s(now_s)
         made = line(self.estimate, self.remaining)
         if age_s > STALE_AFTER_S:
-            return Shown(Status.STALE, f"no telemetry for {age_s:.0f} s", *(NAN,) * 6)
+            return Display(Status.STALE, f"no telemetry for {age_s:.0f} s", *(NAN,) * 6)
         status = Status(str(made["status"]))
         refused = status is Status.REFUSED
         soc = made["soc"]
@@ -71,7 +71,7 @@ class Report:
             return max(value_s - age_s, 0.0) if math.isfinite(value_s) and not refused else NAN
 
         r = self.remaining
-        return Shown(
+        return Display(
             status,
             str(made["reason"]),
             soc if isinstance(soc, float) else NAN,
@@ -117,7 +117,7 @@ class Trend:
     """The trend of each battery over the last ten minutes, a point every five seconds."""
 
     def __init__(self) -> None:
-        self._points: dict[int, tuple[tuple[float, Shown], ...]] = {}
+        self._points: dict[int, tuple[tuple[float, Display], ...]] = {}
         self._next_s = -math.inf
 
     def forget(self) -> None:

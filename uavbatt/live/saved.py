@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.sections import HIGHEST_CELL_V, Capacity, Cells
-from uavbatt.battery.state_space import SIZE, C, mixed_covariance
+from uavbatt.battery.state_space import SIZE, X, mixed_covariance
 from uavbatt.estimator import Past
 from uavbatt.limits import HIGHEST_C_RATE
 from uavbatt.records import PackFacts
@@ -28,15 +28,15 @@ MOST_MEMBERS = 64
 
 # The mean of each component and its standard deviation, from .. to. Below the lowest sd nobody knows a battery: flights
 # end with 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials may be known (there are none).
-PLAUSIBLE: dict[C, tuple[tuple[float, float], tuple[float, float]]] = {
-    C.SOC: ((-0.5, 1.05), (2e-4, 1.0)),
-    C.POLARISATION: ((-2.0, 2.0), (0.0, 1.0)),
-    C.DIFFUSION: ((-2.0, 2.0), (0.0, 1.0)),
-    C.CORE: ((-60.0, 150.0), (5e-3, 60.0)),
-    C.SENSOR: ((-60.0, 150.0), (5e-3, 60.0)),
-    C.LOG_RESISTANCE: ((-3.0, 3.0), (1e-3, 3.0)),
-    C.LOG_CAPACITY: ((-3.0, 3.0), (3e-4, 3.0)),
-    C.BIAS: ((-1.0, 1.0), (1e-4, 1.0)),
+PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
+    X.SOC: ((-0.5, 1.05), (2e-4, 1.0)),
+    X.POLARISATION: ((-2.0, 2.0), (0.0, 1.0)),
+    X.DIFFUSION: ((-2.0, 2.0), (0.0, 1.0)),
+    X.CORE: ((-60.0, 150.0), (5e-3, 60.0)),
+    X.SENSOR: ((-60.0, 150.0), (5e-3, 60.0)),
+    X.LOG_RESISTANCE: ((-3.0, 3.0), (1e-3, 3.0)),
+    X.LOG_CAPACITY: ((-3.0, 3.0), (3e-4, 3.0)),
+    X.BIAS: ((-1.0, 1.0), (1e-4, 1.0)),
 }
 ASYMMETRY, INDEFINITE, ROUNDED = 1e-6, 1e-6, 1e-6  # of correlations and weights: what rounding leaves
 

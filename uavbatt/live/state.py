@@ -20,7 +20,7 @@ import msgspec
 
 from uavbatt.files import atomic_write
 
-VERSION = 3
+VERSION = 4
 MOST_BYTES = 1_000_000
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 HARDWARE_CLOCKS = Path("/sys/class/rtc")
@@ -119,14 +119,14 @@ def _agrees(hardware_clock: Path, wall_s: float) -> bool:
     return abs(shown_s - wall_s) <= CLOCKS_AGREE_S
 
 
-def write(path: Path, content: State[Any], now: Clock) -> None:
+def write_state(path: Path, content: State[Any], now: Clock) -> None:
     """Save atomically. Raises OSError or UavbattError when the disk does not take it."""
     head = {"version": VERSION, **msgspec.to_builtins(now)}
     with atomic_write(path) as file:
         json.dump({**head, **msgspec.to_builtins(content)}, file, allow_nan=True)
 
 
-def read(
+def read_state(
     path: Path, kind: type[Battery], now: Clock, *, max_age_s: float, battery_sha256: str, link: str
 ) -> Found[Battery]:
     """The state of `path` with batteries of this kind, if this process may go on from it at `now`."""

@@ -1,8 +1,8 @@
 """One battery in flight: its estimator, and what of it survives a crash.
 
-Resuming: the saved belief, and what the forecaster and the intake remember, are put at their own time, before the first
-row of the new process. The charge that was drawn meanwhile is the difference of the autopilot's counter where it has
-one; else the load is taken to have gone on. What cannot be resumed is left alone, and `resumed` says why.
+Resuming: the saved belief, and what the forecaster and the cleaner remember, are put at their own time, before the
+first row of the new process. The charge that was drawn meanwhile is the difference of the autopilot's counter
+where it has one; else the load is taken to have gone on. What cannot be resumed is left alone, and `resumed` says why.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.forecaster import Settings
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.builder import MAX_CURRENT_A
 
@@ -34,7 +34,7 @@ class TrackedBattery:
         self,
         battery: BatteryFile,
         options: PackOptions,
-        settings: Settings,
+        settings: ForecastSettings,
         saved: SavedBattery | None = None,
         max_age_s: float = math.inf,
     ) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.packs import findings as odd
-from uavbatt.packs.records import Finding, FlightRecord, Known, Remembered
+from uavbatt.packs.records import FlightRecord, Known, PackFinding, Remembered
 
 # A pack that nobody met is as good as new, or it is in service: shares, means and sds of (ln ohm, ln Ah) against its
 # type and its rating. From flight to flight it ages: LiPo packs lose a fifth in 50 to 300 flights, and a season of hard
@@ -135,7 +135,7 @@ def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
     return found
 
 
-def _begun(flight: FlightRecord) -> tuple[Course, tuple[Finding, ...]]:
+def _begun(flight: FlightRecord) -> tuple[Course, tuple[PackFinding, ...]]:
     return Course(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
 
 
@@ -143,7 +143,7 @@ def _taken(expected: Known, flight: FlightRecord) -> Known:
     return updated(expected, flight.told.mean, flight.told.matrix)
 
 
-def _next(course: Course, flight: FlightRecord) -> tuple[Course, tuple[Finding, ...]]:
+def _next(course: Course, flight: FlightRecord) -> tuple[Course, tuple[PackFinding, ...]]:
     """One flight more: as expected, damaged since the last one, or not this pack at all."""
     beside = odd.between(course.last, flight)
     expected = later(course.known, days_between(course.last, flight.start_utc_s))
@@ -168,20 +168,20 @@ def _shaken(expected: Known, z: Array) -> Known:
     return Known(expected.mean, expected.covariance + np.diag(sd**2))
 
 
-def _improved(course: Course, expected: Known, flight: FlightRecord, said: Finding) -> tuple[Course, Finding]:
+def _improved(course: Course, expected: Known, flight: FlightRecord, said: PackFinding) -> tuple[Course, PackFinding]:
     """A flight better than the pack can be: set aside, unless it is the pack from before, or the new one again."""
     old = course.undamaged
     if old is not None and np.abs(oddness(later(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
         again = "as before the damage: the flights in between were another pack's"
-        return Course(_taken(later(old, 0.0), flight), old, flight, is_settled=False), Finding(said.kind, again)
+        return Course(_taken(later(old, 0.0), flight), old, flight, is_settled=False), PackFinding(said.kind, again)
     if course.aside is not None:
         anew = first_known(course.aside)
-        said = Finding(said.kind, "again another pack: remembered anew under this name")
+        said = PackFinding(said.kind, "again another pack: remembered anew under this name")
         return Course(_taken(later(anew, 0.0), flight), anew, flight, is_settled=False), said
     return Course(expected, expected, course.last, aside=flight, is_settled=False), said
 
 
-def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, Finding] | None:
+def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, PackFinding] | None:
     """Two flights in a row that say the same: damage, of which one alone was not sure."""
     z = oddness_together(course.expected, course.last, flight)
     if max(z[OHM], -z[CHARGE]) <= ODD_TOGETHER:

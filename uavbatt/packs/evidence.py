@@ -20,7 +20,7 @@ from uavbatt.battery import model
 from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.battery.remembered import HALF_CHARGE, UNKNOWN, Scales, health_of
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, C
+from uavbatt.battery.state_space import Belief, X
 from uavbatt.packs.records import Told
 
 HOVER_C_RATE = 2.5
@@ -69,9 +69,9 @@ def _ohms_per_volt(pack: Pack) -> float:
 
 def scales(pack: Pack, belief: Belief) -> Scales:
     """The belief's resistance and capacity, the discrepancy in it counted as ohms."""
-    read = np.zeros((2, len(C)))
-    read[0, C.LOG_RESISTANCE], read[0, C.BIAS] = 1.0, -_ohms_per_volt(pack)
-    read[1, C.LOG_CAPACITY] = 1.0
+    read = np.zeros((2, len(X)))
+    read[0, X.LOG_RESISTANCE], read[0, X.BIAS] = 1.0, -_ohms_per_volt(pack)
+    read[1, X.LOG_CAPACITY] = 1.0
     return Scales(read @ belief.mean, read @ belief.covariance @ read.T)
 
 
@@ -92,7 +92,7 @@ def _without_prior(belief: Scales, prior: Scales) -> Scales:
 
 def _with_rest(said: Scales, loaded: Belief, last: Belief) -> Scales:
     """Return what the rows after the load say of the capacity besides: the rested voltage after landing."""
-    k = C.LOG_CAPACITY
+    k = X.LOG_CAPACITY
     before, after = float(loaded.covariance[k, k]), float(last.covariance[k, k])
     if not after < LARGEST_SHARE * before:
         return said

@@ -5,49 +5,49 @@ from __future__ import annotations
 import math
 
 from uavbatt.battery.model import Array
-from uavbatt.packs.records import Finding, FlightRecord
+from uavbatt.packs.records import FlightRecord, PackFinding
 
 WEAK_CELL_V = 0.06  # below the mean of the cells under load: balanced packs stay within half of it
 FASTEST_CHARGE_C, COUNTED_CHARGE = 6.0, 0.15  # chargers give 1 to 5 C; smaller rises may be a misread start
 HELD_TEXT = "another pack under this name?"
 
 
-def by_itself(flight: FlightRecord) -> tuple[Finding, ...]:
+def by_itself(flight: FlightRecord) -> tuple[PackFinding, ...]:
     """Return what one flight shows alone."""
     if not flight.weak_cell_V > WEAK_CELL_V:
         return ()
     words = f"cell {flight.weak_cell} lies {1000.0 * flight.weak_cell_V:.0f} mV below the others under load"
-    return (Finding("weak_cell", words),)
+    return (PackFinding("weak_cell", words),)
 
 
-def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[Finding, ...]:
+def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, ...]:
     """Return what two flights of one name, the one after the other, show together."""
     found = []
     hours = (flight.start_utc_s - earlier.start_utc_s - earlier.duration_s) / 3600.0
     charged = flight.soc_start - earlier.soc_end
     if charged > COUNTED_CHARGE and hours * FASTEST_CHARGE_C < charged:
         words = f"{100.0 * charged:.0f} % more charge after {60.0 * max(hours, 0.0):.0f} minutes: {HELD_TEXT}"
-        found.append(Finding("charged_too_fast", words))
+        found.append(PackFinding("charged_too_fast", words))
     if earlier.cycles is not None and flight.cycles is not None and flight.cycles < earlier.cycles:
         words = f"its counter fell from {earlier.cycles} to {flight.cycles} cycles: {HELD_TEXT}"
-        found.append(Finding("counter", words))
+        found.append(PackFinding("counter", words))
     return tuple(found)
 
 
-def sudden(z: Array, change: Array, words: str = "") -> Finding:
+def sudden(z: Array, change: Array, words: str = "") -> PackFinding:
     """Damage: which of the two numbers gives it away, and by how much.
 
     z [2], change [2]: how many sd, and by how much in ln, ohms and charge lie from what was expected.
     """
     if z[0] >= -z[1]:
-        return Finding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms at once{words}: damaged?")
-    return Finding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge at once{words}: damaged?")
+        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms at once{words}: damaged?")
+    return PackFinding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge at once{words}: damaged?")
 
 
-def another(z: Array, change: Array) -> Finding:
+def another(z: Array, change: Array) -> PackFinding:
     """Return what no pack can do, so that it is another one; z and change as in `sudden`."""
     if -z[0] >= z[1]:
         what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
     else:
         what = f"{100.0 * math.expm1(change[1]):.0f} % more charge"
-    return Finding("another_pack", f"{what} at once, which no pack can do: {HELD_TEXT}")
+    return PackFinding("another_pack", f"{what} at once, which no pack can do: {HELD_TEXT}")

@@ -40,7 +40,7 @@ class Ledger:
         self.path = Path(path)
         self._connection = _opened(self.path, only_read)
         with self._told():
-            now = schema.check(self._connection, self.path)
+            now = schema.check_schema(self._connection, self.path)
         if not only_read and now < len(schema.MIGRATIONS):
             with self.writing() as connection:
                 schema.migrate(connection)

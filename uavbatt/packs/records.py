@@ -81,7 +81,7 @@ class Known(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class PackFinding:
     """Something odd that a flight showed of its pack: `kind` for programs, `words` for people."""
 
     kind: str  # "sudden_ohms" | "sudden_loss" | "another_pack" | "weak_cell" | "charged_too_fast" | "counter"
@@ -93,7 +93,7 @@ class Remembered(NamedTuple):
 
     flight: FlightRecord
     known: Known
-    findings: tuple[Finding, ...]
+    findings: tuple[PackFinding, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,4 +126,4 @@ class PackRow:
     type_ohm: float
     last_utc_s: float
     outlook: Outlook
-    findings: tuple[Finding, ...]
+    findings: tuple[PackFinding, ...]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uavbatt.packs.records import Finding, FlightRecord, Known, Outlook, PackRow, Remembered, Told
+from uavbatt.packs.records import FlightRecord, Known, Outlook, PackFinding, PackRow, Remembered, Told
 from uavbatt.records import NAN
 
 OUTLOOK = tuple(field.name for field in fields(Outlook))
@@ -67,14 +67,14 @@ def pack_of(row: sqlite3.Row) -> PackRow:
     return PackRow(row["name"], *size, last_utc_s, Outlook(**outlook), findings_of(row["findings"]))
 
 
-def findings_text(findings: tuple[Finding, ...]) -> str:
+def findings_text(findings: tuple[PackFinding, ...]) -> str:
     """Findings as JSON; empty text where there are none."""
     return json.dumps([asdict(f) for f in findings], ensure_ascii=False) if findings else ""
 
 
-def findings_of(text: str) -> tuple[Finding, ...]:
+def findings_of(text: str) -> tuple[PackFinding, ...]:
     """Findings from their JSON."""
-    return tuple(Finding(**entry) for entry in json.loads(text)) if text else ()
+    return tuple(PackFinding(**entry) for entry in json.loads(text)) if text else ()
 
 
 def _stored(value: Any) -> Any:

@@ -73,7 +73,7 @@ def version(connection: sqlite3.Connection) -> int:
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
-def check(connection: sqlite3.Connection, path: Path) -> int:
+def check_schema(connection: sqlite3.Connection, path: Path) -> int:
     """The ledger's version; BadInput for another database, or a ledger of a later version."""
     owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
     now = version(connection)

@@ -39,7 +39,7 @@ class Question(NamedTuple):
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
-def answer(q: Question) -> EndTimes:
+def end_times(q: Question) -> EndTimes:
     """Simulate one forecast; returns the end of each sample."""
     return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, sampling.wander(), q.by_rows)
 

@@ -15,12 +15,12 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, C
+from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
 from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import route_forecast, sampling
-from uavbatt.prediction.batch import Question, answer
+from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
@@ -48,7 +48,7 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class ForecastSettings:
     """The operator asks this of forecasts. Raises UsageError when a number cannot be.
 
     load : how the load to come is known; reserve_soc : state of charge that ends the flight, 0..1;
@@ -105,9 +105,9 @@ class Memory(NamedTuple):
 class Forecaster:
     """Turns estimates into remaining time; one instance follows one flight."""
 
-    def __init__(self, pack: Pack, settings: Settings | None = None) -> None:
+    def __init__(self, pack: Pack, settings: ForecastSettings | None = None) -> None:
         self.pack = pack
-        self.settings = settings or Settings()
+        self.settings = settings or ForecastSettings()
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
         self._load = RecentLoad()
         self._rate_c = 0.0
@@ -145,7 +145,7 @@ class Forecaster:
     ) -> Remaining:
         """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
         refusal, question = self.update(sample, estimate, belief, navigation)
-        return self.finish(sample, estimate, refusal, question and (question, answer(question)))
+        return self.finish(sample, estimate, refusal, question and (question, end_times(question)))
 
     def update(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
@@ -200,7 +200,7 @@ class Forecaster:
             time_s=time_s,
             horizon_s=horizon_s,
             pack=self._weakest(),
-            x=sampling.draws(belief),
+            x=sampling.samples(belief),
             power_W=scenarios.power_W[:, scenario],
             ambient_C=belief.ambient_C,
             dt_s=scenarios.dt_s,
@@ -216,7 +216,7 @@ class Forecaster:
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""
         question = self.question(belief, time_s)
-        return None if question is None else self._forecast(question, answer(question))
+        return None if question is None else self._forecast(question, end_times(question))
 
     def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
         """Quantiles of the simulated ends."""
@@ -226,7 +226,7 @@ class Forecaster:
         lo_s, alarm_s, median_s, hi_s = (_quantile(ends_s, level) for level in LEVELS)
         known_low = math.isfinite(self.pack.low_V)
         low_s = _quantile(np.sort(np.minimum(ends.low_s, horizon_s)), 0.5) if known_low else NAN
-        route = question.route and route_forecast.answer(question.route, ends.end_s)
+        route = question.route and route_forecast.route_answer(question.route, ends.end_s)
         low_s = min(low_s, median_s) if known_low else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 
@@ -258,13 +258,13 @@ class Forecaster:
     def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
         since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0
         flight_W = self._flown_J / self._flown_s if self._flown_s > 0.0 else max(self._load.mean_W, 1.0)
-        return Now(time_s, since_s, float(belief.mean[C.SOC]), max(flight_W, 1.0), self._load, navigation)
+        return Now(time_s, since_s, float(belief.mean[X.SOC]), max(flight_W, 1.0), self._load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """A generous guess of what is left: charge above zero at 4 V a cell."""
         installation = self.pack.installation
-        soc = max(float(belief.mean[C.SOC]), 0.0) + 2.0 * math.sqrt(belief.covariance[C.SOC, C.SOC]) + 0.01
-        capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[C.LOG_CAPACITY]))
+        soc = max(float(belief.mean[X.SOC]), 0.0) + 2.0 * math.sqrt(belief.covariance[X.SOC, X.SOC]) + 0.01
+        capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[X.LOG_CAPACITY]))
         return float(soc * capacity_Ah * installation.cells * 4.0)
 
     def _remember(self, sample: Sample, navigation: Navigation) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import Belief, C
+from uavbatt.battery.state_space import Belief, X
 from uavbatt.records import NAN, Remaining, Sample, Status
 
 WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
@@ -40,7 +40,7 @@ AT_CUTOFF = "the pack is at its cut-off"
 NO_END = "no end in sight: the charge believed and the load do not fit"
 
 
-class Row(NamedTuple):
+class FallBin(NamedTuple):
     """Means over one bin: its begin [s], voltage [V], current [A], lagging overpotential of the pack [V], rows."""
 
     begin_s: float
@@ -53,7 +53,7 @@ class Row(NamedTuple):
 class Fall(NamedTuple):
     """The last minute in bins, the open one last."""
 
-    bins: tuple[Row, ...] = ()
+    bins: tuple[FallBin, ...] = ()
 
     @property
     def is_due(self) -> bool:
@@ -65,15 +65,15 @@ class Fall(NamedTuple):
         if not (math.isfinite(voltage_V) and math.isfinite(current_A)):
             return self
         if not self.bins or time_s < self.bins[-1].begin_s:
-            return Fall((Row(time_s, voltage_V, current_A, lag_V),))
+            return Fall((FallBin(time_s, voltage_V, current_A, lag_V),))
         last = self.bins[-1]
         if time_s - last.begin_s < BIN_S:
             share = 1.0 / (last.rows + 1)
             volts = last.voltage_V + share * (voltage_V - last.voltage_V)
             amps = last.current_A + share * (current_A - last.current_A)
-            return Fall((*self.bins[:-1], Row(last.begin_s, volts, amps, last.lag_V, last.rows + 1)))
+            return Fall((*self.bins[:-1], FallBin(last.begin_s, volts, amps, last.lag_V, last.rows + 1)))
         kept = tuple(row for row in self.bins if time_s - row.begin_s <= max(WINDOWS_S))
-        return Fall((*kept, Row(time_s, voltage_V, current_A, lag_V)))
+        return Fall((*kept, FallBin(time_s, voltage_V, current_A, lag_V)))
 
     def begins(self, time_s: float) -> bool:
         """True if a row at this time begins a new bin, which needs the lag."""
@@ -161,7 +161,7 @@ class LastWall(NamedTuple):
         """The value after one more sample and the belief that it led to; cutoff_V [V] is where the flight ends."""
         cells, lag_V, ends_s = float(pack.installation.cells), 0.0, self.ends_s
         if belief is not None and self.fall.begins(sample.time_s):
-            lag_V = cells * float(belief.weights @ belief.means[:, [C.POLARISATION, C.DIFFUSION]].sum(axis=1))
+            lag_V = cells * float(belief.weights @ belief.means[:, [X.POLARISATION, X.DIFFUSION]].sum(axis=1))
         fall = self.fall.after(sample.time_s, sample.voltage_V, sample.current_A, lag_V)
         if fall.is_due:
             ends_s = (*ends_s[1:], sample.time_s + fall.time_left_s(cells, cutoff_V))

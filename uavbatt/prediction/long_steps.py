@@ -15,7 +15,7 @@ from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.pack import Installation, metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import C, ocv_doubt, unpack
+from uavbatt.battery.state_space import X, ocv_doubt, unpack
 
 STEP_S = 20.0
 
@@ -33,14 +33,14 @@ class Going(NamedTuple):
 
 def begun(pack: Pack, x: Array, ambient_C: float) -> Going:
     """Return the belief columns x [8, draws] before their way."""
-    return Going(pack, ambient_C, *unpack(pack, x), x[C.BIAS])
+    return Going(pack, ambient_C, *unpack(pack, x), x[X.BIAS])
 
 
 def walked(going: Going, power_W: Array, dt_s: Array | float, normals: Array) -> Going:
     """Return the draws after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
     cell, state, pack = going.cell, going.state, going.pack
     _, r_ohmAh, rate = _drawn(going, power_W)
-    later = model.unseen_step(cell, state, rate, r_ohmAh, going.ambient_C, dt_s, model.lags(cell, dt_s))
+    later = model.step_cell(cell, state, rate, r_ohmAh, going.ambient_C, dt_s, model.lags(cell, dt_s))
     memory = np.exp(-np.asarray(dt_s) / pack.bias_tau_s)
     doubt_V2 = ocv_doubt(pack, state.soc, rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
     kick_V = np.sqrt(pack.bias_sd_V**2 * (1.0 - memory**2) + doubt_V2) * normals

@@ -21,7 +21,7 @@ from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.sampling import wander
 from uavbatt.prediction.turn_back import TurnBack, turned
-from uavbatt.prediction.turn_back import answer as turn_back_of
+from uavbatt.prediction.turn_back import turn_back_times as turn_back_of
 from uavbatt.records import Route
 
 NAMES = {
@@ -136,7 +136,7 @@ def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
     return np.asarray(np.maximum(charge, 0.0))
 
 
-def answer(asked: RouteAsked, end_s: Array) -> Route:
+def route_answer(asked: RouteAsked, end_s: Array) -> Route:
     """Return what is known of the ways, with the simulated ends of the flight [draws]."""
     said = Route(asked.load, reason=asked.reason)
     if asked.route_s is not None and asked.route_soc is not None:

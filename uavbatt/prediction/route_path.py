@@ -98,7 +98,7 @@ def place(home: Home, position: Position) -> Point:
     return local(home, position.lat_deg, position.lon_deg, position.height_m)
 
 
-def known(value: float, otherwise: float) -> float:
+def finite_or(value: float, otherwise: float) -> float:
     """Return a positive finite parameter, or what stands in for it."""
     return value if math.isfinite(value) and value > 0.0 else otherwise
 
@@ -106,7 +106,7 @@ def known(value: float, otherwise: float) -> float:
 def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
     """Return the autopilot's way from a point to touchdown at home: climb, run, wait, descend, land."""
     speeds, run_m = _speeds(settings), math.hypot(begin.north_m, begin.east_m)
-    return_ms, hold_s = known(settings.return_ms, speeds.cruise_ms), known(settings.return_hold_s, 0.0)
+    return_ms, hold_s = finite_or(settings.return_ms, speeds.cruise_ms), finite_or(settings.return_hold_s, 0.0)
     above = begin._replace(height_m=_return_height_m(begin, run_m, settings))
     over_home = Point(0.0, 0.0, above.height_m)
     limits = (return_ms, speeds.climb_ms, speeds.descent_ms)
@@ -121,17 +121,17 @@ def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
 def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> float:
     """The height at which the autopilot flies home: never below its own."""
     asked_m = settings.return_height_m if math.isfinite(settings.return_height_m) else RETURN_HEIGHT_M
-    cone = known(settings.return_cone_slope, math.inf)
+    cone = finite_or(settings.return_cone_slope, math.inf)
     asked_m = min(asked_m, cone * run_m)
-    return max(begin.height_m + known(settings.return_climb_min_m, 0.0), asked_m, begin.height_m)
+    return max(begin.height_m + finite_or(settings.return_climb_min_m, 0.0), asked_m, begin.height_m)
 
 
 def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]:
     """Return the legs straight down from a point, the last metres slowly."""
     speeds = _speeds(settings)
-    slow_m = min(known(settings.land_slow_below_m, SLOW_BELOW_M), max(above.height_m, 0.0))
+    slow_m = min(finite_or(settings.land_slow_below_m, SLOW_BELOW_M), max(above.height_m, 0.0))
     low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
-    fast_ms, land_ms = known(settings.land_fast_ms, speeds.descent_ms), known(settings.land_ms, LAND_MS)
+    fast_ms, land_ms = finite_or(settings.land_fast_ms, speeds.descent_ms), finite_or(settings.land_ms, LAND_MS)
     return (
         Leg(seq, Phase.LANDING, above, low, 0.0, 1.0, speeds.climb_ms, fast_ms),
         Leg(seq, Phase.LANDING, low, ground, 0.0, 1.0, speeds.climb_ms, land_ms),
@@ -140,7 +140,9 @@ def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]
 
 def _speeds(settings: ReturnSettings) -> _Speeds:
     return _Speeds(
-        known(settings.cruise_ms, CRUISE_MS), known(settings.climb_ms, CLIMB_MS), known(settings.descent_ms, DESCENT_MS)
+        finite_or(settings.cruise_ms, CRUISE_MS),
+        finite_or(settings.climb_ms, CLIMB_MS),
+        finite_or(settings.descent_ms, DESCENT_MS),
     )
 
 
@@ -194,7 +196,7 @@ def _flown(mission: Mission) -> Iterator[MissionItem | None]:
 def _changed(speeds: _Speeds, item: MissionItem, settings: ReturnSettings) -> _Speeds:
     """The speeds after an item that changes one; without a speed it is the vehicle's own again."""
     kind = {SpeedKind.CLIMB: "climb_ms", SpeedKind.DESCENT: "descent_ms"}.get(item.speed_kind, "cruise_ms")
-    return speeds._replace(**{kind: known(item.speed_ms, getattr(_speeds(settings), kind))})
+    return speeds._replace(**{kind: finite_or(item.speed_ms, getattr(_speeds(settings), kind))})
 
 
 def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: ReturnSettings) -> list[Leg] | str:

@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.state_space import SIZE, Belief, C
+from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.prediction.time_to_end import Wander
 
 DRAWS = 128
@@ -42,7 +42,7 @@ def shuffled(count: int) -> Array:
     return np.random.default_rng(_SEED + 2 + count).permutation((np.arange(DRAWS) + 0.5) / DRAWS)
 
 
-def draws(belief: Belief) -> Array:
+def samples(belief: Belief) -> Array:
     """Columns [8, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
 
     By the symmetric root of the covariance, which moves when the covariance does and not with the signs that a
@@ -53,7 +53,7 @@ def draws(belief: Belief) -> Array:
     values, vectors = np.linalg.eigh(belief.covariances[used])
     root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     columns = belief.means[member].T + np.einsum("nij,jn->in", root[place], normals())
-    columns[C.SOC] = np.clip(columns[C.SOC], 0.0, 1.02)
+    columns[X.SOC] = np.clip(columns[X.SOC], 0.0, 1.02)
     return np.asarray(columns)
 
 

@@ -21,7 +21,7 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import C, ocv_doubt, unpack
+from uavbatt.battery.state_space import X, ocv_doubt, unpack
 
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
@@ -73,13 +73,13 @@ def time_to_end(
     limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
     ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
-    bias_V, asked, before = x[C.BIAS], power_W[0] / size, None
+    bias_V, asked, before = x[X.BIAS], power_W[0] / size, None
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
         series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
         rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked)
         cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
-        if eq.acts(installation.deficit):
+        if eq.is_on(installation.deficit):
             strong_V = cell_V - bias_V + rate * harness_ohmAh
             cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
         row = JUDGED_BEFORE + k % JUDGED_AT_ONCE
@@ -97,7 +97,7 @@ def time_to_end(
             rate = model.rate_at_power(cell, emf_V, series_ohmAh, 0.5 * (now + asked))
         if wander is not None:
             doubt_V2 = ocv_doubt(pack, state.soc, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
-        state = model.unseen_step(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
+        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
         bias_V = memory[k] * bias_V
         if wander is not None:
             bias_V = bias_V + np.sqrt(kick_V2[k] + doubt_V2) * wander.bias[k]

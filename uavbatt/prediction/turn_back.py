@@ -129,7 +129,7 @@ def _steps(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
     return tuple(steps)
 
 
-def answer(asked: TurnBack, end_s: Array) -> Array:
+def turn_back_times(asked: TurnBack, end_s: Array) -> Array:
     """Return the turn-back of each draw [s], whose flight would end at `end_s`; 0 where it is too late already."""
     alive = asked.look_s[:, None] <= end_s
     return last_crossing(asked.look_s, np.where(alive, asked.above_V, -np.abs(asked.above_V)))

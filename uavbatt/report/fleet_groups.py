@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.fleet.row import Row
+from uavbatt.fleet.row import FlightRow
 
 CHECKPOINTS = {"half": "half time", "360": "360 s", "240": "240 s", "120": "120 s", "60": "60 s"}
 ENOUGH_FLIGHTS = 4
@@ -87,7 +87,7 @@ class Group:
     flown_s: float = 0.0
     energy_Wh: float = 0.0
 
-    def add(self, row: Row) -> None:
+    def add(self, row: FlightRow) -> None:
         """Add one more flight."""
         start = datetime.fromisoformat(row.start_utc).timestamp() if row.start_utc else math.nan
         self.start_s.append(start)
@@ -142,7 +142,7 @@ class Overview:
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
     inside: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
     refused: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CHECKPOINTS, 0))
-    look: list[Row] = field(default_factory=list)
+    look: list[FlightRow] = field(default_factory=list)
     looked: int = 0
     reasons: dict[str, int] = field(default_factory=dict)  # without their figures
     failed: dict[str, list[str]] = field(default_factory=dict)  # reason -> the first few files
@@ -155,7 +155,7 @@ class Overview:
         return sum(g.flights for g in self.groups.values())
 
 
-def gathered(rows: Iterable[Row]) -> Overview:
+def gathered(rows: Iterable[FlightRow]) -> Overview:
     """Gather the rows of a fleet in one pass."""
     found = Overview()
     for row in rows:
@@ -178,11 +178,11 @@ def gathered(rows: Iterable[Row]) -> Overview:
     return found
 
 
-def _most_severe(rows: Sequence[Row], count: int) -> list[Row]:
+def _most_severe(rows: Sequence[FlightRow], count: int) -> list[FlightRow]:
     return sorted(rows, key=severity, reverse=True)[:count]
 
 
-def _whose(row: Row) -> tuple[str, bool]:
+def _whose(row: FlightRow) -> tuple[str, bool]:
     """The name of the pack or aircraft of a flight, and whether it is known to be one."""
     size = f"{row.cells or '?'}S {row.capacity_Ah:g} Ah" if math.isfinite(row.capacity_Ah) else f"{row.cells or '?'}S"
     if row.battery_serial:
@@ -194,7 +194,7 @@ def _whose(row: Row) -> tuple[str, bool]:
     return f"folder {row.aircraft or '?'} ({size})", False
 
 
-def severity(row: Row) -> float:
+def severity(row: FlightRow) -> float:
     """Return how much a flight asks for a look; a battery that was emptied comes before a forecast that was off."""
     weights = {
         "landed nearly empty": 5.0,
@@ -208,7 +208,7 @@ def severity(row: Row) -> float:
     return sum(weight for words, weight in weights.items() if words in row.look)
 
 
-def _score(found: Overview, row: Row) -> None:
+def _score(found: Overview, row: FlightRow) -> None:
     for key in CHECKPOINTS:
         inside, error_s = getattr(row, f"inside_{key}"), getattr(row, f"error_{key}_s")
         if inside is None:

@@ -9,9 +9,9 @@ from pathlib import PurePath
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Outcome, Step
+from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
 from uavbatt.records import Flight, Status
-from uavbatt.report.flight_answer import answer
+from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_figures import figures
 from uavbatt.report.page import (
     DASH,
@@ -45,7 +45,7 @@ SHOWN_AS = {
 
 
 def flight_report(
-    flight: Flight, steps: Sequence[Step], resolved: PackSize, outcome: Outcome, battery: BatteryFile
+    flight: Flight, steps: Sequence[ReplayedRow], resolved: PackSize, outcome: Outcome, battery: BatteryFile
 ) -> str:
     """Return the whole page as HTML.
 
@@ -68,7 +68,7 @@ def flight_report(
 
 def _answer(flight: Flight, outcome: Outcome, resolved: PackSize, found: Sequence[Stretch]) -> Html:
     """The headline: what the pilot came for."""
-    first = answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
+    first = first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
     sentences = [paragraph(first), paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
     if outcome.checkpoints:
         sentences.append(
@@ -190,7 +190,7 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     return [*parts, remarks]
 
 
-def _log(flight: Flight, outcome: Outcome, steps: Sequence[Step]) -> list[Html]:
+def _log(flight: Flight, outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[Html]:
     instances = ", ".join(str(i) for i in flight.instances)
     nis = number(outcome.mean_nis, 2)
     has_temp = any(math.isfinite(s.estimate.temp_C) for s in steps)
@@ -217,7 +217,7 @@ def _notes(title: str, items: Sequence[str]) -> list[Html]:
     return [element("h3", title), bullets(items)] if items else []
 
 
-def _warnings(steps: Sequence[Step]) -> list[str]:
+def _warnings(steps: Sequence[ReplayedRow]) -> list[str]:
     """Each warning once, with how many rows carried it and from when, in the order of their coming."""
     seen: dict[str, tuple[float, int]] = {}
     for step in steps:

@@ -10,7 +10,7 @@ from uavbatt.report.page import duration
 SECONDS_BELOW_S, MINUTES_FROM_S, TENS_BELOW_S = 120.0, 300.0, 600.0
 
 
-def answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: float) -> str:
+def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: float) -> str:
     """Say the time that was left at landing, or that the battery ended the flight.
 
     landing : the forecast at the last row in the air; None for a log without a flight

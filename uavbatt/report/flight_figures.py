@@ -13,7 +13,7 @@ from uavbatt.log_replay import Outcome
 from uavbatt.records import Status
 from uavbatt.report import plot
 from uavbatt.report.page import Html, figure, number, paragraph
-from uavbatt.report.series import Array, Rows, Stretch, outer, thinned
+from uavbatt.report.series import Array, FlightSeries, Stretch, outer, thinned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ SHORT_S = 240.0
 class TimeAxis:
     """The time axis that all panels share: minutes, or seconds for a short log; hatching where nothing was said."""
 
-    def __init__(self, rows: Rows, stretches: Sequence[Stretch], outcome: Outcome) -> None:
+    def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], outcome: Outcome) -> None:
         known = rows.time_s[np.isfinite(rows.time_s)]
         self.first_s, self.last_s = (float(known[0]), float(known[-1])) if known.size else (0.0, 1.0)
         self.in_seconds = self.last_s - self.first_s < SHORT_S
@@ -53,7 +53,7 @@ class TimeAxis:
             axes.axvline(float(self.at(self.end_s)), color=plot.PINK, linewidth=1.2, linestyle=(0, (1, 1.5)))
 
 
-def figures(rows: Rows, stretches: Sequence[Stretch], outcome: Outcome, resolved: PackSize) -> list[Html]:
+def figures(rows: FlightSeries, stretches: Sequence[Stretch], outcome: Outcome, resolved: PackSize) -> list[Html]:
     """Draw every panel for which the log has data; a sentence stands in place of the others."""
     axis = TimeAxis(rows, stretches, outcome)
     return [
@@ -85,7 +85,7 @@ def _band(axes: Axes, axis: TimeAxis, time_s: Array, low: Array, high: Array, co
     axes.fill_between(axis.at(t), lo, hi, color=colour, alpha=0.25, linewidth=0, label=name)
 
 
-def _voltage(rows: Rows, axis: TimeAxis, resolved: PackSize) -> Html:
+def _voltage(rows: FlightSeries, axis: TimeAxis, resolved: PackSize) -> Html:
     title = "Voltage, measured and modelled"
     if not np.isfinite(rows.voltage_V).any():
         return _missing(title, "The log has no voltage.")
@@ -114,7 +114,7 @@ def _span(values: Array, *more: float) -> tuple[float, float]:
     return low - air, high + air
 
 
-def _innovation(rows: Rows, axis: TimeAxis) -> Html:
+def _innovation(rows: FlightSeries, axis: TimeAxis) -> Html:
     title = "Innovation: measured less predicted voltage"
     if not np.isfinite(rows.innovation_V).any():
         return _missing(title, "The filter compared no voltage with its prediction.")
@@ -141,7 +141,7 @@ def _innovation(rows: Rows, axis: TimeAxis) -> Html:
     return figure(drawn, title, "What the model did not foresee." + inside + (from_nis if with_temp else ""))
 
 
-def _current(rows: Rows, axis: TimeAxis) -> Html:
+def _current(rows: FlightSeries, axis: TimeAxis) -> Html:
     if not np.isfinite(rows.current_A).any():
         return _missing("Current", "The log has no current.")
 
@@ -154,7 +154,7 @@ def _current(rows: Rows, axis: TimeAxis) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, y="current (A)"), "Current", "Positive current discharges.")
 
 
-def _temperature(rows: Rows, axis: TimeAxis) -> Html:
+def _temperature(rows: FlightSeries, axis: TimeAxis) -> Html:
     measured, core = np.isfinite(rows.temp_C).any(), np.isfinite(rows.core_C).any()
     if not measured and not core:
         return _missing("Temperature", "No temperature was measured and none was estimated.")
@@ -171,7 +171,7 @@ def _temperature(rows: Rows, axis: TimeAxis) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, y="temperature (°C)"), "Temperature", said)
 
 
-def _soc(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
+def _soc(rows: FlightSeries, axis: TimeAxis, outcome: Outcome) -> Html:
     title = "State of charge"
     if not np.isfinite(rows.soc).any():
         return _missing(title, "The state of charge was refused throughout.")
@@ -187,7 +187,7 @@ def _soc(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, y="state of charge (1 = full)"), title)
 
 
-def _remaining(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
+def _remaining(rows: FlightSeries, axis: TimeAxis, outcome: Outcome) -> Html:
     title = "Remaining time"
     if not np.isfinite(rows.remaining_s).any():
         return _missing(title, "The remaining time was refused throughout.")
@@ -213,7 +213,7 @@ def _remaining(rows: Rows, axis: TimeAxis, outcome: Outcome) -> Html:
     return figure(plot.panel(draw, alt, x=axis.label, y="remaining time (min)", height=290), title, said)
 
 
-def _top_min(rows: Rows, end_s: float, first_s: float) -> float:
+def _top_min(rows: FlightSeries, end_s: float, first_s: float) -> float:
     """The top of the axis [min]: holds the truth, and forecast and interval up to 2.5 times as high."""
     known, finite = (x[np.isfinite(x)] for x in (rows.remaining_s, rows.hi_s))
     core = end_s - first_s if math.isfinite(end_s) else float(np.percentile(known, 98))

@@ -8,16 +8,16 @@ from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Landing, Outcome, Step
+from uavbatt.log_replay import Landing, Outcome, ReplayedRow
 from uavbatt.records import Flight
-from uavbatt.report.flight_answer import answer
+from uavbatt.report.flight_answer import first_answer
 
 
-def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Step]) -> list[str]:
+def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
     """The summary for a person."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
-        f"{flight.source}: {answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
+        f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
         f"  log        {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
         f"  battery    {resolved.battery} ({status}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
@@ -59,7 +59,7 @@ def _given(refused_in_air: float) -> str:
 
 
 def summary(
-    flight: Flight, resolved: PackSize, found: Outcome, run: list[Step], content: BatteryFile
+    flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow], content: BatteryFile
 ) -> dict[str, Any]:
     """The summary for a program (DESIGN §5)."""
     scores = [

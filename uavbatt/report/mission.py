@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt import __version__
-from uavbatt.plan_route import Fit, MissionPlan
+from uavbatt.plan_route import MissionPlan, RouteFit
 from uavbatt.prediction.route_path import Point
 from uavbatt.report import plot
 from uavbatt.report.page import (
@@ -107,7 +107,7 @@ def _temperatures(plan: MissionPlan) -> Html:
     return table(head, [_row(fit) for fit in plan.rows], "The same mission", text_columns=(0, 1, 6))
 
 
-def _row(fit: Fit) -> tuple[str, ...]:
+def _row(fit: RouteFit) -> tuple[str, ...]:
     route = fit.route
     risk, turn = f"{route.risk:.0%}", duration(route.turn_back_lo_s) if math.isfinite(route.turn_back_lo_s) else "–"
     fits = "yes" if fit.fits else "no"

@@ -6,14 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from uavbatt.log_replay import Step
+from uavbatt.log_replay import ReplayedRow
 from uavbatt.prediction.route_path import Point, path, place
 from uavbatt.records import Flight, Route
 from uavbatt.report.page import Html, duration, paragraph, section
 from uavbatt.report.route_map import route_map
 
 
-def route_section(flight: Flight, steps: Sequence[Step]) -> list[Html]:
+def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
     """Return the section; nothing where neither a route nor home is known."""
     said = [(s.remaining.time_s, s.remaining.route) for s in steps if s.remaining.route is not None]
     if not said:

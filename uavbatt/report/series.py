@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.log_replay import Step
+from uavbatt.log_replay import ReplayedRow
 from uavbatt.records import Status
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ GAP = "no row in the log"
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class FlightSeries:
     """The columns of a flight. A number that was refused is NaN here, whatever value its maker left in it.
 
     The filter takes rows in blocks and has one innovation a block: `innovation_V` is NaN at the rows between.
@@ -77,16 +77,18 @@ def is_gap(time_s: Array) -> NDArray[np.bool_]:
     return found
 
 
-def with_gaps(rows: Rows) -> Rows:
+def with_gaps(rows: FlightSeries) -> FlightSeries:
     """Add an empty row after each row before a gap, so that no line crosses it."""
     after = np.flatnonzero(is_gap(rows.time_s)) + 1
     if not after.size:
         return rows
-    empty = {f.name: np.insert(getattr(rows, f.name), after, math.nan) for f in fields(Rows) if f.name != "time_s"}
-    return Rows(time_s=np.insert(rows.time_s, after, rows.time_s[after - 1]), **empty)
+    empty = {
+        f.name: np.insert(getattr(rows, f.name), after, math.nan) for f in fields(FlightSeries) if f.name != "time_s"
+    }
+    return FlightSeries(time_s=np.insert(rows.time_s, after, rows.time_s[after - 1]), **empty)
 
 
-def rows(steps: Sequence[Step]) -> Rows:
+def rows(steps: Sequence[ReplayedRow]) -> FlightSeries:
     """Turn `steps` into columns."""
     e, r = [s.estimate for s in steps], [s.remaining for s in steps]
     blind = np.array([x.status is Status.REFUSED for x in e], dtype=bool)
@@ -98,7 +100,7 @@ def rows(steps: Sequence[Step]) -> Rows:
 
     nis = column([x.nis for x in e])
     innovation = column([x.innovation_V for x in e], np.isnan(nis))
-    return Rows(
+    return FlightSeries(
         time_s=column([x.time_s for x in e]),
         voltage_V=column([x.voltage_V for x in e]),
         predicted_V=column([x.predicted_voltage_V for x in e]),
@@ -158,7 +160,7 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
     return middle, np.where(unknown, math.nan, lows), np.where(unknown, math.nan, highs)
 
 
-def stretches(steps: Sequence[Step]) -> list[Stretch]:
+def stretches(steps: Sequence[ReplayedRow]) -> list[Stretch]:
     """List where a number was refused or still converging; near neighbours run together when they are many."""
     found: list[Stretch] = []
     gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.scoring.metrics import FloatArray, binomial_interval, crps_quantiles, mass_within
 
-__all__ = ["FlightScore", "Instant", "Pooled", "Row", "end_of_flight", "pool", "score_flight"]
+__all__ = ["FlightScore", "Instant", "Pooled", "ScoreRow", "end_of_flight", "pool", "score_flight"]
 
 BEFORE_END_S = (360.0, 240.0, 120.0, 60.0)
 OF_FLIGHT = (0.25, 0.5, 0.75)
@@ -219,7 +219,7 @@ def _alarm_at_s(time_s: FloatArray, remaining_s: FloatArray, end_s: float) -> fl
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ScoreRow:
     """One instant over all flights that reach it; `_se` is the standard error over flights."""
 
     label: str
@@ -241,7 +241,7 @@ class Pooled:
     """Scores over flights; a pair is (mean, standard error over flights)."""
 
     flights: int
-    rows: tuple[Row, ...]
+    rows: tuple[ScoreRow, ...]
     alpha_lambda: Mapping[float, int]  # alpha -> flights with mass >= beta
     horizon_s: tuple[float, float]
     cra: tuple[float, float]
@@ -276,10 +276,10 @@ def pool(scores: Iterable[FlightScore]) -> Pooled:
     )
 
 
-def _row(label: str, instants: Sequence[Instant]) -> Row:
+def _row(label: str, instants: Sequence[Instant]) -> ScoreRow:
     errors = np.array([instant.error_s for instant in instants])
     held = [instant.inside for instant in instants if instant.inside is not None]
-    return Row(
+    return ScoreRow(
         label,
         len(instants),
         sum(math.isnan(instant.forecast_s) for instant in instants),

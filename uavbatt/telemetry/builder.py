@@ -23,7 +23,7 @@ from uavbatt.navigation import Navigation
 from uavbatt.records import NAN, Identity, Sample
 
 if TYPE_CHECKING:
-    from uavbatt.telemetry.columns import Rows
+    from uavbatt.telemetry.columns import Columns
 
 REBOOT_STEP_S = 1.0
 LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
@@ -37,7 +37,7 @@ class LogBuilder:
     """The builder collects what was read so far; mutable, it never leaves the reader of one file."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
-    columns: dict[int, Rows] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
+    columns: dict[int, Columns] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
     parameters: list[tuple[float, str, float]] = field(default_factory=list)
     armed: bool | None = None
     notes: list[str] = field(default_factory=list)
@@ -98,7 +98,7 @@ class LogBuilder:
         """A vehicle parameter, in force from `time_s` [s] on."""
         if self.parameters:
             time_s = max(time_s, self.parameters[-1][0])
-        self.parameters.append((max(time_s, 0.0), name, known(value)))
+        self.parameters.append((max(time_s, 0.0), name, finite_or_nan(value)))
 
     def all_notes(self) -> list[str]:
         """Notes in the order of reading, then what was counted."""
@@ -107,7 +107,7 @@ class LogBuilder:
         return self.notes + damaged + counted
 
 
-def known(value: float) -> float:
+def finite_or_nan(value: float) -> float:
     """`value`, or NaN if it is infinite."""
     return value if math.isfinite(value) else NAN
 

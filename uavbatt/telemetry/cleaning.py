@@ -24,8 +24,8 @@ CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
 
-class Intake(NamedTuple):
-    """Last plausible readings and what was noticed about the sensors; `after` gives the next one."""
+class Cleaner(NamedTuple):
+    """Last plausible readings and what was noticed about the sensors; `clean` gives the next one."""
 
     stated_power_W: float = NAN
     voltage_V: float = NAN
@@ -42,7 +42,7 @@ class Intake(NamedTuple):
     cell_spread_V: float = 0.0
     spread_s: float = NAN
 
-    def after(self, sample: Sample, assumed_power_W: float = NAN, most_A: float = math.inf) -> tuple[Intake, Sample]:
+    def clean(self, sample: Sample, assumed_power_W: float = NAN, most_A: float = math.inf) -> tuple[Cleaner, Sample]:
         """The next state, and the sample as the filter may have it.
 
         A load is assumed where nothing tells any; a current above `most_A`, which the pack cannot give, tells none.
@@ -54,7 +54,7 @@ class Intake(NamedTuple):
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample), sample
 
-    def moved(self, shift_s: float) -> Intake:
+    def moved(self, shift_s: float) -> Cleaner:
         """The same memory on a clock that shows `shift_s` more."""
         return self._replace(
             voltage_s=self.voltage_s + shift_s,
@@ -64,7 +64,7 @@ class Intake(NamedTuple):
             spread_s=self.spread_s + shift_s,
         )
 
-    def _with_voltage(self, sample: Sample) -> tuple[Intake, Sample]:
+    def _with_voltage(self, sample: Sample) -> tuple[Cleaner, Sample]:
         """A leap of the voltage is believed from the second row on: one row may be a damaged frame."""
         if not math.isfinite(sample.voltage_V):
             return self, sample
@@ -73,7 +73,7 @@ class Intake(NamedTuple):
             return self._replace(odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
         return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
 
-    def _with_temperature(self, sample: Sample) -> tuple[Intake, float]:
+    def _with_temperature(self, sample: Sample) -> tuple[Cleaner, float]:
         temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
         if not math.isfinite(temp_C):
             return self, NAN
@@ -81,7 +81,7 @@ class Intake(NamedTuple):
         now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
         return now, NAN if is_board else temp_C
 
-    def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Intake, float]:
+    def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Cleaner, float]:
         is_read = math.isfinite(sample.current_A)
         if is_read and abs(sample.current_A) <= most_A:
             read_A = sample.current_A
@@ -97,7 +97,7 @@ class Intake(NamedTuple):
             return now, NAN
         return now._replace(guessed=True), 0.0 if sample.armed is False else power_W / sample.voltage_V
 
-    def _with_cells(self, sample: Sample) -> Intake:
+    def _with_cells(self, sample: Sample) -> Cleaner:
         """Memory of how far the weakest cell is below the mean [V]."""
         cells = [v for v in sample.cell_voltages_V if math.isfinite(v) and v > 0.0]
         if len(cells) < 2 or not all(LOWEST_CELL_V < v < HIGHEST_CELL_V for v in cells):

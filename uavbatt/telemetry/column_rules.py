@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.telemetry.builder import MAX_CURRENT_A, MAX_VOLTAGE_V, REBOOT_STEP_S, LogBuilder
-from uavbatt.telemetry.columns import Column, Rows, distinct
+from uavbatt.telemetry.columns import Column, Columns, distinct
 
 
 def times_s(log: LogBuilder, raw_s: Column) -> Column:
@@ -27,7 +27,7 @@ def times_s(log: LogBuilder, raw_s: Column) -> Column:
     return np.round(raw_s + offset_s, 6)
 
 
-def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Rows) -> None:
+def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Columns) -> None:
     """Add the rows in their order, dropping and correcting what `LogBuilder.add` drops and corrects."""
     with np.errstate(invalid="ignore"):
         possible = (rows.voltage_V > 0) & (rows.voltage_V <= MAX_VOLTAGE_V)
@@ -42,7 +42,7 @@ def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Rows) -> None:
     _count(log, ("rows without a possible voltage dropped", ~possible), ("rows out of order dropped", possible & ~kept),
            ("impossible currents set to unknown", wild))  # fmt: skip
     current_A = np.where(wild, np.nan, rows.current_A)
-    cleaned = Rows(
+    cleaned = Columns(
         time_s, rows.voltage_V, current_A, rows.temp_C, rows.consumed_Ah, rows.reported_soc, rows.armed, rows.cells_V
     )
     for number in distinct(instance[kept]):

@@ -19,7 +19,7 @@ _ARMED = (False, True, None)
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class Columns:
     """Battery rows, one entry of every column a row; NaN is unknown. `cells_V` has a line a row, or none at all."""
 
     time_s: Column
@@ -31,9 +31,9 @@ class Rows:
     armed: NDArray[np.int8]
     cells_V: NDArray[np.float64] | None = None
 
-    def at(self, chosen: Any) -> Rows:
+    def at(self, chosen: Any) -> Columns:
         """Some of the rows, by mask or index."""
-        return Rows(
+        return Columns(
             time_s=self.time_s[chosen],
             voltage_V=self.voltage_V[chosen],
             current_A=self.current_A[chosen],
@@ -72,7 +72,7 @@ def _known(cells_V: list[float]) -> tuple[float, ...]:
     return tuple(v for v in cells_V if v == v)
 
 
-def rows_of(samples: Sequence[Sample]) -> Rows:
+def rows_of(samples: Sequence[Sample]) -> Columns:
     """Samples as columns."""
     numbers = [(s.time_s, s.voltage_V, s.current_A, s.temp_C, s.consumed_Ah, s.reported_soc) for s in samples]
     width = max((len(s.cell_voltages_V) for s in samples), default=0)
@@ -80,7 +80,7 @@ def rows_of(samples: Sequence[Sample]) -> Rows:
     time_s, voltage_V, current_A, temp_C, consumed_Ah, reported_soc = np.array(numbers, np.float64).reshape(-1, 6).T
     armed = np.array([_ARMED.index(s.armed) for s in samples], np.int8)
     cells = np.array(cells_V, np.float64) if width else None
-    return Rows(time_s, voltage_V, current_A, temp_C, consumed_Ah, reported_soc, armed, cells)
+    return Columns(time_s, voltage_V, current_A, temp_C, consumed_Ah, reported_soc, armed, cells)
 
 
 def distinct(values: NDArray[Any]) -> list[int]:

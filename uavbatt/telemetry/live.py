@@ -21,9 +21,9 @@ from uavbatt.records import PackFacts
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
-from uavbatt.telemetry.vehicle import BATTERY_IDS, Row, Vehicle, battery_fields
+from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
 
-__all__ = ["LiveReader", "Row", "Taken", "checksum"]
+__all__ = ["LiveReader", "LiveRow", "Taken", "checksum"]
 
 SILENT_S = 10.0
 MOST_VEHICLES = 16
@@ -35,7 +35,7 @@ AUTOPILOT_COMPONENT = 1
 class Taken(NamedTuple):
     """The result of a frame: the rows that it completes, and True if it is the followed vehicle's (to be recorded)."""
 
-    rows: list[Row]
+    rows: list[LiveRow]
     is_ours: bool
 
 

@@ -18,7 +18,7 @@ from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
 if TYPE_CHECKING:
-    from uavbatt.telemetry.columns import Rows
+    from uavbatt.telemetry.columns import Columns
 
 Content = bytes | memoryview  # of a file
 
@@ -62,7 +62,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None) -> Fligh
     )
 
 
-def read_columns(path: str | Path, instance: int | None = None) -> Rows:
+def read_columns(path: str | Path, instance: int | None = None) -> Columns:
     """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
@@ -153,22 +153,22 @@ def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
 def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
     """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
-        from uavbatt.telemetry.formats.dataflash_binary import read as read_binary
+        from uavbatt.telemetry.formats.dataflash_binary import read_dataflash as read_binary
 
         return lambda _, data: read_binary(data)
     if kind == "tlog":
-        from uavbatt.telemetry.formats.tlog import read as read_tlog
+        from uavbatt.telemetry.formats.tlog import read_tlog as read_tlog
 
         return lambda _, data: read_tlog(data)
     if kind == "dataflash-text":
-        from uavbatt.telemetry.formats.dataflash_text import read as read_text
+        from uavbatt.telemetry.formats.dataflash_text import read_dataflash_text
 
-        return lambda _, data: read_text(bytes(data))
+        return lambda _, data: read_dataflash_text(bytes(data))
     if kind == "ulog":
-        from uavbatt.telemetry.formats.ulog import read as read_ulog
+        from uavbatt.telemetry.formats.ulog import read_ulog
 
         return lambda source, data: read_ulog(source, bytes(data))
-    from uavbatt.telemetry.formats.csv_table import read as read_csv
+    from uavbatt.telemetry.formats.csv_table import read_csv
 
     return lambda source, data: read_csv(source, bytes(data))
 

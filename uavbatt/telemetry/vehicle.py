@@ -40,7 +40,7 @@ _MISSION_WORDS = b"mission "
 BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 
 
-class Row(NamedTuple):
+class LiveRow(NamedTuple):
     """One telemetry row of one battery."""
 
     instance: int
@@ -71,8 +71,8 @@ class Vehicle:
         self.speaks = False  # whether it has spoken of a battery twice
         self.heard_s = -math.inf
         self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
-        self._held: list[Row] = []
-        self._unconfirmed: dict[int, Row] = {}
+        self._held: list[LiveRow] = []
+        self._unconfirmed: dict[int, LiveRow] = {}
         self._first_s: float | None = None
         self._spoke_s = -math.inf
 
@@ -130,7 +130,7 @@ class Vehicle:
 
     def take(
         self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
-    ) -> list[Row]:
+    ) -> list[LiveRow]:
         """Rows that a wanted message of the autopilot completes; `battery` is what it says of one, if it does."""
         if message_id == fields.HEARTBEAT:
             self._log.armed = fields.is_armed(message)
@@ -172,7 +172,7 @@ class Vehicle:
         if counts and (name.startswith(BATTERY_NAMES) or name in NAMES):
             self.words[name.encode("latin-1")] = frame
 
-    def _confirmed(self, row: Row) -> list[Row]:
+    def _confirmed(self, row: LiveRow) -> list[LiveRow]:
         """The row, with the first one of its battery if this is the second; nothing if it is the first."""
         if row.instance in self.battery_ids:
             return [row]
@@ -184,7 +184,7 @@ class Vehicle:
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
         return [first, row]
 
-    def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[Row]:
+    def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
         """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
         if self.battery_ids if message_id == fields.SYS_STATUS else 1 in self.battery_ids:
             return []
@@ -195,13 +195,13 @@ class Vehicle:
             self._held.append(row)
         return self._released(time_s)
 
-    def _released(self, time_s: float) -> list[Row]:
+    def _released(self, time_s: float) -> list[LiveRow]:
         if self._first_s is None or time_s - self._first_s < FALLBACK_AFTER_S:
             return []
         released, self._held = self._held, []
         return released
 
-    def _row(self, time_s: float, battery: fields.BatteryFields) -> Row | None:
+    def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:
         """The row, cleaned by the rules of the log readers; None when they drop it."""
         sample = Sample(
             time_s=time_s,
@@ -220,4 +220,4 @@ class Vehicle:
         del self._log.notes[:-10]
         self.speaks = self.speaks or time_s - self._spoke_s <= CONFIRMED_WITHIN_S
         self._spoke_s = time_s
-        return Row(battery.id, kept[-1])
+        return LiveRow(battery.id, kept[-1])

@@ -90,7 +90,7 @@ def _unmetered(
         for r in dataset.at(ambient_C)
         if r.sample in repeated and sum(q.sample == r.sample for q in dataset.at(ambient_C)) > 1
     ]
-    found = unmetered.fit(mean_test(dataset, runs, ambient_C))
+    found = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
     unknown_rate = load.sd / load.prior
@@ -114,7 +114,7 @@ def _unmetered(
 def _metered(
     dataset: DataSet,
 ) -> tuple[ParameterTable, list[EffectEntry], float | None, dict[str, float]]:
-    found = solve.fit(observed.stack(observed.from_dataset(dataset)))
+    found = solve.fit_battery(observed.stack(observed.from_dataset(dataset)))
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     table = assemble.parameter_table(found.slots, found.x, error, MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD)
     return table, assemble.effect_entries(found.slots, found.x, error, prior.BASE_EFFECTS), dataset.capacity_Ah, {}

@@ -42,7 +42,7 @@ _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _ARMED = {"1": True, "true": True, "0": False, "false": False, "": None, "nan": None}
 
 
-def read(source: str, data: bytes) -> LogBuilder:
+def read_csv(source: str, data: bytes) -> LogBuilder:
     """The rows of a telemetry CSV; `path` only names the file in errors."""
     text = data.decode("utf-8-sig", errors="replace")
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]

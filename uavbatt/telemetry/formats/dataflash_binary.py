@@ -21,7 +21,7 @@ from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.formats.chain import Bytes, Chain, Judge, Mask, Places, Vouch, gathered, places_where, windows
 from uavbatt.telemetry.formats.dataflash_identity import TELLING, identity
 from uavbatt.telemetry.formats.dataflash_route import OF_ROUTE, navigation
-from uavbatt.telemetry.formats.dataflash_rows import USED, WANTED, Layout, Moment, Table, fold
+from uavbatt.telemetry.formats.dataflash_rows import USED, WANTED, Moment, RowLayout, Table, fold
 
 HEADER = b"\xa3\x95"
 FMT_TYPE = 128
@@ -46,7 +46,7 @@ class _Definition:
 
     type: int
     length: int
-    layout: Layout | None
+    layout: RowLayout | None
 
 
 class _Definitions:
@@ -78,7 +78,7 @@ class _Definitions:
         return twin
 
 
-def read(data: bytes | memoryview) -> LogBuilder:
+def read_dataflash(data: bytes | memoryview) -> LogBuilder:
     """All batteries' rows and the parameters of a binary DataFlash log."""
     log = LogBuilder()
     records = _Records(np.frombuffer(data, np.uint8))
@@ -153,9 +153,9 @@ class _Records:
             first, last = (self._moment(where[i], layouts[which[i]]) for i in ends)
             self.first, self.last = self.first or first, last
 
-    def _moment(self, position: int, layout: Layout | None) -> Moment:
+    def _moment(self, position: int, layout: RowLayout | None) -> Moment:
         assert layout is not None
-        one = _table(self.data, np.array([position]), Layout(layout.name, layout.chars[:1], layout.labels[:1]))
+        one = _table(self.data, np.array([position]), RowLayout(layout.name, layout.chars[:1], layout.labels[:1]))
         return Moment(int(position), float(one.numbers[layout.labels[0]][0]) / layout.ticks_per_s)
 
     def _formats(self, starts: Places) -> list[tuple[int, _Definition]]:
@@ -216,7 +216,7 @@ def _definition(payload: bytes) -> _Definition | None:
     kind, length, name, chars, labels = _FMT.unpack(payload)
     if length < 3 or kind == FMT_TYPE:
         return None
-    layout = Layout(_text(name), _text(chars), tuple(_text(labels).split(",")))
+    layout = RowLayout(_text(name), _text(chars), tuple(_text(labels).split(",")))
     readable = all(c in CHARACTERS for c in layout.chars) and len(layout.chars) == len(layout.labels)
     return _Definition(kind, length, layout if readable and _record(layout.chars).itemsize + 3 == length else None)
 
@@ -226,7 +226,7 @@ def _record(chars: str) -> np.dtype[Any]:
     return np.dtype([(str(i), CHARACTERS[c][0]) for i, c in enumerate(chars)])
 
 
-def _table(data: Bytes, starts: Places, layout: Layout) -> Table:
+def _table(data: Bytes, starts: Places, layout: RowLayout) -> Table:
     """The columns of the records of one layout that somebody reads."""
     record = _record(layout.chars)
     values: Any = gathered(data, starts + 3, record.itemsize).view(record)[:, 0]

@@ -17,7 +17,7 @@ STRUCT_OF = {
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class MessageLayout:
     """One record type: its number, name, format letters and column names."""
 
     type: int
@@ -35,20 +35,20 @@ class Layout:
         return HEAD + bytes([self.type]) + self.body.pack(*values)
 
 
-FMT = Layout(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
-PARM = Layout(129, "PARM", "QNf", "TimeUS,Name,Value")
-ARM = Layout(130, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
-EV = Layout(131, "EV", "QB", "TimeUS,Id")
-BAT = Layout(132, "BAT", "QBfffffcfB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct")
+FMT = MessageLayout(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+PARM = MessageLayout(129, "PARM", "QNf", "TimeUS,Name,Value")
+ARM = MessageLayout(130, "ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
+EV = MessageLayout(131, "EV", "QB", "TimeUS,Id")
+BAT = MessageLayout(132, "BAT", "QBfffffcfB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct")
 LAYOUTS = (FMT, PARM, ARM, EV, BAT)
 
 _COMMAND = ("QHHHffffLLfB", "TimeUS,CTot,CNum,CId,Prm1,Prm2,Prm3,Prm4,Lat,Lng,Alt,Frame")
-MSG = Layout(133, "MSG", "QZ", "TimeUS,Message")
-MODE = Layout(134, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
-CMD = Layout(135, "CMD", *_COMMAND)
-MISE = Layout(136, "MISE", *_COMMAND)
-ORGN = Layout(137, "ORGN", "QBLLe", "TimeUS,Type,Lat,Lng,Alt")
-POS = Layout(138, "POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt")
-GPS = Layout(139, "GPS", "QBBIHBcLLeffffB", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U")
-XKF2 = Layout(140, "XKF2", "QBcc", "TimeUS,C,VWN,VWE")
+MSG = MessageLayout(133, "MSG", "QZ", "TimeUS,Message")
+MODE = MessageLayout(134, "MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
+CMD = MessageLayout(135, "CMD", *_COMMAND)
+MISE = MessageLayout(136, "MISE", *_COMMAND)
+ORGN = MessageLayout(137, "ORGN", "QBLLe", "TimeUS,Type,Lat,Lng,Alt")
+POS = MessageLayout(138, "POS", "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt")
+GPS = MessageLayout(139, "GPS", "QBBIHBcLLeffffB", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U")
+XKF2 = MessageLayout(140, "XKF2", "QBcc", "TimeUS,C,VWN,VWE")
 ROUTE_LAYOUTS = (MSG, MODE, CMD, MISE, ORGN, POS, GPS, XKF2)

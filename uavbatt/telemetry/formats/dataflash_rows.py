@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.column_rules import add_rows, times_s
-from uavbatt.telemetry.columns import UNKNOWN, Column, Order, Rows, distinct, latest_before
+from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, Order, distinct, latest_before
 from uavbatt.telemetry.parameters import VOLTAGE_ONLY, monitor_parameter
 
 WANTED = re.compile(r"(CURR|CUR\d|BAT\d?|BCL\d?|PARM|ARM|EV)$")
@@ -40,7 +40,7 @@ LAST_INSTANCE, NO_INSTANCE = 255, -1
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class RowLayout:
     """One FMT record: the message's name, one format character and one label a field."""
 
     name: str
@@ -60,7 +60,7 @@ class Layout:
 class Table:
     """Records of one layout as columns by label; `order` is their place in the log, whatever its unit."""
 
-    layout: Layout
+    layout: RowLayout
     order: Order
     numbers: Mapping[str, Column]
     texts: Mapping[str, Sequence[str]]
@@ -135,7 +135,7 @@ def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log
     order, time_s, instance, voltage_V, current_A, temp_C, consumed_Ah, reported_soc = (c[is_known] for c in merged)
     instance = instance.astype(np.int64)
     blind = _without_current(order, instance, parameters)
-    rows = Rows(
+    rows = Columns(
         time_s=time_s,
         voltage_V=voltage_V,
         current_A=np.where(blind, np.nan, current_A),

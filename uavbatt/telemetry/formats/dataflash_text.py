@@ -13,7 +13,7 @@ from uavbatt.records import NAN
 from uavbatt.telemetry.builder import LogBuilder
 from uavbatt.telemetry.formats.dataflash_identity import TELLING, identity
 from uavbatt.telemetry.formats.dataflash_route import OF_ROUTE, navigation
-from uavbatt.telemetry.formats.dataflash_rows import WANTED, Layout, Moment, Table, fold
+from uavbatt.telemetry.formats.dataflash_rows import WANTED, Moment, RowLayout, Table, fold
 
 _TEXT_CHARS = "nNZM"  # a mode is printed by its name
 
@@ -33,13 +33,13 @@ class _Lines:
         self.values.append(values)
 
 
-def read(data: bytes) -> LogBuilder:
+def read_dataflash_text(data: bytes) -> LogBuilder:
     """All batteries' rows and the parameters of a text DataFlash log."""
     log = LogBuilder()
-    layouts: dict[str, Layout] = {}
-    wanted: dict[Layout, _Lines] = {}
-    telling: dict[Layout, _Lines] = {}
-    of_route: dict[Layout, _Lines] = {}
+    layouts: dict[str, RowLayout] = {}
+    wanted: dict[RowLayout, _Lines] = {}
+    telling: dict[RowLayout, _Lines] = {}
+    of_route: dict[RowLayout, _Lines] = {}
     head: list[str] = []
     first: Moment | None = None
     last: Moment | None = None
@@ -77,11 +77,11 @@ def read(data: bytes) -> LogBuilder:
     return log
 
 
-def _tables(lines: dict[Layout, _Lines]) -> list[Table]:
+def _tables(lines: dict[RowLayout, _Lines]) -> list[Table]:
     return [_table(layout, own) for layout, own in lines.items()]
 
 
-def _table(layout: Layout, lines: _Lines) -> Table:
+def _table(layout: RowLayout, lines: _Lines) -> Table:
     numbers, texts = {}, {}
     for label, char, column in zip(layout.labels, layout.chars, zip(*lines.values, strict=True), strict=True):
         if char in _TEXT_CHARS:
@@ -91,13 +91,13 @@ def _table(layout: Layout, lines: _Lines) -> Table:
     return Table(layout, np.array(lines.order, np.int64), numbers, texts)
 
 
-def _learn(cells: list[str], layouts: dict[str, Layout]) -> None:
+def _learn(cells: list[str], layouts: dict[str, RowLayout]) -> None:
     """`FMT, type, length, name, format, label, label, ...`"""
     if len(cells) >= 6 and cells[3]:
-        layouts[cells[3]] = Layout(cells[3], cells[4], tuple(cells[5:]))
+        layouts[cells[3]] = RowLayout(cells[3], cells[4], tuple(cells[5:]))
 
 
-def _values(layout: Layout, cells: list[str], whole: bool) -> list[Value] | None:
+def _values(layout: RowLayout, cells: list[str], whole: bool) -> list[Value] | None:
     """The values of one line; None if the line is damaged.
 
     A last line without its line end may be cut inside its last number, which is then unknown.

@@ -26,7 +26,17 @@ from pathlib import Path
 
 from uavbatt.files import atomic_write
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.formats.dataflash_layouts import ARM, BAT, EV, FMT, HEAD, LAYOUTS, PARM, ROUTE_LAYOUTS, Layout
+from uavbatt.telemetry.formats.dataflash_layouts import (
+    ARM,
+    BAT,
+    EV,
+    FMT,
+    HEAD,
+    LAYOUTS,
+    PARM,
+    ROUTE_LAYOUTS,
+    MessageLayout,
+)
 from uavbatt.telemetry.formats.tlog_writer import ascending_us
 
 EVENT_ARMED, EVENT_DISARMED = 10, 11
@@ -68,7 +78,7 @@ def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[tuple[
         yield sample.time_s, battery_record(last_us, sample, instance)
 
 
-def format_record(layout: Layout) -> bytes:
+def format_record(layout: MessageLayout) -> bytes:
     """The FMT record that describes `layout`."""
     length = len(HEAD) + 1 + layout.body.size
     return FMT.record(layout.type, length, layout.name.encode(), layout.format.encode(), layout.columns.encode())

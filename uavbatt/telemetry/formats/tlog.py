@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
-from uavbatt.telemetry.builder import LEAP_S, LogBuilder, known
+from uavbatt.telemetry.builder import LEAP_S, LogBuilder, finite_or_nan
 from uavbatt.telemetry.column_rules import add_rows, times_s
-from uavbatt.telemetry.columns import UNKNOWN, Column, Rows, distinct, latest_before
+from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import is_recording
-from uavbatt.telemetry.formats.tlog_frames import Frames, frames
+from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, Clock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
@@ -41,7 +41,7 @@ class _Beats(NamedTuple):
     is_px4: Mask
 
 
-def read(data: bytes | memoryview) -> LogBuilder:
+def read_tlog(data: bytes | memoryview) -> LogBuilder:
     """All batteries' rows and the parameters of the first autopilot in a tlog."""
     log = LogBuilder(longest_step_s=math.inf if is_recording(data) else LEAP_S)
     found = frames(data)
@@ -66,7 +66,7 @@ def read(data: bytes | memoryview) -> LogBuilder:
     return log
 
 
-def _autopilot(found: Frames, log: LogBuilder) -> int:
+def _autopilot(found: FrameTable, log: LogBuilder) -> int:
     """The source whose battery messages are read, _NOBODY if there is none; component 1 goes before all others."""
     beating = found.of(fields.HEARTBEAT)
     is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
@@ -91,7 +91,7 @@ def _named(source: int) -> str:
     return f"system {source >> 8} component {source & 0xFF}"
 
 
-def _identity(own: Frames, source: int, first_s: float) -> Identity:
+def _identity(own: FrameTable, source: int, first_s: float) -> Identity:
     """Read who sent the chosen frames, by its own words, and when the log begins by the ground's clock."""
     beats = own.of(fields.HEARTBEAT).payloads(tlog_payloads.HEARTBEAT.itemsize).view(tlog_payloads.HEARTBEAT)
     make = _MAKES.get(int(beats["autopilot"][0, 0]), "") if len(beats) else ""
@@ -102,14 +102,14 @@ def _identity(own: Frames, source: int, first_s: float) -> Identity:
     return Identity(source >> 8, hardware, f"{make} {number}".strip(), start_utc_s=utc_s(first_s))
 
 
-def _beats(own: Frames) -> _Beats:
+def _beats(own: FrameTable) -> _Beats:
     place = own.places(fields.HEARTBEAT)
     payloads = own.at(place).payloads(tlog_payloads.HEARTBEAT.itemsize)
     is_px4 = tlog_payloads.heartbeats(payloads, lambda beat: beat.autopilot == fields.AUTOPILOT_PX4)
     return _Beats(place, tlog_payloads.heartbeats(payloads, fields.is_armed), is_px4)
 
 
-def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
+def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
     """The statements about parameters that count, as they count in flight: see `HeardParameters`."""
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
     # until a heartbeat says so it is no PX4, and not armed: nothing is read ahead
@@ -120,11 +120,11 @@ def _add_parameters(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder)
     payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
     said = zip(tlog_payloads.parameters(payloads, is_px4), statements.sequence.tolist(), is_armed, strict=True)
     for at_s, ((name, value), sequence, armed) in zip(time_s[place].tolist(), said, strict=True):
-        if heard.counts(name, known(value), sequence, armed):
+        if heard.counts(name, finite_or_nan(value), sequence, armed):
             log.add_parameter(at_s, name, value)
 
 
-def _add_packs(own: Frames, log: LogBuilder) -> None:
+def _add_packs(own: FrameTable, log: LogBuilder) -> None:
     """Add the packs by their own words; the first word of each counts."""
     for message_id, length in fields.IDENTITY_LENGTH.items():
         for payload in own.of(message_id).payloads(length):
@@ -133,7 +133,7 @@ def _add_packs(own: Frames, log: LogBuilder) -> None:
                 log.packs.setdefault(said.id, said)
 
 
-def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
+def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
     """The rows of every battery message that counts, in order."""
     places, parts = [], []
     ids: list[int] = []
@@ -154,7 +154,7 @@ def _add_rows(own: Frames, time_s: Column, beats: _Beats, log: LogBuilder) -> No
     place, said = place[order], tlog_payloads.together(parts).at(order)
     last = latest_before(place, beats.place)
     armed = np.append(beats.armed.astype(np.int8), UNKNOWN)[last]  # index -1, no heartbeat yet: the appended one
-    rows = Rows(
+    rows = Columns(
         time_s[place], said.voltage_V, said.current_A, said.temp_C, said.consumed_Ah, said.reported_soc,
         armed.astype(np.int8), said.cells_V,
     )  # fmt: skip

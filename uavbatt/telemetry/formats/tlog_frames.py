@@ -49,7 +49,7 @@ Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `Fal
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
+class FrameTable:
     """The frames of the wanted messages in file order, and what the whole file says of time and damage."""
 
     data: Bytes
@@ -83,11 +83,11 @@ class Frames:
         """Which of the frames are of this message."""
         return np.flatnonzero(self.message_id == message_id)
 
-    def of(self, message_id: int) -> Frames:
+    def of(self, message_id: int) -> FrameTable:
         """The frames of this message."""
         return self.at(self.places(message_id))
 
-    def at(self, chosen: Any) -> Frames:
+    def at(self, chosen: Any) -> FrameTable:
         """Some of the frames."""
         return replace(
             self,
@@ -128,7 +128,7 @@ def decoder() -> Decode:
     return decode
 
 
-def frames(raw: bytes | memoryview) -> Frames:
+def frames(raw: bytes | memoryview) -> FrameTable:
     """The wanted frames of a telemetry log. Damage is passed over and counted; noise alone gives no frame."""
     data = np.frombuffer(raw, np.uint8)
     chain = Chain()
@@ -261,10 +261,10 @@ def _is_stamp_torn(data: Bytes, start: int, next_mark: int) -> bool:
     return abs(next_us - this_us) > _DAY_US
 
 
-def _frames(data: Bytes, kept: list[_Heads], first_us: int, last_us: int, skipped_bytes: int) -> Frames:
+def _frames(data: Bytes, kept: list[_Heads], first_us: int, last_us: int, skipped_bytes: int) -> FrameTable:
     start, payload, length, message_id = (np.concatenate(columns) for columns in zip(*kept, strict=True))
     system = payload - np.where(payload - start == _HEAD, 5, 3)
-    return Frames(
+    return FrameTable(
         data=data,
         start=start,
         payload=payload,

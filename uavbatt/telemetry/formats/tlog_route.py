@@ -14,7 +14,7 @@ import numpy as np
 from uavbatt.navigation import Navigation
 from uavbatt.telemetry.columns import Column, latest_before
 from uavbatt.telemetry.formats.chain import Mask, Places
-from uavbatt.telemetry.formats.tlog_frames import Frames
+from uavbatt.telemetry.formats.tlog_frames import FrameTable
 from uavbatt.telemetry.route import messages
 from uavbatt.telemetry.route.events import Event, play
 from uavbatt.telemetry.route.messages import NavigationListener
@@ -86,7 +86,7 @@ class Clock(NamedTuple):
     time_s: Column
     is_row: Mask
 
-    def times_s(self, frames: Frames) -> list[float]:
+    def times_s(self, frames: FrameTable) -> list[float]:
         """Times of other frames [s]: counted on from the clock's frame before each, by their stamps if they can be."""
         if not len(self.start):
             return [0.0] * len(frames.start)
@@ -100,7 +100,7 @@ class Clock(NamedTuple):
 
 
 def navigation(
-    found: Frames, own: Frames, source: int, clock: Clock, parameters: list[tuple[float, str, float]]
+    found: FrameTable, own: FrameTable, source: int, clock: Clock, parameters: list[tuple[float, str, float]]
 ) -> tuple[Navigation, ...]:
     """Return what a log tells of route and place.
 
@@ -114,7 +114,7 @@ def navigation(
     return listener.builder.timeline()
 
 
-def _of_autopilot(own: Frames, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
+def _of_autopilot(own: FrameTable, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
     """The autopilot's messages with their places in the file; of heartbeats those that differ from the one before."""
     told = []
     for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
@@ -126,7 +126,7 @@ def _of_autopilot(own: Frames, clock: Clock, listener: NavigationListener) -> li
     return told
 
 
-def _of_others(found: Frames, source: int, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
+def _of_others(found: FrameTable, source: int, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
     """Return what other stations said of missions to the autopilot."""
     others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
     told = []
@@ -137,23 +137,23 @@ def _of_others(found: Frames, source: int, clock: Clock, listener: NavigationLis
     return told
 
 
-def _said(frames: Frames, message_id: int, clock: Clock) -> Iterator[tuple[int, float, Any]]:
+def _said(frames: FrameTable, message_id: int, clock: Clock) -> Iterator[tuple[int, float, Any]]:
     """Place in the file, time [s] and message of each frame."""
     return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
 
 
-def _decoded(frames: Frames, message_id: int) -> list[Any]:
+def _decoded(frames: FrameTable, message_id: int) -> list[Any]:
     layout = LAYOUTS[message_id]
     if not len(frames.start):
         return []
     return [layout.message(*said) for said in _records(frames, layout).tolist()]
 
 
-def _records(frames: Frames, layout: Layout) -> Any:
+def _records(frames: FrameTable, layout: Layout) -> Any:
     return frames.payloads(layout.record.itemsize).view(layout.record)[:, 0]
 
 
-def _changes(beats: Frames) -> Mask:
+def _changes(beats: FrameTable) -> Mask:
     """Which heartbeats say another mode than the one before."""
     if not len(beats.start):
         return np.zeros(0, np.bool_)

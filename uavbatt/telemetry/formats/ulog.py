@@ -14,7 +14,7 @@ from typing import Any
 from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN, Identity, Sample
-from uavbatt.telemetry.builder import LogBuilder, known
+from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
 from uavbatt.telemetry.formats.ulog_route import OF_ROUTE, navigation
 from uavbatt.telemetry.identity import utc_s, version
 
@@ -25,7 +25,7 @@ _US = 1e6
 Event = tuple[int, int, Any]  # (time [us], rank at equal times, what happened)
 
 
-def read(source: str, data: bytes) -> LogBuilder:
+def read_ulog(source: str, data: bytes) -> LogBuilder:
     """All batteries' rows and the parameters of a ULog file."""
     ulog = _open(source, data)
     log = LogBuilder()
@@ -139,9 +139,9 @@ def _sample(row: dict[str, float], time_s: float, armed: bool | None) -> Sample:
     return Sample(
         time_s=time_s,
         voltage_V=row.get("voltage_v", NAN),
-        current_A=NAN if current_A == -1 else known(current_A),
-        temp_C=NAN if temp_C == 0 else known(temp_C),
-        consumed_Ah=NAN if consumed_mAh == -1 else known(consumed_mAh) / 1000,
+        current_A=NAN if current_A == -1 else finite_or_nan(current_A),
+        temp_C=NAN if temp_C == 0 else finite_or_nan(temp_C),
+        consumed_Ah=NAN if consumed_mAh == -1 else finite_or_nan(consumed_mAh) / 1000,
         reported_soc=remaining if 0 <= remaining <= 1 else NAN,
         armed=armed,
         cell_voltages_V=_cells(row),

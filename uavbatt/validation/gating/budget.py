@@ -7,6 +7,9 @@ degrees of freedom taken as infinite): calibration, resolution, the instant of r
 which nobody knows at which end the next flight stands. t is one-sided at 5 %, shared out over the instants
 (Bonferroni). The guard band for the instruments, as if it stood alone, is 1.645·u_B.
 
+With few occasions t(ν)·u has a fault: a little u_B lets ν grow so fast that t falls by more than u rises, and doubt
+would buy a pass. So the half width is never less than that of the scatter alone, t(n-1)·u_A.
+
 Rows that the data set does not state are assumed, never left at zero, and say so. A hand that reads at the whole
 minute is late or early by up to `reading_time_s`: rectangular, u = a/√3. All readings may be late together, so that
 nothing is divided by √n although part of it shows in the scatter too: counted twice on purpose. An error of the
@@ -17,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,17 +69,29 @@ class Budget:
     expanded: Array
 
 
-def coverage_factor(df: Array, instants: int) -> Array:
+def coverage_factor(df: Array | float, instants: int) -> Array:
     """Return the one-sided t factor at 5 %, shared out over the instants (Bonferroni), per instant."""
     return np.asarray(stats.t.ppf(1.0 - LEVEL / max(instants, 1), df), dtype=float)
 
 
-def combine(u_A: Array, df_A: Array | float, u_B: Array) -> tuple[Array, Array]:
-    """Combine type A and type B uncertainty in squares; return (u, effective degrees of freedom) per instant."""
+class Expanded(NamedTuple):
+    """Standard uncertainty `u`, effective degrees of freedom `df` and half width `half`, each per instant."""
+
+    u: Array
+    df: Array
+    half: Array
+
+
+def expanded(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> Expanded:
+    """Expand the combined type A and type B uncertainty of a bias to the half width of its one-sided 95 % interval.
+
+    u_A and u_B are standard uncertainties per instant, in the unit of the bias; `df_A` the degrees of freedom of u_A.
+    The half width grows with either: see the head of this file.
+    """
     u = np.asarray(np.hypot(u_A, u_B))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         df = np.where(u_A > 0.0, np.asarray(df_A) * (u / u_A) ** 4, math.inf)
-    return u, df
+    return Expanded(u, df, np.maximum(coverage_factor(df, instants) * u, coverage_factor(df_A, instants) * u_A))
 
 
 def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:
@@ -86,10 +101,10 @@ def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budge
         squares = [r.u**2 for r in rows if r.kind == kind]
         return np.sqrt(np.sum(squares, axis=0)) if squares else np.zeros(at.size)
 
-    u, df = combine(root("A"), df_A, root("B"))
-    k = coverage_factor(df, at.size)
+    u, df, half = expanded(root("A"), df_A, root("B"), at.size)
+    k = np.divide(half, u, out=coverage_factor(df, at.size), where=u > 0.0)
     largest = float(k.max()) if k.size else math.nan
-    return Budget(unit, at, tuple(rows), u, df, k, largest, ONE_SIDED * root("B"), k * u)
+    return Budget(unit, at, tuple(rows), u, df, k, largest, ONE_SIDED * root("B"), half)
 
 
 def scatter_rows(residual: Array) -> list[BudgetRow]:

@@ -64,7 +64,7 @@ class OneTimeTests:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class ColdFit:
     """Slots and their values in the optimiser's space."""
 
     variant: Variant
@@ -93,7 +93,7 @@ def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
     )
 
 
-def predict(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: OneTimeTests) -> Array:
+def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: OneTimeTests) -> Array:
     """Simulate the pack voltage [V], [batch, test, instant], for the values x [batch, slots]."""
     batch, rows = x.shape[0], tests.ambient_C.size
     at = {s.name: np.repeat(x[:, i], rows) for i, s in enumerate(slots)}
@@ -148,7 +148,9 @@ def _held(cell: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
     return held
 
 
-def fit(variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, ...] = (), fresh: int = FRESH) -> Fit:
+def fit_cold_model(
+    variant: Variant, tests: OneTimeTests, series: int, starts: tuple[ColdFit, ...] = (), fresh: int = FRESH
+) -> ColdFit:
     """Fit by least squares over all readings, under the priors; the best of several starts counts.
 
     Where the speed controller holds the voltage, nothing but its limit has a slope, so that the sum of squares has
@@ -164,7 +166,7 @@ def fit(variant: Variant, tests: OneTimeTests, series: int, starts: tuple[Fit, .
         known = dict(zip((s.name for s in start.slots), start.u, strict=True))
         first.append(np.array([known.get(s.name, 0.0) for s in slots]))
     found = [_solve(variant, slots, tests, u, robust=False) for u in first]
-    return Fit(variant, slots, min(found, key=lambda f: f[0])[1])
+    return ColdFit(variant, slots, min(found, key=lambda f: f[0])[1])
 
 
 def _solve(
@@ -173,7 +175,7 @@ def _solve(
     """Return (cost, u) of the minimum that one start leads to."""
 
     def misfit(u: Array) -> Array:
-        gap = predict(variant, slots, prior.values(slots, u), tests) - tests.voltage_V
+        gap = predict_cold(variant, slots, prior.values(slots, u), tests) - tests.voltage_V
         out: Array = np.concatenate([np.nan_to_num(gap).reshape(u.shape[0], -1) / MISFIT_SD_V, u], axis=1)
         return out
 
@@ -192,8 +194,8 @@ def _solve(
     return float(found.cost), np.asarray(found.x, dtype=float)
 
 
-def residuals(found: Fit, tests: OneTimeTests) -> Array:
+def residuals(found: ColdFit, tests: OneTimeTests) -> Array:
     """Return model minus measured voltage [V], [test, instant]."""
     x = prior.values(found.slots, found.u)[None]
-    out: Array = predict(found.variant, found.slots, x, tests)[0] - tests.voltage_V
+    out: Array = predict_cold(found.variant, found.slots, x, tests)[0] - tests.voltage_V
     return out

@@ -123,8 +123,7 @@ def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Ar
     if n < LEAST_OCCASIONS:
         nothing = np.full(instants, np.nan)
         return bias, nothing, "not enough data", f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
-    u, df = budgets.combine(residual.std(axis=0, ddof=1) / np.sqrt(n), n - 1.0, type_B)
-    half = budgets.coverage_factor(df, instants) * u
+    half = budgets.expanded(residual.std(axis=0, ddof=1) / np.sqrt(n), n - 1.0, type_B, instants).half
     return bias, half, *decide(bias, half, limit)
 
 

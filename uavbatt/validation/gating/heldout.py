@@ -190,11 +190,11 @@ def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
 def _unmetered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     runs = [r for r in dataset.at(levels.ambient_C) if r.run != occasion and r.sample in levels.samples]
     test = mean_test(dataset, runs, levels.ambient_C)
-    found = unmetered.fit(test, effects)
+    found = unmetered.fit_unmetered(test, effects)
 
     def predicted(ambient_C: float, time_s: Array) -> Array:
         there = replace(test, ambient_C=ambient_C)
-        return unmetered.predict(found.slots, found.effects, found.x[None], there, time_s)[:, :, 0]
+        return unmetered.predict_unmetered(found.slots, found.effects, found.x[None], there, time_s)[:, :, 0]
 
     volts, surface = predicted(levels.ambient_C, levels.time_s)
     shape = (len(levels.samples), levels.time_s.size)
@@ -207,10 +207,10 @@ def _unmetered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run
 def _metered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
     kept = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
-    found = solve.fit(observed.stack(observed.from_dataset(kept)), effects)
+    found = solve.fit_battery(observed.stack(observed.from_dataset(kept)), effects)
     tested = [*out, *others]
     stack = observed.stack(observed.from_dataset(replace(dataset, runs=tuple(tested))))
-    run = solve.replay(stack, found, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
+    run = solve.replay_fit(stack, found, np.column_stack([solve.start_guess(stack), np.zeros((len(tested), 2))]))
     volts = np.full((len(levels.samples), levels.time_s.size), np.nan)
     surface, curves, singles = volts.copy(), [], []
     k = levels.occasions.index(occasion)

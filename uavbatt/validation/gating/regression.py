@@ -103,7 +103,7 @@ def guess(rows: RunTable, cells: int) -> tuple[Array, Array]:
     return np.array(start), np.array(sd)
 
 
-def fit(rows: RunTable, cells: int) -> Regression:
+def fit_regression(rows: RunTable, cells: int) -> Regression:
     """Fit the most probable coefficients under wide priors; the loss is robust beyond three sigma."""
     start, sd = guess(rows, cells)
     others, n = int(rows.series.max()), len(NAMES)
@@ -138,7 +138,7 @@ def held_out(readings: Readings, progress: Callable[[float], None] | None = None
         out = others[k :: len(levels.occasions)]
         kept = [r for r in home if r.run != occasion] + [r for r in others if r not in out]
         begin = [starts[r.sample, r.run, r.ambient_C] for r in kept]
-        found = fit(rows_of(kept, begin, _consecutive([number(r) for r in kept])), dataset.cells_series)
+        found = fit_regression(rows_of(kept, begin, _consecutive([number(r) for r in kept])), dataset.cells_series)
         blocks = sorted({number(r) for r in kept} | {0})
         for run in dataset.at(levels.ambient_C):
             if run.sample in levels.samples and run.run == occasion:

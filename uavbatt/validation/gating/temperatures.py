@@ -171,7 +171,7 @@ def _outcomes(
     groups: Mapping[str, tuple[float, float]],
     progress: Callable[[float], None] | None,
 ) -> list[VariantOutcome]:
-    out, fitted = [], list[cold_model.Fit]()
+    out, fitted = [], list[cold_model.ColdFit]()
     for variant in _variants(scope, tests):
         smaller = [f for f in fitted if f.variant.series == variant.series]
         outcome, found = _outcome(scope, variant, tests, groups, smaller)
@@ -187,16 +187,16 @@ def _outcome(
     variant: Variant,
     tests: OneTimeTests,
     groups: Mapping[str, tuple[float, float]],
-    smaller: list[cold_model.Fit],
-) -> tuple[VariantOutcome, cold_model.Fit]:
+    smaller: list[cold_model.ColdFit],
+) -> tuple[VariantOutcome, cold_model.ColdFit]:
     T, count = tests.ambient_C, int(tests.series.max()) + 1
     inside = tuple(f for f in smaller if f.variant.steeper_cold <= variant.steeper_cold)
-    found = cold_model.fit(variant, tests, count, inside, _fresh_starts(variant))
+    found = cold_model.fit_cold_model(variant, tests, count, inside, _fresh_starts(variant))
     fitted, unseen = cold_model.residuals(found, tests), np.empty((T.size, tests.time_s.size))
     folds = FOLDS if T.size >= 2 * FOLDS else T.size
     for k in range(folds):
         out = np.arange(T.size) % folds == k
-        part = cold_model.fit(variant, tests.of(~out), count, (found,), fresh=0)
+        part = cold_model.fit_cold_model(variant, tests.of(~out), count, (found,), fresh=0)
         unseen[out] = cold_model.residuals(part, tests.of(out))
     model_V = fitted + tests.voltage_V
     outcome = VariantOutcome(

@@ -59,7 +59,7 @@ class Slope:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StepTest:
     """The most likely single step: `after` runs, the mean changes by `size`.
 
     `p_value` allows for the choice of the place (permutation); `p_at_place` is Welch's test as if the place
@@ -81,7 +81,7 @@ class Drift:
     abbe: Abbe
     mann_kendall: MannKendall
     slope: Slope
-    step: Step | None
+    step: StepTest | None
 
 
 def _in_order(results: ArrayLike, least: int) -> Array:
@@ -190,13 +190,13 @@ def step_share(tables: Array, least: int = 2) -> Array:
     return mean
 
 
-def step(results: ArrayLike, seed: int = 5725) -> Step:
+def step(results: ArrayLike, seed: int = 5725) -> StepTest:
     """Find the most likely step in one column: maximal share of the sum of squares, p by permutation of the runs."""
     values = _in_order(results, 5)
     return curve_step(values[:, None], seed)
 
 
-def curve_step(table: Array, seed: int = 5725) -> Step:
+def curve_step(table: Array, seed: int = 5725) -> StepTest:
     """Find the most likely step of whole curves, `table[run, time]`; every column counts alike.
 
     `size` and `p_at_place` are of the mean over the columns (unit of the results).
@@ -214,7 +214,7 @@ def curve_step(table: Array, seed: int = 5725) -> Step:
     p = (1 + int(np.sum(random >= best - 1e-9))) / (len(random) + 1)
     flat = float(np.ptp(mean[:after]) * np.ptp(mean[after:])) == 0
     welch = math.nan if flat else float(stats.ttest_ind(mean[:after], mean[after:], equal_var=False).pvalue)
-    return Step(after, size, best, p, welch)
+    return StepTest(after, size, best, p, welch)
 
 
 def drift(results: ArrayLike, seed: int = 5725) -> Drift:
