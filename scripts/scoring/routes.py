@@ -18,7 +18,7 @@ import numpy as np
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V, M100_LOADED_A
 from scoring.lines import logged, ours
-from scoring.m100 import FITTED_AH
+from scoring.m100 import RATED_AH
 from scoring.table import DASH, Table, figure, grid
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
@@ -92,11 +92,11 @@ def _scored(
 def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]]:
     logs = {path.stem: read_log(path) for path in sorted((data / "flights" / "m100_routes").glob("*.tlog"))}
     found: dict[str, list[FlightScore]] = {}
-    pack = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
+    pack = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
     for aircraft in sorted({name[-3:] for name in logs}):
         say(f"routes: learning from the aircraft other than {aircraft}")
         others = [flight for name, flight in logs.items() if not name.endswith(aircraft)]
-        size = Size(f"m100-without-{aircraft}", M100_CELLS, FITTED_AH, M100_CUTOFF_V)
+        size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
         battery = fit_battery(size, [], others).file
         known = Known(battery, pack, learned_load(vehicle_file(size.name, others, battery, pack)))
         for name in (name for name in logs if name.endswith(aircraft)):
