@@ -26,7 +26,7 @@ NEW_SHORT = 0.3  # of the doubt about a printed capacity, what is left where the
 SHARPEST = 0.02  # a narrower mode would fall between two members and be lost
 REACH = 2.2  # standard deviations that the members cover where the capacity is known even less
 OVERLAP, UNKNOWN_MAKE_OVERLAP = 0.35, 0.6  # sd of a member as a share of the distance to the next
-# A capacity stated ten times too large, and what lies between: packs of their true size, with the ohms of it.
+# A capacity stated ten times too large, and what lies between.
 ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
 # Shares, means and sds of ln(capacity / stated) beside what the file's own packs are spread by: packs as good as new,
 # packs in service, and those of which something stated is wrong.
@@ -65,7 +65,7 @@ def capacities(pack: Pack) -> Capacities:
         np.concatenate([ABSURD, scale]),
         np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
         np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
-        np.concatenate([np.zeros(len(ABSURD)), scale]),
+        np.concatenate([ABSURD, scale]),
         np.full(len(ABSURD) + MEMBERS, pack.resistance_scale_sd),
     )
 

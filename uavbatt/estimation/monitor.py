@@ -30,6 +30,7 @@ from uavbatt.records import Estimate, Sample, Status
 FAR_SDS, LOST_SDS = 3.0, 5.0
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
 SMALL_PACK, FAR_SMALLER, SURE_SDS = 0.9, 0.7, 1.5  # shares of what is stated, surely so
+FAR_MORE_OHMS = 3.5  # times those of a new pack of the stated size: packs that fly have up to three
 SETTLED_SHARE = 0.2  # of the capacity believed: known to less, the time left is known to a factor of two at best
 
 STUCK_VOLTAGE = "the voltage has not moved under load for half a minute: a stuck sensor?"
@@ -38,6 +39,8 @@ DEAD_CURRENT = "the current fell to nothing while the voltage did not recover: a
 UNFITTING = "voltage and current have not fitted this battery for a minute"
 FAR_OFF = "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted"
 SMALL = "this pack holds less than stated: aged or smaller, or a current sensor that reads low"
+
+MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad contact"
 
 
 class Innovations(NamedTuple):
@@ -68,7 +71,7 @@ class Monitor(NamedTuple):
     load: Load = Load()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
-    is_settled: bool = False  # the knee has shown how much less than stated a far smaller pack holds
+    is_settled: bool = False  # the knee has shown how much a pack holds that is not what is stated
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -100,14 +103,13 @@ class Monitor(NamedTuple):
             refusals.append(FAR_OFF)
         most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd
         remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
-        is_far_smaller = most < FAR_SMALLER  # no wear: something that is stated is wrong
-        is_settled = is_far_smaller and (
+        misstated = _misstated(estimate, most)
+        is_settled = bool(misstated) and (
             self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         )
-        if is_far_smaller:
-            doubts.append(SMALL)
-        if is_far_smaller and not is_settled:  # and nothing has said by how much
-            refusals.append(SMALL)
+        doubts += misstated
+        if not is_settled:  # and nothing has said by how much
+            refusals += misstated
         refusal = refusals[0] if refusals else ""
         return Monitor(readings, load, innovations, off_sds, is_settled, tuple(doubts), remarks, refusal)
 
@@ -123,6 +125,12 @@ class Monitor(NamedTuple):
         refusals = (self.refusal,) if self.refusal and self.refusal not in self.doubts else ()
         warnings = (*estimate.warnings, *refusals, *self.doubts, *self.remarks)
         return replace(estimate, status=status, reason=reason, warnings=warnings)
+
+
+def _misstated(estimate: Estimate, most: float) -> list[str]:
+    """What no wear explains, so that something that is stated is wrong; `most` is the capacity that it may have."""
+    least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)
+    return [words for words, is_so in ((SMALL, most < FAR_SMALLER), (MANY_OHMS, least_ohms > FAR_MORE_OHMS)) if is_so]
 
 
 def discrepancy_sds(belief: Belief, pack: Pack) -> float:
