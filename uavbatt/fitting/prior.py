@@ -21,7 +21,7 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
-# A cell that rests above this is one that charges to 4.35 V: an ordinary one whose charge goes on where the others stop.
+# A cell that rests above this charges to 4.35 V: an ordinary one whose charge goes on where the others stop.
 ORDINARY_FULL_V = 4.25
 SLOPE_AT_FULL_V = 1.0  # per unit of charge
 
