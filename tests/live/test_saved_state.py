@@ -155,6 +155,9 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "load variance negative": of_battery("past", 0, 0, 3, value=-1.0),
     "load time 1e12": of_battery("past", 0, 0, 0, value=1e12),
     "flown 1e12 J": of_battery("past", 0, 8, value=1e12),
+    "timing of legs that knows nothing": of_battery("past", 0, 9, 0, value=[0.0] * 5),
+    "timing of legs nan": of_battery("past", 0, 9, 1, 0, value=math.nan),
+    "power level of negative seconds": of_battery("past", 0, 9, 4, value=-1.0),
     "another version": put("version", value=2),
     "of another file": put("battery_sha256", value="0" * 64),
 }  # fmt: skip

@@ -15,6 +15,7 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    ReportOption,
     UncertifiedOption,
     check_named,
     check_writable,
@@ -49,7 +50,7 @@ def diagnose(
     without: Annotated[list[str] | None, typer.Option("--without", help="Effect to leave out; repeatable.")] = None,
     gate: Annotated[Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests to gate with.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
 ) -> None:
     """Trace what the battery file explains badly to the effect that it lacks; error before and after.
