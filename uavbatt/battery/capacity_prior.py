@@ -5,9 +5,9 @@ A season takes 10 to 25 % of a pack's capacity, and nobody writes it down: a pac
 high, which looks the same. A Gaussian around 1 cannot say that, and a filter linearised at one capacity does not see
 the knee of a smaller one. So the belief is a sum of Gaussians, one every tenth of the capacity.
 
-All of them begin with the same ohms. The scale of resistance is that of ohm times Ah, so that it begins with the scale
-of capacity: with one and the same ohm·Ah a pack of few ohms, which is a matter of its make, would speak against every
-small capacity.
+Of a known make all of them begin with its ohm times Ah, which fading leaves as it is. Of an unknown one they begin with
+the same ohms, so that the scale of ohm·Ah is that of capacity: else a pack of few ohms, which is a matter of its make,
+would speak against every small capacity.
 """
 
 from __future__ import annotations
@@ -61,12 +61,13 @@ def capacities(pack: Pack) -> Capacities:
         weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
     weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
     member_sd = np.full(MEMBERS, overlap * float(scale[1] - scale[0]))
+    every = np.concatenate([ABSURD, scale])
     return Capacities(
-        np.concatenate([ABSURD, scale]),
+        every,
         np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
         np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
-        np.concatenate([ABSURD, scale]),
-        np.full(len(ABSURD) + MEMBERS, pack.resistance_scale_sd),
+        np.zeros(every.size) if is_known else every,
+        np.full(every.size, pack.resistance_scale_sd),
     )
 
 
