@@ -24,11 +24,12 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import ReplayedRow, engine_for, outcome, steps
+from uavbatt.log_replay import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight, Remaining
+from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log
 
 AFTER_S = (0.0, 5.0, 15.0, 30.0)  # since the first interval that is shown
@@ -120,9 +121,11 @@ def _first(flown: Set, path: Path) -> First | None:
     flight = read_log(path)
     begin_s = next((s.time_s for s in flight.samples if s.current_A > LOADED_A), math.nan)
     pack = STATED.get(path.name, flown.pack)
+    run, cutoff_V = _flown(_cut(flight, begin_s + EARLY_S + max(AFTER_S)), flown, pack)
     end_s = flown.ends_s.get(_key(path), math.nan)
-    early = _cut(flight, begin_s + EARLY_S + max(AFTER_S)) if math.isfinite(end_s) else flight
-    run, cutoff_V = _flown(early, flown, pack)
+    end_s = end_s if math.isfinite(end_s) else _end_s(flight, cutoff_V)
+    if not math.isfinite(end_s):
+        run, _ = _flown(flight, flown, pack)
     said = [step.remaining for step in run if math.isfinite(step.remaining.remaining_s)]
     if not said:
         return None
@@ -130,15 +133,18 @@ def _first(flown: Set, path: Path) -> First | None:
     name = f"{path.parent.name}/{path.stem}"
     if math.isfinite(end_s):
         return First(flown.name, name, shown, (end_s, end_s), True)
-    found = outcome(run, cutoff_V)
-    if math.isfinite(found.end_of_flight_s):
-        return First(flown.name, name, shown, (found.end_of_flight_s,) * 2, True)
-    last = said[-1]
-    return First(flown.name, name, shown, _ends(last), False)
+    return First(flown.name, name, shown, _ends(said[-1]), False)
+
+
+def _end_s(flight: Flight, cutoff_V: float) -> float:
+    """When the log itself reaches the cut-off under load [s]; NaN if it does not."""
+    columns = ([s.time_s for s in flight.samples], [s.voltage_V for s in flight.samples])
+    amps = [s.current_A for s in flight.samples]
+    return end_of_flight(*columns, amps, cutoff_V=cutoff_V, min_current_A=LOADED_A)
 
 
 def _flown(flight: Flight, flown: Set, pack: PackOptions) -> tuple[list[ReplayedRow], float]:
-    estimator = Estimator(flown.battery, pack, ForecastSettings(flown.load), engine_for(is_long=True))
+    estimator = Estimator(flown.battery, pack, ForecastSettings(flown.load))
     run = list(steps(flight, estimator))
     return run, estimator.pack_size.cutoff_V if estimator.pack_size is not None else math.nan
 

@@ -2,7 +2,8 @@
 
 The Matrice 100 flights are left out one aircraft at a time, battery and vehicle learned from the two others; positions
 were never logged. The simulated missions fly on a battery from `truth/lab` and `truth/reference` and a vehicle learned
-from `missions/learn`; p01 to p06 were looked at while this was built, p07 to p12 were not.
+from `missions/learn`. p07 to p12 were not looked at while routes were built; the rules of the turn, the gusts and the
+fit at high airspeed were chosen on l03 to l05 and p04 to p06, with p09 to p12 printed beside them.
 """
 
 from __future__ import annotations
@@ -60,7 +61,6 @@ class Mission:
 
     name: str
     answer: dict[str, Any]
-    flight: Flight
     run: list[ReplayedRow]
     peers: dict[str, Lines]  # seconds until one must turn back
 
@@ -146,7 +146,7 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
         say(f"routes: {path.stem}")
         flight, answer = read_log(path), _answer(answers, path.stem)
         run = _run(flight, known, known.library)
-        missions.append(Mission(path.stem, answer, flight, run, turn_lines(known.peers, flight)))
+        missions.append(Mission(path.stem, answer, run, turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
         start_s, _ = _span_s(flight, TRUTH_CUTOFF_V, 2.0)

@@ -114,3 +114,65 @@ def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: P
     done = run("diagnose", first, other, "--battery", "lipo-generic")
     assert done.returncode == 4
     assert "different packs" in done.stderr
+
+
+QUICK = ("weak_cell", "charge_transfer", "temperature_lag", "current_delay", "airflow_cooling", "resistance_growth")
+
+
+def test_followed_flights_are_taken_in_order_and_their_course_is_in_json_and_page(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    told, page = tmp_path / "f.json", tmp_path / "f.html"
+    without = [word for name in QUICK for word in ("--without", name)]
+    done = run("diagnose", "--follow", logs[0].parent, *pack_options(), *without, "--json", told, "--report", page)
+    assert done.returncode == 0, done.stderr
+    assert "in the order in which they are named" in done.stderr  # a CSV does not tell its day
+    assert "in every one of the 2 flights" in done.stdout
+    found = json.loads(told.read_text())
+    assert [Path(f["file"]).name for f in found["flights"]] == ["flight_0.csv", "flight_1.csv"]
+    one = found["classes"][0]
+    assert "current_gain" in one["members"] and one["since"]["flight"] == 1 and one["grows"] is False
+    assert len(one["values"]) == 2 and set(one["values"][0]) == {"value", "lo", "hi", "unit"}
+    text = page.read_text()
+    ET.fromstring(text.split("\n", 1)[1])
+    assert "flight_1.csv" in text and "<script" not in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--follow", "--gate", "."], "--follow: expected neither --gate nor -o"),
+        (["--follow", "--packs", "p.sqlite"], "--packs: expected --pack NAME as well"),
+        (["--follow", "--pack", "A1"], "expected --packs FILE as well"),
+    ],
+)
+def test_a_wrong_call_of_follow_is_said_in_one_line(logs: list[Path], arguments: list[str], said: str) -> None:
+    done = run("diagnose", *logs, *pack_options(), *arguments)
+    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_ledger_tells_which_flights_are_of_the_pack_and_their_order(logs: list[Path], tmp_path: Path) -> None:
+    from uavbatt.cli.diagnose_follow import Asked, _in_order
+    from uavbatt.packs.ledger import Ledger
+    from uavbatt.packs.records import FlightRecord, Told
+    from uavbatt.remembering import key_of
+    from uavbatt.telemetry import read_log
+
+    flights = [read_log(path) for path in logs]
+    packs, told = tmp_path / "packs.sqlite", Told(-5.0, 1.6, 0.01, 0.01, 0.0)
+    with Ledger(packs) as ledger:  # flown the other way round
+        for day, flight in enumerate(reversed(flights)):
+            record = FlightRecord(
+                key_of(flight.samples),
+                told,
+                CELLS,
+                CAPACITY_AH,
+                0.006,
+                "lipo-generic",
+                "",
+                1.75e9 + 86400.0 * day,
+                900.0,
+            )
+            ledger.save("A1", record)
+    ordered = _in_order(flights, Asked(None, (), packs, "A1"))
+    assert [f.source for f in ordered] == [f.source for f in reversed(flights)]

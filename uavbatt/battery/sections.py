@@ -76,7 +76,8 @@ class Wander(Record, frozen=True):
     """[discrepancy.wander]: how what the model leaves hangs together, learned from effect-free records.
 
     Under load the voltage wanders by `voltage_sd_V` at the charges `soc`, forgetting itself in `voltage_time_s`, with
-    white noise on top; at rest before take-off it is off by `rest_sd_V` throughout. Volts are the pack's.
+    white noise on top; at rest before take-off it is off by `rest_sd_V` throughout. Volts are the pack's. Nothing was
+    learned of flights that begin colder than `coldest_C`.
     """
 
     soc: SocKnots
@@ -87,6 +88,7 @@ class Wander(Record, frozen=True):
     temperature_sd_K: Error
     temperature_time_s: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
     temperature_noise_K: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
+    coldest_C: Annotated[float, msgspec.Meta(ge=-60.0, le=100.0)] | None = None
 
 
 class Discrepancy(Record, frozen=True):

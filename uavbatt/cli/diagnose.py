@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli.diagnose_records import Progress, distinct, flown_size, observed_of, one_size, tested_size
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
     CellsOption,
     CutoffOption,
+    PackOption,
+    PacksOption,
     ReportOption,
     UncertifiedOption,
     check_named,
@@ -24,19 +26,17 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
-from uavbatt.errors import NotEnoughData, UsageError, terminal_line
-from uavbatt.limits import Seen
-from uavbatt.records import Flight, PackFacts
+from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.records import Flight
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
-    from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.cli.diagnose_worn import BasePack
     from uavbatt.dataset import DataSet
     from uavbatt.diagnosis.close import Closed
     from uavbatt.diagnosis.diagnosis import Diagnosis
     from uavbatt.fitting.observed import Observed
-
-Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
 
 
 def diagnose(
@@ -52,10 +52,19 @@ def diagnose(
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
     report: ReportOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Logs in order of time: since when, and is it growing?")
+    ] = False,
+    packs: PacksOption = None,
+    pack: PackOption = "",
 ) -> None:
     """Trace what the battery file explains badly to the effect that it lacks; error before and after.
 
+    With --packs the pack is taken to be as worn as the flights before the first one have shown.
+    With --follow: flights of one pack, or a folder of them, in order of time; with --packs those of --pack alone.
     Exit code 4 when the records cannot tell (the reason is in the JSON, too).
+
+    Example: uavbatt diagnose flight.BIN --battery mypack.battery.toml --report why.html
     """
     from uavbatt import dataset as data
     from uavbatt.battery import battery_file
@@ -64,25 +73,35 @@ def diagnose(
     from uavbatt.telemetry import read_log
 
     check_named(output)
-    check_writable(json_file, report, output, reads=sources)
+    check_writable(json_file, report, output, reads=[*sources, packs])
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
         raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
     content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
+    if follow:
+        from uavbatt.cli.diagnose_follow import Asked, followed
+
+        if gate is not None or output is not None:
+            raise UsageError(
+                "--follow: expected neither --gate nor -o: it tells since when, and changes no battery file"
+            )
+        followed(sources, content, stated, Asked(instance, tuple(without or ()), packs, pack), json_file, report)
+        return
     datasets = [data.load(p) for p in sources if p.is_dir()]
-    flights = _distinct([read_log(p, instance) for p in sources if not p.is_dir()])
+    flights = distinct([read_log(p, instance) for p in sources if not p.is_dir()])
     try:
-        found, closed, new = _run(content, datasets, flights, stated, tuple(without or ()), gate)
+        found, closed, new, base = _run(content, datasets, flights, stated, tuple(without or ()), gate, (packs, pack))
     except NotEnoughData as error:
         if json_file is not None:
             write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
         raise
     path = str(battery_file.write_battery(new, output)) if output is not None else None
-    for line in _lines(found, closed):
+    for line in [*_lines(found, closed), *([f"  {base.words}"] if base.words else [])]:
         say(line, json_file, report)
     if json_file is not None:
-        write_json(json_file, _as_json(found, closed, content.status, path))
+        wear = {"pack": base.words} if base.words else {}
+        write_json(json_file, {**_as_json(found, closed, content.status, path), **wear})
     if report is not None:
         from uavbatt.report.diagnosis import diagnosis_report
         from uavbatt.report.page import write_page
@@ -100,9 +119,11 @@ def _run(
     stated: PackOptions,
     without: tuple[str, ...],
     gate: Path | None,
-) -> tuple[Diagnosis, Closed, BatteryFile]:
+    remembered: tuple[Path | None, str],
+) -> tuple[Diagnosis, Closed, BatteryFile, BasePack]:
     from uavbatt import dataset as data
     from uavbatt.battery.sizing import PackOptions, pack_from
+    from uavbatt.cli.diagnose_worn import base_pack
     from uavbatt.diagnosis import close
     from uavbatt.diagnosis.diagnosis import diagnose as find
     from uavbatt.diagnosis.gate import verdicts
@@ -110,85 +131,21 @@ def _run(
     from uavbatt.log_replay import engine_for
 
     tests = data.load(gate) if gate is not None else None
-    sizes = {_flown_size(f, content, stated) for f in flights} | {_tested_size(d, content, stated) for d in datasets}
-    if len(sizes) > 1:
-        listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
-        raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
-    series, capacity_Ah, cutoff_V = next(iter(sizes))
+    sizes = {flown_size(f, content, stated) for f in flights} | {tested_size(d, content, stated) for d in datasets}
+    series, capacity_Ah, cutoff_V = one_size(sizes)
     records: list[Observed] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
-    records += [_observed(f, series, capacity_Ah) for f in flights]
+    records += [observed_of(f, series, capacity_Ah) for f in flights]
     options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
-    pack = pack_from(content, options)
-    with _Progress() as tell:
+    base = base_pack(*remembered, flights, content, pack_from(content, options))
+    with Progress() as tell:
         engine = engine_for(is_long=True)
-        found = find(records, content, pack, without, tell, engine)
-        closed = close.judge(found, content, flights, options, tell, engine)
+        found = find(records, content, base.pack, without, tell, engine, base.wear_sd)
+        closed = close.judge(found, base.file, flights, options, tell, engine)
     new = close.extended(content, found)
     if tests is not None:
         remark(f"gating with {gate} ...")
         new = close.gated(new, found, verdicts(tests, new))
-    return found, closed, new
-
-
-def _observed(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
-    from uavbatt.fitting import observed
-
-    if not any(math.isfinite(s.current_A) for s in flight.samples):
-        raise NotEnoughData(f"{flight.source}: no row has a current: nothing can be traced without it")
-    return observed.from_flight(flight, cells, capacity_Ah)
-
-
-def _distinct(flights: list[Flight]) -> list[Flight]:
-    """UsageError when a log is named twice: it would count as two pieces of evidence."""
-    seen: dict[object, str] = {}
-    for flight in flights:
-        key = (len(flight.samples), flight.samples[0], flight.samples[-1])
-        if repr(key) in seen:
-            raise UsageError(f"{flight.source}: the same log as {seen[repr(key)]}: expected different flights")
-        seen[repr(key)] = flight.source
-    return flights
-
-
-def _flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
-    """The size of a flight's pack, whose rows must not deny it. Raises UsageError in words."""
-    from uavbatt.battery.sizing import resting
-    from uavbatt.battery.statements import check_whole, size_from_rows
-
-    size = size_from_rows(content, stated, flight, flight.facts_at(math.inf))
-    check_whole(flight, size, resting(content))
-    return _rounded(size)
-
-
-def _tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> Size:
-    """The size of a tested pack: a data set tells of its pack what a vehicle tells of its."""
-    from uavbatt.battery.sizing import checked, size_of_pack
-
-    said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
-    seen = Seen(dataset.first_V)
-    try:
-        return _rounded(checked(content, size_of_pack(content, stated, said, dataset.cells_series, seen=seen), seen))
-    except UsageError as error:
-        raise UsageError(f"{dataset.path}: {error}") from None
-
-
-def _rounded(size: PackSize) -> Size:
-    """Rounded so that records of one pack agree."""
-    return size.cells, round(size.capacity_Ah, 4), round(size.cutoff_V, 3)
-
-
-class _Progress:
-    """The step at hand on stderr when it is a terminal."""
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __call__(self, step: str) -> None:
-        if sys.stderr.isatty():
-            print(f"\r\033[K{terminal_line(step)} ...", end="", file=sys.stderr, flush=True)
-
-    def __exit__(self, *_: object) -> None:
-        if sys.stderr.isatty():
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+    return found, closed, new, base
 
 
 def _lines(found: Diagnosis, closed: Closed) -> list[str]:

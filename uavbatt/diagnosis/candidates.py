@@ -10,11 +10,12 @@ one as long as the battery file lacks it, but for the sensor's lag, which a file
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.battery_file import BatteryFile, EffectEntry
 from uavbatt.battery.effects import EFFECTS, Effect, Quantity
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.pack import Installation
@@ -40,6 +41,7 @@ class Freed:
     log: bool
     nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
     estimated: bool = True  # a nuisance that is not counts in the standard errors only
+    shares: tuple[float, ...] = ()  # of its change that each record has; empty: all have it whole
 
     def value(self, u: Array) -> Array:
         """The value at u, kept within the bounds."""
@@ -105,27 +107,41 @@ NOTHING = Candidate((), ())
 # records of this pack is right to about a percent; one for packs of a make, to a share of the scatter that it states.
 CAPACITY_SD, RESISTANCE_SD, DELAY_SD_S = 0.008, 0.015, 0.25
 CAPACITY_SHARE, RESISTANCE_SHARE = 0.4, 0.25
-STATED = ("sensor_lag_s", "activation_K")  # as the file states them; errors of the others go with the resistance's
+# As the file states them; errors of the others go with the resistance's.
+STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
+# A reaction slows down in the cold otherwise than an ohm grows, which the model does not have: with one in the file,
+# the law of the cold is not better known than this, however well it fits a few flights.
+LEAST_ACTIVATION_SD_K = 300.0
 
 
-def nuisances(file: BatteryFile) -> tuple[Freed, ...]:
-    """Errors of the battery file that all records share, in u with sd 1."""
+def nuisances(file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0)) -> tuple[Freed, ...]:
+    """Errors of the battery file that all records share, in u with sd 1.
+
+    wear_sd : how well fade and growth of the pack are known, where it was met before.
+    """
     table = file.parameters
     capacity_sd = CAPACITY_SHARE * table.capacity_scale_sd
     resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
     if file.is_measured and table.c_rate is None:
         capacity_sd, resistance_sd = min(capacity_sd, CAPACITY_SD), min(resistance_sd, RESISTANCE_SD)
     return (
-        _nuisance("fade", capacity_sd),
-        _nuisance("growth", resistance_sd),
+        _nuisance("fade", math.hypot(capacity_sd, wear_sd[0])),
+        _nuisance("growth", math.hypot(resistance_sd, wear_sd[1])),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
         *(
             _nuisance(name, sd)
             for entry in file.effects
             for name in STATED
-            if (sd := entry.standard_error.get(name, 0.0)) > 0.0
+            if (sd := _stated_sd(file, entry, name)) > 0.0
         ),
     )
+
+
+def _stated_sd(file: BatteryFile, entry: EffectEntry, name: str) -> float:
+    """The error that the file states of a quantity, 0 where it states none."""
+    stated = entry.standard_error.get(name, 0.0)
+    reacts = name == "activation_K" and any(e.name == "charge_transfer" for e in file.effects)
+    return max(stated, LEAST_ACTIVATION_SD_K) if reacts and stated > 0.0 else stated
 
 
 def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:

@@ -25,7 +25,7 @@ from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, base_values, candid
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
-from uavbatt.diagnosis.refit import at_best, refit
+from uavbatt.diagnosis.refit import SETTLED, at_best, refit
 from uavbatt.diagnosis.residual import Residual, Shape
 from uavbatt.diagnosis.search import FoundEffect, Trial, search
 from uavbatt.estimator import PLAIN, Engine
@@ -57,13 +57,17 @@ class Diagnosis:
 
 
 def problem_of(
-    records: list[Observed], file: BatteryFile, pack: Pack, states: openloop.States = openloop.states
+    records: list[Observed],
+    file: BatteryFile,
+    pack: Pack,
+    states: openloop.States = openloop.states,
+    wear_sd: tuple[float, float] = (0.0, 0.0),
 ) -> Problem:
     """Make records and battery file ready for refits; `states` simulates. Raises NotEnoughData with the reason."""
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
-    return Problem(pack, evidence, base, nuisances(file), table_errors(file), states)
+    return Problem(pack, evidence, base, nuisances(file, wear_sd), table_errors(file), states)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -81,15 +85,17 @@ def diagnose(
     without: tuple[str, ...] = (),
     progress: Callable[[str], None] | None = None,
     engine: Engine = PLAIN,
+    wear_sd: tuple[float, float] = (0.0, 0.0),
 ) -> Diagnosis:
     """Diagnose records of one pack.
 
     without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` is some three times faster). Raises NotEnoughData with the reason.
+    (`compiled.engine()` is some three times faster); wear_sd : how well the fade and the growth that `pack` has are
+    known, where it was met before. Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
-    problem = problem_of(records, file, pack, engine.states)
+    problem = problem_of(records, file, pack, engine.states, wear_sd)
     searched = _searched(problem, file, without, tell)
     if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
         full = replace(problem, evidence=problem.evidence.believed_full)
@@ -98,7 +104,7 @@ def diagnose(
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
-    reasons = _doubts(problem, findings, best, left, {e.name for e in file.effects}, floor_V(file, problem))
+    reasons = doubts(problem, findings, best, left, {e.name for e in file.effects}, floor_V(file, problem))
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
@@ -142,7 +148,7 @@ def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tel
         idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
         without=(*without, *known, *alone),
     )
-    nothing = refit(problem, [NOTHING])[0]
+    nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
     return _Searched(problem, nothing, *search(problem, options, nothing, tell))
 
 
@@ -180,33 +186,33 @@ def per_number(problem: Problem, fit: Refit) -> Left:
     return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def _doubts(
+def doubts(
     problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, listed: set[str], floor: float
 ) -> tuple[str, ...]:
     """Return why the model after all is not believed to be complete; empty when it is."""
-    doubts = []
+    found = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
     if left.voltage > LEFT:
         shape = residual.shape(after)
-        doubts.append(
+        found.append(
             f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {left.voltage:.1f} times what this "
             f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
             f"about {shape.time_scale_s:.0f} s"
         )
     elif findings and residual.size_V(after) > FAR * floor:
-        doubts.append(
+        found.append(
             f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV where this battery's model leaves "
             f"{1000 * floor:.0f} mV: what is named is the smaller part of it, or none"
         )
     if left.temperature > LEFT:
-        doubts.append(
+        found.append(
             f"the temperature residual is still {residual.size_K(after):.1f} K, {left.temperature:.1f} times what this "
             "battery's model leaves (chi-square)"
         )
     for finding in findings:
         its = finding.worth.constancy
         if its is not None and not finding.steady:
-            doubts.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
+            found.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
         if {m.candidate.name for m in finding.members} <= listed - set(PACKS_OWN):
-            doubts.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
-    return tuple(doubts)
+            found.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
+    return tuple(found)

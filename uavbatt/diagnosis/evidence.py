@@ -35,6 +35,7 @@ LEAST_CHANGE = 0.04  # of the current, relative, over the records
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
 FULL_SD = 0.008
 IDLE_NOISE_A = 0.15
+COLD_DOUBLES_K = 6.0  # below the coldest flight that it was learned on, the model's error: healthy flights from 4 °C on
 FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 
@@ -214,11 +215,19 @@ def _voltage_whitener(stack: Stack, j: int, start_soc: float, known: Wander, noi
     # Learned on packs that took off full, what stands at a full charge may be of the charge or of the take-off.
     log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
     wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
+    wandering_V *= _cold(known, stack.start_temp_C[j])
     sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), known.rest_sd_V)
     kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.voltage_time_s)
     kernel = np.where(loaded[:, None] & loaded, kept, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
     return _whitener(rows, ~loaded, kernel, max(known.voltage_noise_V, noise_sd_V))
+
+
+def _cold(known: Wander, start_C: float) -> float:
+    """Factor of the model's error for a flight that begins colder than any that it was learned on."""
+    if known.coldest_C is None or not np.isfinite(start_C):
+        return 1.0
+    return float(2.0 ** (max(known.coldest_C - start_C, 0.0) / COLD_DOUBLES_K))
 
 
 def _temperature_whitener(stack: Stack, j: int, known: Wander) -> Whitener | None:

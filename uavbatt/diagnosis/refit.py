@@ -27,6 +27,7 @@ NUISANCES = 3
 START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
 FREE_START_SD = 0.02  # of a record around the shift that all share
 ITERATIONS = 12
+SETTLED = 40  # of the model with nothing added: what it has not settled would be credited to every effect
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
 HELD = 1e4
 CONVERGED = 0.05  # change of chi-square below which a candidate is done
@@ -83,6 +84,9 @@ class _Batch:
         for i, columns in enumerate(self.columns):
             for k, f in sorted(enumerate(columns), key=lambda kf: kf[1].nuisance):
                 value = f.value(u[:, i, :, k])
+                if f.shares:
+                    off = self.problem.base[f.index]
+                    value = off + np.array(f.shares) * (value - off)
                 x[:, i, :, f.index] = x[:, i, :, f.index] + value if f.nuisance else value
         warm = np.where([t is None for t in evidence.temps], UNMEASURED_SD_K, START_SD_K)
         believed = evidence.start_soc + x[..., INDEX["start_soc_shift"]]

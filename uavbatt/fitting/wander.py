@@ -105,6 +105,7 @@ def learned(stack: Stack, trajectory: Trajectory, records: list[int]) -> Wander:
     resting = (stack.compare & ~loaded)[:, records]
     seen = resting.any(axis=0)
     means = np.sum(np.where(resting, gap_V, 0.0), axis=0)[seen] / resting.sum(axis=0)[seen]
+    starts_C = stack.start_temp_C[records]
     one_more = np.append(means, USUAL_REST_CELL_V * cells)  # counted as one record, so that two do not decide alone
     return Wander(
         soc=[float(z) for z in SOC],
@@ -115,6 +116,7 @@ def learned(stack: Stack, trajectory: Trajectory, records: list[int]) -> Wander:
         temperature_sd_K=_rounded(warmth[0]),
         temperature_time_s=_rounded(warmth[1]),
         temperature_noise_K=_rounded(warmth[2]),
+        coldest_C=_rounded(float(np.min(starts_C))) if np.isfinite(starts_C).all() else None,
     )
 
 

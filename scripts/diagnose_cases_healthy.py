@@ -1,0 +1,62 @@
+#!/usr/bin/env python3
+"""Healthy sets: how often diagnosis raises an alarm where nothing is wrong.
+
+Run: .venv/bin/python scripts/diagnose_cases_healthy.py BATTERY.battery.toml FOLDER [--sets 50] [--follow]
+FOLDER holds healthy flights of the pack (`scripts/porous_cases.py` writes them to healthy/), each used in several sets.
+Sets of 3, 4 and 8 flights in turn, drawn without putting back; --follow takes each set as flights in order of time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.diagnosis import diagnose
+from uavbatt.diagnosis.follow import follow
+from uavbatt.fitting.observed import from_flight
+from uavbatt.log_replay import engine_for
+from uavbatt.telemetry import read_log
+
+CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
+SIZES = (3, 4, 8)
+
+
+def main() -> int:
+    """Print each alarm, and how many there were."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("battery", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--sets", type=int, default=50)
+    parser.add_argument("--follow", action="store_true")
+    given = parser.parse_args()
+    battery = battery_file.read_battery(given.battery)
+    pack, engine = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True)
+    records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in sorted(given.folder.glob("*.csv"))]
+    random, alarms, seen = np.random.default_rng(16), Counter[int](), Counter[int]()
+    for number in range(given.sets):
+        size = SIZES[number % len(SIZES)]
+        drawn = [records[i] for i in random.choice(len(records), size, replace=False)]
+        run = follow if given.follow else diagnose
+        found = run(drawn, battery, pack, engine=engine)
+        seen[size] += 1
+        if found.verdict != "no_missing_effect":
+            alarms[size] += 1
+            told = [e.found for e in found.effects] if given.follow else found.classes
+            words = " + ".join(f"{'/'.join(c.members)} {c.probability:.2f}" for c in told) or "–"
+            print(f"set {number} of {size}: {found.verdict}: {words}", flush=True)
+    counts = ", ".join(f"{alarms[n]} of {seen[n]} sets of {n}" for n in SIZES)
+    print(f"alarms: {sum(alarms.values())} of {given.sets}: {counts}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

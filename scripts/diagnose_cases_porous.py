@@ -1,0 +1,81 @@
+#!/usr/bin/env python3
+"""What diagnosis makes of labelled cases, verdicts and values only: the quick table, for any folder of cases.
+
+Run: .venv/bin/python scripts/diagnose_cases_porous.py BATTERY.battery.toml FOLDER... [--only odd|even|NAME,NAME]
+FOLDER holds CASE/flight_K.csv or .tlog and labels.json: what `scripts/porous_cases.py` wrote, or `truth/cases` of the
+shared data. For each case: label, right or not, the classes, seconds; then how many were right by kind, and how many
+values lie inside their intervals (labels of truth/cases tell values, the others do not).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from diagnose_cases_table import SURE, right, words, wrong_names
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.diagnosis import diagnose
+from uavbatt.fitting.observed import from_flight
+from uavbatt.log_replay import engine_for
+from uavbatt.telemetry import read_log
+
+CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
+
+
+def kind(effect: str, size: str) -> str:
+    """The row of the counts that a case belongs to."""
+    if effect in ("none", "undeclared"):
+        return effect
+    return "pair" if "+" in effect else size
+
+
+def chosen(names: list[str], only: str) -> list[str]:
+    """Names of cases that were asked for, numbered ones by odd and even."""
+    if only in ("odd", "even"):
+        return [n for n in names if int("".join(c for c in n if c.isdigit())) % 2 == (only == "odd")]
+    return [n for n in names if not only or n in only.split(",")]
+
+
+def main() -> int:
+    """Print the table and the counts."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("battery", type=Path)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--only", default="")
+    given = parser.parse_args()
+    battery = battery_file.read_battery(given.battery)
+    pack, engine = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True)
+    seen, good, wrong = Counter[str](), Counter[str](), 0
+    print("| case | label | | diagnosis | s |\n|---|---|---|---|---|")
+    for folder in given.folders:
+        labels = json.loads((folder / "labels.json").read_text())
+        for name in chosen([n for n in labels if (folder / n).resolve().is_dir()], given.only):
+            effect, size = labels[name]["effect"], labels[name].get("size", "clear")
+            logs = sorted(p for p in (folder / name).iterdir() if p.suffix in (".csv", ".tlog"))
+            records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in logs]
+            began_s = time.process_time()
+            found = diagnose(records, battery, pack, engine=engine)
+            told = {"verdict": found.verdict, "classes": [asdict(c) for c in found.classes]}
+            took_s = time.process_time() - began_s
+            seen[kind(effect, size)] += 1
+            good[kind(effect, size)] += right(effect, told)
+            wrong += wrong_names(effect, told)
+            mark = "✓" if right(effect, told) else "✗"
+            alarm = " !" if wrong_names(effect, told) else ""
+            print(f"| {Path(name).name} | {effect} {size} | {mark}{alarm} | {words(told)} | {took_s:.1f} |", flush=True)
+    print("\n" + ", ".join(f"{k}: {good[k]} of {n}" for k, n in seen.items()) + f"; wrong names above {SURE}: {wrong}.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

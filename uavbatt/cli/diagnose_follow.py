@@ -1,0 +1,178 @@
+"""`uavbatt diagnose --follow`: flights of one pack in order of time; which effect began when, and is it growing?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uavbatt.cli.diagnose_records import Progress, distinct, flown_size, observed_of, one_size
+from uavbatt.cli.options import remark, say
+from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.records import Flight
+
+if TYPE_CHECKING:
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.sizing import PackOptions
+    from uavbatt.diagnosis.follow import Follow, Followed
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Which flights to follow, and with which effects left out."""
+
+    instance: int | None
+    without: tuple[str, ...]
+    packs: Path | None
+    pack: str
+
+
+def followed(
+    sources: Sequence[Path],
+    content: BatteryFile,
+    stated: PackOptions,
+    asked: Asked,
+    json_file: Path | None,
+    report: Path | None,
+) -> None:
+    """Follow the flights and write what was found. Raises NotEnoughData with the reason, which is in the JSON, too."""
+    from uavbatt.files import write_json
+
+    flights = _in_order(_read(sources, asked), asked)
+    try:
+        found = _follow(flights, content, stated, asked.without)
+    except NotEnoughData as error:
+        if json_file is not None:
+            write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
+        raise
+    dates = _dates(found, flights)
+    for line in _lines(found, dates):
+        say(line, json_file, report)
+    if json_file is not None:
+        write_json(json_file, _as_json(found, dates, content.status))
+    if report is not None:
+        from uavbatt.report.follow import follow_report
+        from uavbatt.report.page import write_page
+
+        write_page(report, follow_report(found, dates, content.battery.name))
+        say(f"report: {report}", json_file, report)
+
+
+def _read(sources: Sequence[Path], asked: Asked) -> list[Flight]:
+    """The logs that are named, and those in the folders, each once."""
+    from uavbatt.fleet.logs import find_logs
+    from uavbatt.telemetry import read_log
+
+    paths: list[Path] = []
+    for source in sources:
+        if (source / "battery.toml").exists():
+            raise UsageError(f"{source}: a data set of bench tests: expected flights, which have an order of time")
+        paths += [Path(log.name) for log in find_logs([str(source)])] if source.is_dir() else [source]
+    return distinct([read_log(path, asked.instance) for path in dict.fromkeys(paths)])
+
+
+def _in_order(flights: list[Flight], asked: Asked) -> list[Flight]:
+    """The flights in order of time: the ledger's, else the logs' own clocks, else as they were named."""
+    if asked.packs is not None:
+        return _of_the_ledger(flights, asked.packs, asked.pack)
+    if asked.pack:
+        raise UsageError(f"--pack {asked.pack}: expected --packs FILE as well, the ledger that remembers it")
+    starts = [f.identity.start_utc_s for f in flights]
+    if all(math.isfinite(s) for s in starts):
+        return sorted(flights, key=lambda f: f.identity.start_utc_s)
+    remark("not every log tells when it was flown: they are taken in the order in which they are named")
+    return flights
+
+
+def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight]:
+    """The flights that the ledger knows of the pack, in its order."""
+    from uavbatt.packs.ledger import Ledger
+    from uavbatt.remembering import key_of
+
+    if not pack:
+        raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
+    with Ledger(packs, only_read=True) as ledger:
+        places = {after.flight.key: place for place, after in enumerate(ledger.flights(pack))}
+    if not places:
+        raise UsageError(f"--pack {pack}: expected a pack of {packs}, found none of that name")
+    known = {key_of(f.samples): f for f in flights}
+    its = sorted((key for key in known if key in places), key=lambda key: places[key])
+    if len(its) < len(flights):
+        remark(f"{len(flights) - len(its)} of {len(flights)} logs are not flights that the ledger knows of {pack}")
+    return [known[key] for key in its]
+
+
+def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, without: tuple[str, ...]) -> Follow:
+    from uavbatt.battery.sizing import PackOptions, pack_from
+    from uavbatt.diagnosis.follow import follow
+    from uavbatt.log_replay import engine_for
+
+    if not flights:
+        raise NotEnoughData("no flight to follow")
+    series, capacity_Ah, cutoff_V = one_size({flown_size(f, content, stated) for f in flights})
+    records = [observed_of(f, series, capacity_Ah) for f in flights]
+    pack = pack_from(content, PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V))
+    with Progress() as tell:
+        return follow(records, content, pack, without, tell, engine_for(is_long=True))
+
+
+def _dates(found: Follow, flights: list[Flight]) -> tuple[str, ...]:
+    """The day of each followed flight, empty where its log does not tell."""
+    starts = {f.source: f.identity.start_utc_s for f in flights}
+    return tuple(
+        datetime.fromtimestamp(starts[name], UTC).date().isoformat() if math.isfinite(starts[name]) else ""
+        for name in found.flights
+    )
+
+
+def _lines(found: Follow, dates: Sequence[str]) -> list[str]:
+    """The course of each effect for a person."""
+    from uavbatt.diagnosis.follow_words import course_words, size_words
+    from uavbatt.diagnosis.words import MEANING
+
+    said = {
+        "no_missing_effect": "nothing has begun: every flight is as this battery's model has it",
+        "effect_found": "something has begun",
+        "undeclared_effect": "something is missing, and what is named does not explain all of it",
+    }
+    lines = [f"{found.verdict}: {said[found.verdict]} ({len(found.flights)} flights)"]
+    for one in found.effects:
+        told = one.found
+        lines.append(f"  {' or '.join(told.members)} (probability {told.probability:.2f}): {MEANING[told.members[0]]}")
+        lines.append(f"    {course_words(one, found.flights, dates)}")
+        lines.append(f"    {size_words(one)}")
+        lines.append(f"    check: {told.would_separate}")
+    lines += [f"  doubt: {reason}" for reason in found.reasons]
+    lines += [f"  left out, too short: {name}" for name in found.left_out]
+    return lines
+
+
+def _as_json(found: Follow, dates: Sequence[str], status: str) -> dict[str, Any]:
+    """The keys of a diagnosis, with the course of each class."""
+    flights = [{"file": name, "date": day or None} for name, day in zip(found.flights, dates, strict=True)]
+    return {
+        "verdict": found.verdict,
+        "classes": [_class_json(one, flights) for one in found.effects],
+        "reasons": list(found.reasons),
+        "flights": flights,
+        "left_out": list(found.left_out),
+        "certificate_status": status,
+        "battery_file": None,
+    }
+
+
+def _class_json(one: Followed, flights: list[dict[str, str | None]]) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    since = {"flight": one.course.begins + 1, "earliest": one.earliest + 1, "latest": one.latest + 1}
+    return {
+        **asdict(one.found),
+        "since": {**since, **flights[one.course.begins]},
+        "grows": one.course.grows,
+        "quantity": one.quantity,
+        "off": one.off,
+        "values": [asdict(value) for value in one.values],
+    }

@@ -1,0 +1,89 @@
+"""The records of one pack that `uavbatt diagnose` reads: flights that are different, of one size, with a current."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING
+
+from uavbatt.errors import NotEnoughData, UsageError, terminal_line
+from uavbatt.limits import Seen
+from uavbatt.records import Flight, PackFacts
+
+if TYPE_CHECKING:
+    from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.sizing import PackOptions, PackSize
+    from uavbatt.dataset import DataSet
+    from uavbatt.fitting.observed import Observed
+
+Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
+
+
+def one_size(sizes: set[Size]) -> Size:
+    """The size that all records share. Raises NotEnoughData when they are of different packs."""
+    if len(sizes) > 1:
+        listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
+        raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
+    return next(iter(sizes))
+
+
+def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
+    """The rows of a flight as a record. Raises NotEnoughData when it has no current."""
+    from uavbatt.fitting import observed
+
+    if not any(math.isfinite(s.current_A) for s in flight.samples):
+        raise NotEnoughData(f"{flight.source}: no row has a current: nothing can be traced without it")
+    return observed.from_flight(flight, cells, capacity_Ah)
+
+
+def distinct(flights: list[Flight]) -> list[Flight]:
+    """UsageError when a log is named twice: it would count as two pieces of evidence."""
+    seen: dict[object, str] = {}
+    for flight in flights:
+        key = (len(flight.samples), flight.samples[0], flight.samples[-1])
+        if repr(key) in seen:
+            raise UsageError(f"{flight.source}: the same log as {seen[repr(key)]}: expected different flights")
+        seen[repr(key)] = flight.source
+    return flights
+
+
+def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
+    """The size of a flight's pack, whose rows must not deny it. Raises UsageError in words."""
+    from uavbatt.battery.sizing import resting
+    from uavbatt.battery.statements import check_whole, size_from_rows
+
+    size = size_from_rows(content, stated, flight, flight.facts_at(math.inf))
+    check_whole(flight, size, resting(content))
+    return _rounded(size)
+
+
+def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> Size:
+    """The size of a tested pack: a data set tells of its pack what a vehicle tells of its."""
+    from uavbatt.battery.sizing import checked, size_of_pack
+
+    said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
+    seen = Seen(dataset.first_V)
+    try:
+        return _rounded(checked(content, size_of_pack(content, stated, said, dataset.cells_series, seen=seen), seen))
+    except UsageError as error:
+        raise UsageError(f"{dataset.path}: {error}") from None
+
+
+def _rounded(size: PackSize) -> Size:
+    """Rounded so that records of one pack agree."""
+    return size.cells, round(size.capacity_Ah, 4), round(size.cutoff_V, 3)
+
+
+class Progress:
+    """The step at hand on stderr when it is a terminal."""
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __call__(self, step: str) -> None:
+        if sys.stderr.isatty():
+            print(f"\r\033[K{terminal_line(step)} ...", end="", file=sys.stderr, flush=True)
+
+    def __exit__(self, *_: object) -> None:
+        if sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

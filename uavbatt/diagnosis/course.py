@@ -1,0 +1,75 @@
+"""The course of an effect over flights in order of time: since when is it there, and does it grow?
+
+An effect that begins at flight k is in no flight before it. In the flights from k on it is there whole, or it grows:
+
+    value_j = off + share_j (value - off)       share_j = 0 before k, then 1, or (j - k + 1) / (n - k + 1)
+
+One refit in which all flights have the effect tells each flight's own value and how well it is known, as everywhere in
+this package. From these the saving of every course follows without another simulation; only the best are refitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.diagnosis.candidates import Candidate
+from uavbatt.diagnosis.problem import Problem, Refit
+
+LEAST_TO_GROW = 3  # flights: two of different size are a step as well
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The flight at which an effect begins, counted from 0, and whether it grows from there to the last."""
+
+    begins: int
+    grows: bool
+
+    def shares(self, flights: int) -> Array:
+        """Share of the effect's last size that each flight has, in order of time."""
+        since = np.arange(flights) - self.begins + 1.0
+        return np.clip(since / (flights - self.begins), 0.0, 1.0) if self.grows else (since > 0.0).astype(float)
+
+
+def courses(flights: int) -> list[Course]:
+    """Every course that so many flights can show."""
+    steady = [Course(k, grows=False) for k in range(flights)]
+    return steady + [Course(k, grows=True) for k in range(flights - LEAST_TO_GROW + 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class OwnValues:
+    """Each flight's own change of an effect's first quantity from the battery file's, in order of time."""
+
+    change: Array
+    sd: Array
+
+    def saved(self, course: Course) -> float:
+        """Chi-square that an effect of this course saves, by weighted least squares of its one size."""
+        shares, weight = course.shares(self.change.size), self.sd**-2.0
+        return float(np.sum(weight * shares * self.change) ** 2 / max(np.sum(weight * shares**2), 1e-12))
+
+
+def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValues:
+    """The own values of the effect that a refit of all flights added last; `order` are the flights in time."""
+    k = int(whole.quantities[whole.candidate.places(whole.candidate.name)][0])
+    freed = whole.columns[k]
+    places = list(order)
+    known = np.maximum(whole.information[places, k, k], 1e-6)
+    at = freed.value(whole.u[places, k])
+    slope = freed.scale * at if freed.log else np.full(len(places), freed.scale)
+    return OwnValues(
+        at + slope * whole.score[places, k] / known - problem.base[freed.index], np.abs(slope) / np.sqrt(known)
+    )
+
+
+def on_course(option: Candidate, course: Course, order: Sequence[int]) -> Candidate:
+    """The option as an effect that takes this course; the records of the refit are not in order of time."""
+    shares = np.empty(len(order))
+    shares[list(order)] = course.shares(len(order))
+    its = tuple(float(s) for s in shares)
+    return replace(option, freed=tuple(replace(f, shares=its) for f in option.freed))

@@ -1,0 +1,94 @@
+"""The page of followed flights: what has begun, since which flight, each flight's own value as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uavbatt import __version__
+from uavbatt.battery.effects import unit_words
+from uavbatt.diagnosis.follow import Follow, Followed
+from uavbatt.diagnosis.follow_words import course_words, size_words
+from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY
+from uavbatt.report import plot
+from uavbatt.report.page import Html, bullets, element, figure, number, page, paragraph, section, strong, table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_TICKS = 12
+ANSWERS = {
+    "no_missing_effect": ("good", "Nothing has begun: every flight is as this battery's model has it."),
+    "effect_found": ("bad", "Something has begun, and it has a name."),
+    "undeclared_effect": ("unsure", "Something is missing, and what is named does not explain all of it."),
+}
+
+
+def follow_report(found: Follow, dates: Sequence[str], battery: str) -> str:
+    """Return the whole page as HTML; `dates` are the days of the flights, empty where they are not known."""
+    mood, answer = ANSWERS[found.verdict]
+    told = [_told(one, found, dates) for one in found.effects]
+    notes = [f"Left out, too short to tell anything: {name}." for name in found.left_out]
+    return page(
+        f"{battery}: {len(found.flights)} flights in order of time",
+        "uavbatt diagnose --follow",
+        element("div", paragraph(strong(answer)), *told, css=f"answer {mood}"),
+        *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
+        *(section(_title(one), course_figure(one)) for one in found.effects),
+        section("Flights", _flights(found, dates)),
+        *([section("Notes", bullets(notes))] if notes else []),
+        footer=f"uavbatt {__version__}. Each point is one flight by itself, with its 95 % interval.",
+    )
+
+
+def _title(one: Followed) -> str:
+    return f"{QUANTITY.get(one.quantity, one.quantity)}, flight by flight"
+
+
+def _told(one: Followed, found: Follow, dates: Sequence[str]) -> Html:
+    """One effect with its course, its rivals, and what to check."""
+    name, *others = one.found.members
+    meaning, course = MEANING[name], course_words(one, found.flights, dates)
+    rivals = [paragraph("These flights cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
+    return element(
+        "div",
+        paragraph(strong(f"{meaning[0].upper()}{meaning[1:]}"), f" ({name}): {course}."),
+        paragraph(f"{size_words(one)}."),
+        *(rivals if others else []),
+        paragraph(f"The cause is among what is named with a probability of {one.found.probability:.0%}."),
+        paragraph(strong("What to check")),
+        bullets(f"{CHECK[m][0].upper()}{CHECK[m][1:]} ({m})." for m in one.found.members),
+    )
+
+
+def course_figure(one: Followed) -> Html:
+    """Each flight's own value with its interval, the file's value, and the course that explains them."""
+    flights = np.arange(1, len(one.values) + 1)
+    value = np.array([v.value for v in one.values])
+    below, above = value - [v.lo for v in one.values], [v.hi for v in one.values] - value
+    last = one.found.parameters[one.quantity].value
+    course = one.off + one.course.shares(flights.size) * (last - one.off)
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(one.off, color=plot.INK, linewidth=0.7, label="battery file")
+        axes.plot(flights, course, color=plot.RED, linewidth=1.2, drawstyle="steps-mid", label="course")
+        axes.errorbar(flights, value, np.abs([below, above]), fmt="o", color=plot.BLUE, markersize=4, label="flight")
+        axes.axvline(one.course.begins + 0.5, color=plot.RED, linewidth=0.7, linestyle=":")
+        axes.set_xticks(flights[:: -(-flights.size // MOST_TICKS)])
+
+    unit = unit_words(one.values[0].unit)
+    alt = f"{one.quantity} of each flight: {', '.join(f'{v:.3g}' for v in value)} {unit}".rstrip()
+    y = f"{one.quantity} [{unit}]" if unit else one.quantity
+    return figure(plot.panel(draw, alt, x="flight", y=y), one.quantity)
+
+
+def _flights(found: Follow, dates: Sequence[str]) -> Html:
+    rows = []
+    for place, (name, day) in enumerate(zip(found.flights, dates, strict=True)):
+        values = [number(one.values[place].value, 3, unit_words(one.values[place].unit)) for one in found.effects]
+        rows.append((str(place + 1), day or "not known", Path(name).name, *values))
+    heads = ("flight", "day", "log", *(one.quantity for one in found.effects))
+    return table(heads, rows, text_columns=(1, 2))
