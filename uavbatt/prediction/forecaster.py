@@ -215,7 +215,7 @@ class Forecaster:
             by_rows=by_rows,
             at_take_off=self._at_take_off and self._at_take_off.at_power(time_s, now.flight_W),
         )
-        if navigation is NOWHERE:
+        if not navigation.has_way:
             return question
         flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
         route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
