@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V
-from scoring.m100 import FITTED_AH, RATED_AH
+from scoring.m100 import RATED_AH
 from scoring.routes import TRUTH_AH, TRUTH_CELLS, TRUTH_CUTOFF_V
 from scoring.shared import STATED
 from uavbatt import dataset
@@ -36,8 +36,7 @@ AFTER_S = (0.0, 5.0, 15.0, 30.0)  # since the first interval that is shown
 EARLY_S = 90.0
 LOADED_A = 2.0
 TRUTH_PACK = PackOptions(cells=TRUTH_CELLS, capacity_Ah=TRUTH_AH, cutoff_V=TRUTH_CUTOFF_V)
-M100_PACK = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
-M100_RATED = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
+M100_PACK = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +73,8 @@ def generic(data: Path) -> Iterator[Set]:
     packs, missions = _pack_ends_s(data), _mission_ends_s(data)
     for name, places, pack, ends_s in (
         ("real logs", ("flights/ardupilot/*", "flights/px4/hexa*.ulg"), PackOptions(), {}),
-        ("M100", ("flights/m100/m100_*.csv",), M100_RATED, {}),
-        ("M100 with routes", ("flights/m100_routes/*.tlog",), M100_RATED, {}),
+        ("M100", ("flights/m100/m100_*.csv",), M100_PACK, {}),
+        ("M100 with routes", ("flights/m100_routes/*.tlog",), M100_PACK, {}),
         ("missions", ("missions/learn/*.tlog", "missions/practice/*.tlog"), PackOptions(), missions),
         ("truth", ("truth/*/*/flight_*.tlog",), PackOptions(), {}),
         ("packs", ("packs/practice/*/flight_*.tlog",), PackOptions(), packs),
@@ -88,7 +87,7 @@ def fitted(data: Path) -> Iterator[Set]:
     logs = {path: read_log(path) for path in _paths(data, ("flights/m100_routes/*.tlog",))}
     for aircraft in sorted({path.stem[-3:] for path in logs}):
         others = [flight for path, flight in logs.items() if not path.stem.endswith(aircraft)]
-        battery = fit_battery(Size("without", M100_CELLS, FITTED_AH, M100_CUTOFF_V), [], others).file
+        battery = fit_battery(Size("without", M100_CELLS, RATED_AH, M100_CUTOFF_V), [], others).file
         load = learned_load(vehicle_file("without", others, battery, M100_PACK))
         own = tuple(path for path in logs if path.stem.endswith(aircraft))
         tables = tuple(data / "flights/m100" / f"{path.stem}.csv" for path in own)

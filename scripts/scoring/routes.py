@@ -19,7 +19,7 @@ import numpy as np
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V, M100_LOADED_A
 from scoring.lines import Lines, logged, ours
-from scoring.m100 import FITTED_AH, PX4_SET, RATED_AH
+from scoring.m100 import PX4_SET, RATED_AH
 from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from scoring.peer_turns import turn_lines
 from scoring.table import Table, figure, grid
@@ -98,11 +98,11 @@ def _scored(
 def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]]:
     logs = {path.stem: read_log(path) for path in sorted((data / "flights" / "m100_routes").glob("*.tlog"))}
     found: dict[str, list[FlightScore]] = {}
-    pack = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
+    pack = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
     for aircraft in sorted({name[-3:] for name in logs}):
         say(f"routes: learning from the aircraft other than {aircraft}")
         others = [flight for name, flight in logs.items() if not name.endswith(aircraft)]
-        size = Size(f"m100-without-{aircraft}", M100_CELLS, FITTED_AH, M100_CUTOFF_V)
+        size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
         battery = fit_battery(size, [], others).file
         emptied = [(flight, end_s) for flight in others if math.isfinite(end_s := _m100_span_s(flight)[1])]
         peers = calibrated(M100_CELLS, RATED_AH, emptied, PX4_SET)
