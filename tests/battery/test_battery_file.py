@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from uavbatt import Estimator
 from uavbatt.battery import battery_file
+from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.scaling import pack_of
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, Uncertified
@@ -280,3 +281,17 @@ def test_status_widens_the_belief() -> None:
     sure, unsure = (pack_of(f, 3, 5.0, 9.3, 10.5) for f in (certified, fitted))
     assert unsure.resistance_scale_sd > sure.resistance_scale_sd
     assert unsure.bias_sd_V > sure.bias_sd_V
+
+
+def test_a_file_of_before_a_key_was_added_keeps_its_hash() -> None:
+    """A key of [discrepancy.wander] that nobody states is as if it were not there: the hash as it was before it.
+
+    Another packaged prior has another hash: then take the one that the version before wrote.
+    """
+    wander = Wander(
+        soc=[0.0, 1.0], voltage_sd_V=[0.004, 0.004], voltage_time_s=120.0, voltage_noise_V=0.002, rest_sd_V=0.002,
+        temperature_sd_K=0.2, temperature_time_s=600.0, temperature_noise_K=0.05,
+    )  # fmt: skip
+    generic = battery_file.read_battery("lipo-generic")
+    file = msgspec.structs.replace(generic, discrepancy=msgspec.structs.replace(generic.discrepancy, wander=wander))
+    assert battery_file.content_hash(file).startswith("a02a76cfaca2bcb2")

@@ -69,8 +69,11 @@ def content_hash(file: BatteryFile) -> str:
     content: dict[str, Any] = msgspec.to_builtins(file)
     for key in ("content_sha256", "date", "tool_version"):
         del content["certificate"][key]
-    if file.discrepancy.wander is None:  # a key that older files do not know: their hashes stand
+    wander = file.discrepancy.wander  # keys that older files do not know: their hashes stand
+    if wander is None:
         del content["discrepancy"]["wander"]
+    elif wander.coldest_C is None:
+        del content["discrepancy"]["wander"]["coldest_C"]
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
