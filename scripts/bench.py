@@ -22,7 +22,7 @@ from statistics import median
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from bench import engine, fleet, readers  # found by the line above
+from bench import engine, fleet, missions, readers  # found by the line above
 
 from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
 
@@ -72,6 +72,18 @@ def cli_rows(repeats: int) -> Iterator[engine.Row]:
             write_log(log, simulate_flight(worn, Mission(250.0 + 60.0 * n, 10.0 + 8.0 * n, rate_Hz=2.0, seed=n)), worn)
         pack = ["--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2"]
         yield from _with_and_without("uavbatt diagnose, 3 flights", ["diagnose", *map(str, flights), *pack], 1)
+    yield plan_row(repeats)
+
+
+def plan_row(repeats: int) -> engine.Row:
+    """The plan of a mission of many items in a new process; the budget is 2 s."""
+    with tempfile.TemporaryDirectory() as folder:
+        survey, quad = Path(folder) / "survey.waypoints", Path(folder) / "quad.vehicle.toml"
+        missions.write_survey(survey)
+        missions.write_quad(quad)
+        arguments = ["plan", "--mission", str(survey), "--vehicle", str(quad), "--cells", "4", "--capacity-ah", "16"]
+        took_s = median(engine.run_cli(arguments, plain=True) for _ in range(repeats))
+    return f"uavbatt plan --mission, {missions.ITEMS} items", f"{took_s:.2f} s", "", ""
 
 
 def _with_and_without(name: str, arguments: list[str], repeats: int) -> Iterator[engine.Row]:

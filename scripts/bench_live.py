@@ -1,6 +1,7 @@
 """The companion process against its budgets, over real sockets and real time: `bench_live.py [--seconds 30]`.
 
     daemon without page   RSS <= 130 MB, <= 3 % of one core at 10 Hz, ready in 2 s
+    the same on a route   a mission of 200 items, place and progress five times a second, a forecast every second
     proxy                 RSS <= 30 MB, <= 2 ms at the 99th percentile at 500 messages/s
     ground station        a new estimate within 0.3 s of its telemetry at 10 Hz
 
@@ -20,6 +21,8 @@ import threading
 import time
 from pathlib import Path
 from typing import Any
+
+from bench import missions
 
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
@@ -42,13 +45,17 @@ def cpu_s(pid: int) -> float:
 
 
 class Vehicle(threading.Thread):
-    """A 4S quad at a steady 12 A: BATTERY_STATUS at 10 Hz, a heartbeat at 1 Hz, ATTITUDE to fill up `rate` [1/s]."""
+    """A 4S quad at a steady 12 A: BATTERY_STATUS at 10 Hz, a heartbeat at 1 Hz, ATTITUDE to fill up `rate` [1/s].
 
-    def __init__(self, rate: float) -> None:
+    With `is_on_route` it tells five times a second where it is on the mission of `bench.missions`.
+    """
+
+    def __init__(self, rate: float, is_on_route: bool = False) -> None:
         super().__init__(daemon=True)
         from pymavlink.dialects.v20 import ardupilotmega as dialect
 
         self.rate, self.sent_s, self.is_over = rate, {}, False
+        self._is_on_route = is_on_route
         self._dialect: Any = dialect
         self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
 
@@ -65,7 +72,10 @@ class Vehicle(threading.Thread):
                 message = self._dialect.MAVLink_attitude_message(k, 0.1, 0.1, 0.1, 0.0, 0.0, 0.0)
             self._send(line, message)
             if k % (10 * every) == 0:
-                self._send(line, heartbeat(True))
+                self._send(line, heartbeat(True, missions.AUTO if self._is_on_route else 0))
+            if self._is_on_route and k % (2 * every) == 0:
+                for message in missions.messages(self._dialect, k / self.rate):
+                    self._send(line, message)
             k += 1
 
     def _send(self, line: socket.socket, message: Any) -> None:
@@ -90,18 +100,20 @@ def ready(command: list[str], env: dict[str, str]) -> tuple[subprocess.Popen[byt
     return process, took_s
 
 
-def measure(feed: str, rate: float, seconds: float) -> dict[str, float]:
-    """Run daemon, vehicle and ground station; what they took."""
+def measure(feed: str, rate: float, seconds: float, mission: Path | None = None) -> dict[str, float]:
+    """Run daemon, vehicle and ground station; what they took. With a mission file the vehicle flies along it."""
     station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     station.bind(STATION)
     station.settimeout(1.0)
     endpoints = ["udpin:{}:{}".format(*VEHICLE), "--gcs", "udpout:{}:{}".format(*STATION)]
     program = [sys.executable, "-c", "from uavbatt.cli import main; main()"]
     command = [*program, "live", *endpoints, "--feed", feed, "--capacity-ah", "5"]
+    command += ["--mission", str(mission)] if mission is not None else []
     process, ready_s = ready(command, dict(os.environ))
-    vehicle = Vehicle(rate)
+    vehicle = Vehicle(rate, mission is not None)
     vehicle.start()
     delays: dict[str, list[float]] = {"frame": [], "named": []}
+    home_values = 0
     begin_s, cpu0_s = time.monotonic(), 0.0
     warm_s = 5.0
     while (now_s := time.monotonic()) < begin_s + warm_s + seconds:
@@ -118,6 +130,8 @@ def measure(feed: str, rate: float, seconds: float) -> dict[str, float]:
             delays["frame"].append(got_s - vehicle.sent_s.get(frame[4], got_s))
         elif head.message_id == 251 and b"REM_S" in frame:
             delays["named"].append(got_s - max(vehicle.sent_s.values()))
+        elif head.message_id == 251 and b"HOME_SOC" in frame:
+            home_values += 1
     found = {"ready_s": ready_s, "rss_MB": rss_MB(process.pid)}
     found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - cpu0_s) / seconds
     if feed == "proxy":
@@ -129,6 +143,8 @@ def measure(feed: str, rate: float, seconds: float) -> dict[str, float]:
     elif delays["named"]:
         found["named_values"] = len(delays["named"])
         found["named_after_last_row_max_s"] = max(delays["named"])
+    if mission is not None:
+        found["home_soc_values"] = home_values
     vehicle.is_over = True
     process.terminate()
     process.wait(10.0)
@@ -139,15 +155,20 @@ def measure(feed: str, rate: float, seconds: float) -> dict[str, float]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--only", choices=("named", "proxy"))
+    parser.add_argument("--only", choices=("named", "route", "proxy"))
     args = parser.parse_args()
     sys.setswitchinterval(2e-4)  # sender and receiver are threads of one interpreter: its 5 ms are not the proxy's
     seconds = args.seconds
-    runs = [run for run in (("named", 10.0), ("proxy", 500.0)) if args.only in (None, run[0])]
+    every = (("named", 10.0), ("route", 10.0), ("proxy", 500.0))
+    runs = [run for run in every if args.only in (None, run[0])]
     missed = []
     budgets = {"ready_s": 2.0, "rss_MB": 130.0, "cpu_percent": 3.0, "proxy_rss_MB": 30.0, "proxy_p99_ms": 2.0}
     for feed, rate in runs:
-        found = measure(feed, rate, seconds)
+        with tempfile.TemporaryDirectory() as folder:
+            survey = Path(folder) / "survey.waypoints"
+            missions.write_survey(survey)
+            on_route = feed == "route"
+            found = measure("named" if on_route else feed, rate, seconds, survey if on_route else None)
         for name, value in found.items():
             limit = budgets.get(name) if not (feed == "proxy" and name == "cpu_percent") else None
             print(f"{feed:6} {rate:4.0f}/s  {name:28} {value:8.2f}" + (f"  (budget {limit:g})" if limit else ""))

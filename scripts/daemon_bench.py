@@ -22,7 +22,7 @@ OPTIONS = PackOptions(capacity_Ah=5.0, cells=4)
 class FakeLink:
     """A link whose other side is the caller."""
 
-    is_stream = False
+    is_stream, problem = False, ""
 
     def __init__(self) -> None:
         self.incoming: list[Chunk] = []

@@ -31,7 +31,7 @@ class Judged:
     shares: tuple[float, ...]  # of the work, as `validate` told them
 
 
-def run(*call: str | Path, folder: Path, timeout_s: float = 120.0) -> Done:
+def run(*call: str | Path, folder: Path, timeout_s: float = 300.0) -> Done:
     """The installed command in a process of its own, in `folder`."""
     words = [str(UAVBATT), *map(str, call)]
     surroundings = {**os.environ, **SURROUNDINGS}

@@ -42,13 +42,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark a test by what it asks for: measured data, a judged study (half a minute), or the live process."""
+    """Mark a test by what it asks for: measured data, or the live process."""
     for item in items:
         asked = getattr(item, "fixturenames", ())
         if "shared_data" in asked:
             item.add_marker(pytest.mark.data)
-        if "judged_study" in asked:
-            item.add_marker(pytest.mark.slow)
         if item.path.parent.name == "live":
             item.add_marker(pytest.mark.live)
 

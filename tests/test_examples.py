@@ -19,7 +19,7 @@ LEADS = ("harness_resistance", "harness_ohm=0.015")
 def ran(name: str, *words: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
     call = [sys.executable, str(ROOT / "examples" / name), *map(str, words)]
     surroundings = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    return subprocess.run(call, capture_output=True, text=True, cwd=folder, env=surroundings, timeout=120.0)
+    return subprocess.run(call, capture_output=True, text=True, cwd=folder, env=surroundings, timeout=300.0)
 
 
 def test_every_example_is_run_here() -> None:

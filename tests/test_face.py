@@ -14,6 +14,12 @@ import uavbatt
 from uavbatt.battery import battery_file
 from uavbatt.dataset import load
 
+ROUTE = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t420\t1
+1\t0\t3\t22\t0\t0\t0\t0\t0\t0\t20\t1
+2\t0\t3\t16\t0\t0\t0\t0\t47.01\t8.0\t20\t1
+"""
+
 
 @pytest.fixture(scope="module")
 def flown(short_log: Path) -> uavbatt.Replay:
@@ -70,6 +76,7 @@ def test_a_prompt_completes_the_public_names_alone() -> None:
         ({"load": "fast"}, "load=fast"),
         ({"load": -5.0}, "load=-5"),
         ({"instance": 3}, "instance 3"),
+        ({"pack": "P1"}, "packs="),
         ({"forecast_period_s": -1.0}, "forecast_period_s=-1"),
         ({"forecast_period_s": "often"}, "forecast_period_s='often'"),
     ],
@@ -85,6 +92,20 @@ def test_what_the_log_denies_is_named_in_python_s_words(short_log: Path) -> None
     with pytest.raises(uavbatt.UsageError, match=r"short.tlog: cells: 9 cells in series: 16"):
         uavbatt.replay(short_log, cells=9)
     assert uavbatt.replay(short_log, capacity_Ah=2.1, forecast_period_s=600.0).pack.capacity_from == "capacity_Ah"
+
+
+def test_a_mission_file_and_the_pack_ledger_are_taken_as_by_the_command(tmp_path: Path) -> None:
+    """The flight of a route without its mission in the log, on a pack that the ledger meets for the first time."""
+    log, route, ledger = tmp_path / "f.tlog", tmp_path / "f.waypoints", tmp_path / "packs.sqlite"
+    route.write_text(ROUTE)
+    assert called("simulate", "-o", log, "--mission", route, folder=tmp_path).returncode == 0
+    flown = uavbatt.replay(log, mission=route, packs=ledger, pack="P1", forecast_period_s=30.0)
+    assert any(row.get("load") == "route" for row in flown.rows)
+    assert called("packs", ledger, "--pack", "P1", folder=tmp_path).returncode == 0
+    options = ("--mission", route, "--packs", ledger, "--pack", "P1", "--json", "s.json")
+    assert called("replay", log, *options, folder=tmp_path).returncode == 0
+    said = json.loads((tmp_path / "s.json").read_text())
+    assert said["pack_flights"] == 1 and 0.5 < said["route_share"] <= 1.0 and said["pack"] == "P1"
 
 
 def test_an_estimator_names_them_too() -> None:

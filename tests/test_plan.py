@@ -23,9 +23,10 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.plan import TABLE_C, Endurance, FromTakeOff, endurance, make_plan, resolve
+from uavbatt.plan import TABLE_C, Endurance, endurance, make_plan, resolve
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
+from uavbatt.prediction.take_off import FromTakeOff
 from uavbatt.records import Sample
 from uavbatt.report.plan import plan_report
 from uavbatt.simulate import Mission, simulate_flight, write_log

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt import plan, plan_route
 from uavbatt.battery import battery_file
 from uavbatt.battery.powers import UNKNOWN
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, Wind
@@ -19,11 +21,25 @@ from uavbatt.plan_route import MissionPlan, Planned
 POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
 
 
-def planned(*items: MissionItem, wind: Wind | None = None) -> MissionPlan:
+def planned(*items: MissionItem, wind: Wind | None = None, remembered: PackHealth | None = None) -> MissionPlan:
     battery = battery_file.read_battery("lipo-generic")
     size = plan.resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
-    return plan_route.make_route_plan(battery, size, asked, 25.0)
+    return plan_route.make_route_plan(battery, size, asked, 25.0, remembered=remembered)
+
+
+def test_a_pack_that_is_remembered_as_faded_brings_less_home() -> None:
+    there_and_back = to(1, 0.0, 1500.0, 40.0)
+    whole = PackHealth(math.log(0.004), math.log(5.0), np.diag([0.1**2, 0.03**2]), cells=4)
+    faded = whole._replace(log_Ah=math.log(0.75 * 5.0))
+    drawn = [1.0 - planned(there_and_back, remembered=health).here.route.soc for health in (whole, faded)]
+    assert drawn[1] == pytest.approx(drawn[0] / 0.75, rel=0.05)
+
+
+def test_a_pack_of_other_cells_is_not_the_one_that_is_remembered() -> None:
+    far = to(1, 0.0, 1500.0, 40.0)
+    other = PackHealth(math.log(0.004), math.log(0.5 * 5.0), np.diag([0.1**2, 0.03**2]), cells=6)
+    assert planned(far, remembered=other).here.route.soc == planned(far).here.route.soc
 
 
 def test_a_short_mission_fits_and_a_long_one_does_not() -> None:

@@ -41,7 +41,7 @@ from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Doubt, Names, Seen
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
-from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
+from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings, Memory
 from uavbatt.prediction.last_wall import LastWall
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power
@@ -178,6 +178,12 @@ class Estimator:
         self._swap = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since is a silence
         if past is not None:
             forecaster.recall(past.forecaster)
+
+    def before_take_off(self, time_s: float) -> Forecast | None:
+        """Return the endurance of a flight that began now [s], from the charge believed; None while unknown."""
+        if self.belief is None or self._forecaster is None:
+            return None
+        return self._forecaster.before_take_off(self.belief, time_s)
 
     def step(self, sample: Sample, navigation: Navigation = NOWHERE) -> tuple[Estimate, Remaining]:
         """Take one sample in; returns the estimate and the remaining time after it.

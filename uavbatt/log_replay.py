@@ -8,35 +8,27 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt import output
-from uavbatt.battery import battery_file, statements, vehicle_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions, PackSize
-from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.errors import MissingExtra, UsageError
+from uavbatt.battery.statements import check_statements
+from uavbatt.errors import UsageError
 from uavbatt.estimator import PLAIN, Engine, Estimator
-from uavbatt.limits import Names
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
-from uavbatt.telemetry import read_log
-from uavbatt.telemetry.formats import recording
+from uavbatt.telemetry.drawn import loaded_A
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from uavbatt.telemetry.formats.recording import forecast_period_s
 
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
 FORGOTTEN_S = 30.0
-FORECAST_PERIOD_S = 5.0
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 
@@ -57,6 +49,34 @@ def engine_for(*, is_long: bool) -> Engine:
     except ImportError:  # an installation without it
         return PLAIN
     return compiled.engine() if compiled.is_available() else PLAIN
+
+
+def estimator_for(
+    flight: Flight,
+    battery: BatteryFile,
+    options: PackOptions,
+    settings: ForecastSettings,
+    remembered: PackHealth | None = None,
+) -> Estimator:
+    """Make the estimator of a flight, once what is stated of its pack is held against its first rows.
+
+    Raises UsageError for a statement that the rows contradict.
+    """
+    check_statements(battery, options, flight)
+    return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
+
+
+def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
+    """Return cells, capacity and cut-off that a replay ran with. Raises UsageError where no row had a voltage."""
+    if estimator.pack_size is None:
+        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
+    return estimator.pack_size
+
+
+def recorded_period_s(log: str | Path) -> float:
+    """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
+    recorded_s = forecast_period_s(log)
+    return recorded_s if math.isfinite(recorded_s) else ForecastSettings().forecast_period_s
 
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
@@ -144,11 +164,11 @@ def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
     volts = np.array([s.estimate.voltage_V for s in run])
     amps = np.array([s.estimate.current_A for s in run])
     if np.isfinite(amps).any():
-        end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=_loaded_A(amps))
+        end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A(amps))
     else:  # no current sensor: every row may be under load
         end_s = end_of_flight(time_s, volts, cutoff_V=cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
-    flying = np.nan_to_num(amps) > _loaded_A(amps)
+    flying = np.nan_to_num(amps) > loaded_A(amps)
     since_s = time_s[flying][0] + 60.0 if flying.any() else math.inf
     judged = [s for s, f in zip(run, flying, strict=True) if f and s.estimate.time_s > since_s]
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
@@ -190,11 +210,6 @@ def _landing(run: list[ReplayedRow], flying: NDArray[np.bool_]) -> Landing | Non
     return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut)
 
 
-def _loaded_A(amps: Array) -> float:
-    """The current above which a row counts as under load: a third of the flight's upper current; ∞ without one."""
-    return float(np.nanpercentile(amps, 90)) / 3.0 if np.isfinite(amps).any() else math.inf
-
-
 def _checkpoints(run: list[ReplayedRow], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:
     wanted = [("half time", (end_s - take_off_s) / 2.0)] + [(f"{s:.0f} s before", s) for s in CHECKPOINTS_S]
     found = []
@@ -206,130 +221,3 @@ def _checkpoints(run: list[ReplayedRow], time_s: Array, take_off_s: float, end_s
         true_s = end_s - line.time_s
         found.append(Checkpoint(label, true_s, line.remaining_s, line.remaining_lo_s, line.remaining_hi_s))
     return tuple(found)
-
-
-@dataclass(frozen=True, slots=True)
-class Replay:
-    """A replayed flight: iterate over it for a `Step` a row, or take `rows` or `to_frame()` for a table.
-
-    flight: the log as it was read.
-    pack: cells, capacity [Ah], cut-off [V] and where each came from.
-    steps: the estimate and the forecast after each row.
-    outcome: the flight in figures, and the error of the forecasts where the log reaches the end of flight.
-    """
-
-    flight: Flight
-    pack: PackSize
-    steps: tuple[ReplayedRow, ...]
-    outcome: Outcome
-
-    def __len__(self) -> int:
-        return len(self.steps)
-
-    def __iter__(self) -> Iterator[ReplayedRow]:
-        return iter(self.steps)
-
-    def __repr__(self) -> str:
-        """Return one line: the steps are thousands."""
-        return f"<Replay of {self.flight.source} on {self.pack.battery}: {len(self)} steps, {self.pack.words}>"
-
-    @property
-    def rows(self) -> list[output.Line]:
-        """The lines that `uavbatt replay --jsonl` writes, one a step; None is what is not known."""
-        return [output.line(step.estimate, step.remaining) for step in self.steps]
-
-    def to_frame(self) -> DataFrame:
-        """Return the rows as a pandas DataFrame, NaN for what is not known.
-
-        Its columns are `output.COLUMNS`, and `output.ROUTE_COLUMNS` where a route or home is known. Raises MissingExtra
-        without pandas.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise MissingExtra("pandas", "to_frame()") from None
-        rows = self.rows
-        has_route = any("load" in row for row in rows)
-        columns = {**output.COLUMNS, **(output.ROUTE_COLUMNS if has_route else {})}
-        table = pandas.DataFrame(rows, columns=list(columns))
-        return table.astype({key: float for key, digits in columns.items() if digits is not None})
-
-
-def replay(
-    log: str | Path | Flight,
-    battery: str | Path | BatteryFile = "lipo-generic",
-    *,
-    cells: int | None = None,
-    capacity_Ah: float = NAN,
-    cutoff_V: float = NAN,
-    reserve_soc: float = 0.0,
-    instance: int | None = None,
-    vehicle: str | Path | VehicleFile | None = None,
-    load: str | float = "learned",
-    forecast_period_s: float | None = None,
-    allow_uncertified: bool = False,
-) -> Replay:
-    """Replay a flight log: state of charge and remaining time at every row, as `uavbatt replay` works them out.
-
-    Args:
-        log: path of a DataFlash, `.tlog`, `.ulg` or CSV log, or a `Flight` that was read before.
-        battery: name of a packaged battery, a battery file by path, or its content.
-        cells: cells in series. What is not stated of the pack comes from the vehicle, the voltage, the battery file.
-        capacity_Ah: capacity of the pack [Ah].
-        cutoff_V: voltage of the pack that ends the flight [V].
-        reserve_soc: state of charge (0 to 0.99) that ends the flight, too; 0 is off.
-        instance: battery of the log; by default the first that reports a current.
-        vehicle: vehicle file by path, or its content: how this aircraft flew before.
-        load: `learned`, `recent`, `log`, or the power to come [W].
-        forecast_period_s: time between two forecasts [s]; between them the last one counts down. By default 5 s, and
-            for a recording of `uavbatt live` what it was made with.
-        allow_uncertified: read a battery file whose hash or verdict is broken.
-
-    Returns:
-        Every row and what came of it.
-
-    Raises:
-        BadInput: a file cannot be used; the message names it, the place and what was expected.
-        UsageError: an argument cannot be; the message names it and its bounds.
-    """
-    flight = _flight(log, instance)
-    content = _read(battery, allow_uncertified)
-    flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read_vehicle(vehicle)
-    options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
-    statements.check_statements(content, options, flight)
-    period_s = _recorded_period_s(log) if forecast_period_s is None else _period_s(forecast_period_s)
-    to_come = stated_load(str(load), flight, flown, content, name="load=")
-    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
-    estimator = Estimator(content, options, ForecastSettings(to_come, reserve_soc, period_s), engine)
-    run = list(steps(flight, estimator))
-    if estimator.pack_size is None:
-        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    return Replay(flight, estimator.pack_size, tuple(run), outcome(run, estimator.pack_size.cutoff_V))
-
-
-def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:
-    """Return the content of a battery file that is named, or as it is given."""
-    if isinstance(battery, BatteryFile):
-        return battery
-    return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
-
-
-def _recorded_period_s(log: str | Path | Flight) -> float:
-    """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
-    recorded_s = NAN if isinstance(log, Flight) else recording.forecast_period_s(log)
-    return recorded_s if math.isfinite(recorded_s) else FORECAST_PERIOD_S
-
-
-def _period_s(stated_s: object) -> float:
-    if isinstance(stated_s, int | float) and stated_s >= 0.0:
-        return float(stated_s)
-    raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")
-
-
-def _flight(log: str | Path | Flight, instance: int | None) -> Flight:
-    """Return the flight that is asked for, read if it is not yet."""
-    if not isinstance(log, Flight):
-        return read_log(log, instance)
-    if instance is not None and instance != log.instance:
-        raise UsageError(f"instance={instance}: the flight was read with battery {log.instance}; give the log's path")
-    return log

@@ -24,19 +24,16 @@ from uavbatt.errors import UsageError
 from uavbatt.estimation.noise import start_covariances
 from uavbatt.limits import rate_doubt
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
-from uavbatt.prediction.load_library import FEW_FLIGHTS, FEW_SPREAD, GRID_S, LEVELS, OWN_SPREAD, LearnedLoad
+from uavbatt.prediction.load import ConstantLoad, Load
 from uavbatt.records import NAN, Flight, PackFacts
 
 TABLE_C = tuple(float(t) for t in range(-20, 51, 10))
 CURVE_C = tuple(float(t) for t in range(-20, 51, 5))
 START_SOC_SD = 0.01  # a charger that says full, a rested voltage that was read
 AMBIENT_SD_K = 2.0
-LOWEST_POWER_W = 1.0
 NOMINAL_CELL_V = 3.7
 EMPTY_SOC = 1e-3  # below it nothing is left to draw, whatever a fitted voltage says beyond the end of its table
 VALID_WITHIN_K = 5.0
-SETTLED_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,28 +59,6 @@ class Plan:
     rows: tuple[Endurance, ...]
     curve: tuple[Endurance, ...]
     warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class FromTakeOff:
-    """Past flights flown again from their take-off, each as it was, at levels around it."""
-
-    library: LearnedLoad
-
-    def typical_W(self, now: Now) -> float:
-        """Median of the flights' mean powers, or less where one began so gently that the horizon would cut it off."""
-        begun = self.library.mean_W[:, int(SETTLED_S / GRID_S) :]
-        return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * begun.min()))
-
-    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Every flight from its first second, whatever the charge: the pack may start part-used."""
-        flown_W = self.library.power_W
-        grid_s = GRID_S * np.arange(flown_W.shape[1])
-        ahead_s = dt_s * (np.arange(steps) + 0.5)
-        traces_W = np.stack([np.interp(ahead_s, grid_s, watts) for watts in flown_W], axis=1)
-        levels = equal_levels(OWN_SPREAD if flown_W.shape[0] >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
-        power_W = np.maximum((traces_W[:, :, None] * levels).reshape(steps, -1), LOWEST_POWER_W)
-        return Scenarios(power_W, np.full(power_W.shape[1], 1.0 / power_W.shape[1]), np.full(steps, dt_s))
 
 
 def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = None) -> PackSize:

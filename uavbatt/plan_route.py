@@ -14,8 +14,10 @@ import numpy as np
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers
+from uavbatt.battery.remembered import PackHealth, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing import PackSize, certificate_remark
+from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan import EMPTY_SOC, TABLE_C, range_remark, rested
@@ -105,13 +107,16 @@ def make_route_plan(
     ambient_C: float,
     start_soc: float = 1.0,
     reserve_soc: float = 0.0,
+    remembered: PackHealth | None = None,
 ) -> MissionPlan:
-    """Return the whole plan."""
+    """Return the whole plan, of a pack that was met before if `remembered` tells it."""
     ahead, way = planned.ahead()
     pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
+    pack = with_reaction(pack, remembered)
 
     def fit(at_C: float) -> tuple[RouteFit, Flying]:
-        return _fit(battery, pack, planned, (ahead, way), at_C, start_soc, reserve_soc)
+        belief = rested(pack, start_soc, at_C, remembered)
+        return _fit(battery, pack, planned, (ahead, way), belief, reserve_soc)
 
     here, flying = fit(ambient_C)
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
@@ -126,17 +131,16 @@ def _fit(
     pack: Pack,
     planned: Planned,
     flown: tuple[Ahead, Way],
-    ambient_C: float,
-    start_soc: float,
+    belief: Belief,
     reserve_soc: float,
 ) -> tuple[RouteFit, Flying]:
     """The mission at one temperature, and the draws that flew it."""
-    ahead, way = flown
+    (ahead, way), ambient_C = flown, belief.ambient_C
     load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
     dt_s = np.full(STEPS, BEYOND * ahead.touchdown_s / STEPS)
     scenarios = load.scenarios_over(dt_s)
     scenario = sampling.assigned(scenarios.weight)
-    x, power_W = sampling.samples(rested(pack, start_soc, ambient_C)), scenarios.power_W[:, scenario]
+    x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
     flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)

@@ -25,11 +25,11 @@ from uavbatt.packs.ledger import Ledger, prior
 from uavbatt.packs.records import FlightRecord, Told
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, Sample
+from uavbatt.telemetry.drawn import drawn, loaded_A
 
 SILENT = ForecastSettings(forecast_period_s=1e6)  # forecasts are not asked for
 KEY_ROWS = 200
 LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
-LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
 LONGEST_STEP_S = 60.0
 
 
@@ -81,7 +81,7 @@ def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught
         return Taught(None, "no estimate could be made")
     said = told(pack, loaded, last or loaded, _mean_temp_C(rows[: last_loaded + 1]))
     estimates = [*first, *end]
-    if _drawn_Ah(rows) < LEAST_CHARGE * size.capacity_Ah:
+    if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
         return Taught(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
     return Taught(_record(battery, size, pack, flight, rows, estimates, said))
 
@@ -99,25 +99,12 @@ def _last_loaded(rows: Sequence[Sample]) -> int | None:
     if len(rows) < 2:
         return None
     current_A = np.array([row.current_A for row in rows])
-    is_loaded = current_A > LOADED_SHARE * np.percentile(current_A, 90)
+    is_loaded = current_A > loaded_A(current_A)
     time_s = np.array([row.time_s for row in rows])
     steps_s = np.minimum(np.diff(time_s, append=time_s[-1]), LONGEST_STEP_S)
     if float(steps_s[is_loaded].sum()) < LEAST_LOADED_S:
         return None
     return int(np.flatnonzero(is_loaded)[-1])
-
-
-def _steps(rows: Sequence[Sample]) -> tuple[list[float], list[float], list[float]]:
-    time_s = np.array([row.time_s for row in rows])
-    current_A = np.array([row.current_A for row in rows])
-    power_W = np.array([row.voltage_V for row in rows]) * current_A
-    steps_s = np.minimum(np.diff(time_s), LONGEST_STEP_S)
-    between = [0.5 * (values[1:] + values[:-1]) * steps_s for values in (current_A, power_W)]
-    return steps_s.tolist(), between[0].tolist(), between[1].tolist()
-
-
-def _drawn_Ah(rows: Sequence[Sample]) -> float:
-    return sum(_steps(rows)[1]) / 3600.0
 
 
 def _mean_temp_C(rows: Sequence[Sample]) -> float:
@@ -136,6 +123,7 @@ def _record(
 ) -> FlightRecord:
     temps = [row.temp_C for row in rows if math.isfinite(row.temp_C)]
     weak_cell, weak_V = _weak_cell(rows)
+    total = drawn(rows, LONGEST_STEP_S)
     return FlightRecord(
         key=key_of(flight.samples),
         told=said,
@@ -149,8 +137,8 @@ def _record(
         source=flight.source.replace("\\", "/").rpartition("/")[2],
         soc_start=estimates[0].soc,
         soc_end=estimates[-1].soc,
-        charge_Ah=_drawn_Ah(rows),
-        energy_Wh=sum(_steps(rows)[2]) / 3600.0,
+        charge_Ah=total.charge_Ah,
+        energy_Wh=total.energy_Wh,
         temp_mean_C=_mean_temp_C(rows),
         temp_max_C=max(temps, default=NAN),
         weak_cell=weak_cell,

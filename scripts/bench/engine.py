@@ -265,7 +265,7 @@ def _ratio(theirs: float, ours: float) -> str:
 
 def run_cli(arguments: list[str], plain: bool) -> float:
     """Wall seconds of a whole `uavbatt` command in a new process: in numpy, or compiled however short it is."""
-    code = "import sys; from uavbatt import replay; replay.MANY_ROWS = 0; from uavbatt.cli import main; main()"
+    code = "from uavbatt import log_replay; log_replay.MANY_ROWS = 0; from uavbatt.cli import main; main()"
     environment = {**os.environ, **({"XDG_CACHE_HOME": f"{os.devnull}/none"} if plain else {})}
     begin = time.perf_counter()
     subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True, env=environment)

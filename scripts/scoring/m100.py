@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from peers import ardupilot, inav, px4
-from peers.columns import FloatArray, column, drawn_Ah, drawn_Wh
+from peers import px4
 
 from scoring.data import M100, M100_CELLS, M100_CUTOFF_V, ended
 from scoring.lines import Lines, logged, ours, replayed
+from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
@@ -26,7 +25,6 @@ from uavbatt.scoring.scores import FlightScore
 
 FITTED_AH, RATED_AH = 5.45, 5.7
 LOG, LEARNED, UNKNOWN, RECENT = "ours, log", "ours, learned", "ours, unknown aircraft", "ours, recent"
-MAH = "ArduPilot mAh, calibrated"
 PX4_SET = px4.Parameters(r_internal=0.005)  # the kinder reading where rows are seconds apart, see peers.px4
 OPTIONS = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
 
@@ -38,8 +36,7 @@ class Fold:
     aircraft: str
     battery: BatteryFile
     library: LearnedLoad
-    usable_Ah: float
-    usable_Wh: float
+    peers: PeerPack
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +54,8 @@ def fold(flights: list[M100], aircraft: str) -> Fold:
     size = Size(f"m100-without-{aircraft}", M100_CELLS, FITTED_AH, M100_CUTOFF_V)
     battery = fit_battery(size, [], [f.flight for f in others]).file
     learned = learned_load(vehicle_file(size.name, [f.flight for f in others], battery, OPTIONS))
-    emptied = ended(others)
-    return Fold(
-        aircraft,
-        battery,
-        learned,
-        float(np.mean([drawn_Ah(f.flight.samples, f.end_s) for f in emptied])),
-        float(np.mean([drawn_Wh(f.flight.samples, f.end_s) for f in emptied])),
-    )
+    peers = calibrated(M100_CELLS, RATED_AH, [(f.flight, f.end_s) for f in ended(others)], PX4_SET)
+    return Fold(aircraft, battery, learned, peers)
 
 
 def our_lines(known: Fold, flight: M100) -> dict[str, Lines]:
@@ -81,21 +72,6 @@ def our_lines(known: Fold, flight: M100) -> dict[str, Lines]:
     }
 
 
-def peer_lines(known: Fold, flight: M100) -> dict[str, Lines]:
-    """The peers, with the nameplate alone and with what a careful pilot calibrated on the other aircraft."""
-    rows, cells, usable_Ah = flight.flight.samples, M100_CELLS, known.usable_Ah
-    said: dict[str, Callable[[], FloatArray]] = {
-        "PX4, rated": lambda: px4.predict(rows, RATED_AH, cells, parameters=PX4_SET),
-        "PX4, calibrated": lambda: px4.predict(rows, RATED_AH, cells, usable_Ah=usable_Ah, parameters=PX4_SET),
-        "ArduPilot mAh, rated": lambda: ardupilot.predict(rows, RATED_AH, cells),
-        MAH: lambda: ardupilot.predict(rows, RATED_AH, cells, usable_Ah=usable_Ah),
-        "INAV, rated": lambda: inav.predict(rows, RATED_AH, cells),
-        "INAV, calibrated": lambda: inav.predict(rows, RATED_AH, cells, usable_Wh=known.usable_Wh),
-    }
-    time_s = column(rows, "time_s")
-    return {name: Lines(time_s, predict()) for name, predict in said.items()}
-
-
 def results(flights: list[M100], say: Callable[[str], None]) -> dict[str, list[Result]]:
     """Every method on every flight that reaches its end, by method."""
     found: dict[str, list[Result]] = {}
@@ -104,7 +80,8 @@ def results(flights: list[M100], say: Callable[[str], None]) -> dict[str, list[R
         known = fold(flights, aircraft)
         for flight in ended([f for f in flights if f.aircraft == aircraft]):
             say(f"m100: {flight.name}")
-            for name, lines in {**our_lines(known, flight), **peer_lines(known, flight)}.items():
+            said = {**our_lines(known, flight), **peer_lines(known.peers, flight.flight.samples)}
+            for name, lines in said.items():
                 score = lines.scored(flight.name, aircraft, flight.start_s, flight.end_s)
                 found.setdefault(name, []).append(Result(flight, lines, score))
     return found

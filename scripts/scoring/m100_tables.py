@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scoring.m100 import LEARNED, LOG, MAH, UNKNOWN, Result
+from scoring.m100 import LEARNED, LOG, UNKNOWN, Result
+from scoring.peer_lines import MAH
 from scoring.table import DASH, Table, figure, grid, share, with_error
 from uavbatt.scoring.metrics import fixed_percentage
 from uavbatt.scoring.scores import Instant, Pooled, ScoreRow, pool

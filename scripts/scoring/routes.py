@@ -12,14 +12,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V, M100_LOADED_A
-from scoring.lines import logged, ours
-from scoring.m100 import FITTED_AH
-from scoring.table import DASH, Table, figure, grid
+from scoring.lines import Lines, logged, ours
+from scoring.m100 import FITTED_AH, PX4_SET, RATED_AH
+from scoring.peer_lines import PeerPack, calibrated, peer_lines
+from scoring.peer_turns import turn_lines
+from scoring.table import Table, figure, grid
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
@@ -44,11 +46,12 @@ LATE_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A battery and what the vehicle asks of it."""
+    """A battery and what the vehicle asks of it, and what the peers are told of the same flights."""
 
     battery: BatteryFile
     pack: PackOptions
     library: LearnedLoad
+    peers: PeerPack
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,9 @@ class Mission:
 
     name: str
     answer: dict[str, Any]
+    flight: Flight
     run: list[ReplayedRow]
+    peers: dict[str, Lines]  # seconds until one must turn back
 
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
@@ -86,7 +91,8 @@ def _scored(
         LOG: _run(without, known, logged(flight)),
     }
     name = Path(flight.source).stem
-    return {method: ours(lines).scored(name, "", *span_s) for method, lines in runs.items()}
+    said = {**{method: ours(lines) for method, lines in runs.items()}, **peer_lines(known.peers, flight.samples)}
+    return {method: lines.scored(name, "", *span_s) for method, lines in said.items()}
 
 
 def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]]:
@@ -98,9 +104,11 @@ def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]
         others = [flight for name, flight in logs.items() if not name.endswith(aircraft)]
         size = Size(f"m100-without-{aircraft}", M100_CELLS, FITTED_AH, M100_CUTOFF_V)
         battery = fit_battery(size, [], others).file
-        known = Known(battery, pack, learned_load(vehicle_file(size.name, others, battery, pack)))
+        emptied = [(flight, end_s) for flight in others if math.isfinite(end_s := _m100_span_s(flight)[1])]
+        peers = calibrated(M100_CELLS, RATED_AH, emptied, PX4_SET)
+        known = Known(battery, pack, learned_load(vehicle_file(size.name, others, battery, pack)), peers)
         for name in (name for name in logs if name.endswith(aircraft)):
-            span_s = _span_s(logs[name], M100_CUTOFF_V, M100_LOADED_A)
+            span_s = _m100_span_s(logs[name])
             if not math.isfinite(span_s[1]):
                 continue
             say(f"routes: {name}")
@@ -108,6 +116,10 @@ def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]
             for method, score in _scored(logs[name], known, span_s, run).items():
                 found.setdefault(method, []).append(score)
     return found
+
+
+def _m100_span_s(flight: Flight) -> tuple[float, float]:
+    return _span_s(flight, M100_CUTOFF_V, M100_LOADED_A)
 
 
 def _span_s(flight: Flight, cutoff_V: float, loaded_A: float) -> tuple[float, float]:
@@ -125,19 +137,27 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
     size = Size("truth-lab", TRUTH_CELLS, TRUTH_AH, TRUTH_CUTOFF_V)
     battery = fit_battery(size, [dataset.load(data / "truth" / "lab")], reference).file
     learn = [read_log(path) for path in sorted((data / "missions/learn").glob("*.tlog"))]
-    known = Known(battery, pack, learned_load(vehicle_file("learn", learn, battery, pack)))
+    answers = data / "missions/answers"
+    emptied = [(f, end_s) for f in learn if (end_s := _answer(answers, Path(f.source).stem)["end_s"]) is not None]
+    peers = calibrated(TRUTH_CELLS, TRUTH_AH, emptied)
+    known = Known(battery, pack, learned_load(vehicle_file("learn", learn, battery, pack)), peers)
     missions, scores = [], dict[str, list[FlightScore]]()
     for path in sorted((data / "missions/practice").glob("*.tlog")):
         say(f"routes: {path.stem}")
-        flight, answer = read_log(path), json.loads((data / "missions/answers" / f"{path.stem}.json").read_text())
+        flight, answer = read_log(path), _answer(answers, path.stem)
         run = _run(flight, known, known.library)
-        missions.append(Mission(path.stem, answer, run))
+        missions.append(Mission(path.stem, answer, flight, run, turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
         start_s, _ = _span_s(flight, TRUTH_CUTOFF_V, 2.0)
         for method, score in _scored(flight, known, (start_s, answer["end_s"]), run).items():
             scores.setdefault(method, []).append(score)
     return missions, scores
+
+
+def _answer(folder: Path, name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / f"{name}.json").read_text())
+    return found
 
 
 def _errors(title: str, found: dict[str, list[FlightScore]]) -> list[Table]:
@@ -147,7 +167,9 @@ def _errors(title: str, found: dict[str, list[FlightScore]]) -> list[Table]:
         by_label = {row.label: row for row in pool(scores).rows}
         at = [by_label[label] for label in INSTANTS]
         rows.append((f"{method}: MAE (bias) [s]", [f"{r.mae_s:.0f} ({r.bias_s:+.0f})" for r in at]))
-        rows.append((f"{method}: inside, width [s]", [f"{r.inside} of {r.flights}, {figure(r.width_s)}" for r in at]))
+        if any(math.isfinite(r.width_s) for r in at):
+            inside = [f"{r.inside} of {r.flights}, {figure(r.width_s)}" for r in at]
+            rows.append((f"{method}: inside, width [s]", inside))
         worst = [sum(s.at[label].error_s > 60.0 for s in scores if label in s.at) for label in INSTANTS]
         rows.append((f"{method}: more than 60 s optimistic", [str(count) for count in worst]))
     flights = len(next(iter(found.values())))
@@ -160,25 +182,57 @@ def _in_force(mission: Mission, time_s: float) -> Route | None:
 
 
 def _turn_backs(missions: list[Mission]) -> Table:
-    """Error of the turn-back at instants before the true one, and when its 5 % point reaches zero."""
-    head = (*(f"{before:.0f} s before" for before in BEFORE_TURN_S), "5 % point at zero")
-    rows, errors, alarms = [], [[] for _ in BEFORE_TURN_S], []
-    for mission in (m for m in missions if m.answer["turn_back_s"] is not None):
-        true_s, cells = mission.answer["turn_back_s"], []
-        for column, before_s in zip(errors, BEFORE_TURN_S, strict=True):
-            route = _in_force(mission, true_s - before_s)
-            error_s = route.turn_back_s - before_s if route is not None else math.nan
-            column.append(abs(error_s) if math.isfinite(error_s) else before_s)
-            cells.append(f"{error_s:+.0f}" if math.isfinite(error_s) else DASH)
-        alarms.append(_alarm_s(mission) - true_s)
-        rows.append((mission.name, [*cells, f"{alarms[-1]:+.0f} s"]))
-    early = sum(alarm_s <= 0.0 for alarm_s in alarms)
-    late = sum(alarm_s > LATE_S for alarm_s in alarms)
-    last = f"early in {early} of {len(alarms)}, late by > {LATE_S:.0f} s in {late}"
-    rows.append(("MAE [s]", [*(figure(float(np.mean(column))) for column in errors), last]))
-    return grid(
-        "Simulated missions: error of turn_back_s [s]", head, rows, "Positive: too late. No number counts as 0."
-    )
+    """Error of the turn-back at instants before the true one, and when "turn back now" is said first."""
+    head = (*(f"{before:.0f} s before" for before in BEFORE_TURN_S), "turn back now")
+    there = [m for m in missions if m.answer["turn_back_s"] is not None]
+    found = [_turn_back(mission) for mission in there]
+    rows = [(mission.name, one.cells) for mission, one in zip(there, found, strict=True)]
+    rows.append((f"{ROUTE}: MAE [s]", _turn_back_means(found)))
+    for peer in there[0].peers:
+        rows.append((f"{peer}: MAE [s]", _turn_back_means([_peer_turn_back(mission, peer) for mission in there])))
+    note = "Positive: too late. No number counts as 0. In the last column the peers' zero, without an interval."
+    return grid("Simulated missions: error of turn_back_s [s]", head, rows, note)
+
+
+class TurnBackErrors(NamedTuple):
+    """Errors of one method on one flight [s]; NaN is no number. `alarm_s` is when it said to turn first."""
+
+    errors_s: tuple[float, ...]
+    alarm_s: float
+
+    @property
+    def cells(self) -> list[str]:
+        """The errors as they are printed."""
+        return [*(figure(error_s, sign=True) for error_s in self.errors_s), f"{figure(self.alarm_s, sign=True)} s"]
+
+
+def _turn_back(mission: Mission) -> TurnBackErrors:
+    true_s, errors = mission.answer["turn_back_s"], []
+    for before_s in BEFORE_TURN_S:
+        route = _in_force(mission, true_s - before_s)
+        errors.append(route.turn_back_s - before_s if route is not None else math.nan)
+    return TurnBackErrors(tuple(errors), _alarm_s(mission) - true_s)
+
+
+def _peer_turn_back(mission: Mission, peer: str) -> TurnBackErrors:
+    true_s, said = mission.answer["turn_back_s"], mission.peers[peer]
+    rows = [int(np.searchsorted(said.time_s, true_s - before_s + 1e-6)) - 1 for before_s in BEFORE_TURN_S]
+    errors = tuple(float(max(said.remaining_s[row], 0.0)) - b for row, b in zip(rows, BEFORE_TURN_S, strict=True))
+    reached = np.flatnonzero(said.remaining_s <= 0.0)
+    first_s = said.time_s[reached[0]] if reached.size else said.time_s[-1]
+    return TurnBackErrors(errors, float(first_s) - true_s)
+
+
+def _turn_back_means(found: list[TurnBackErrors]) -> list[str]:
+    """Mean absolute errors over flights, and how often the alarm came early."""
+    columns = zip(*(one.errors_s for one in found), strict=True)
+    means = [
+        float(np.mean([abs(e) if math.isfinite(e) else before_s for e in column]))
+        for column, before_s in zip(columns, BEFORE_TURN_S, strict=True)
+    ]
+    early = sum(one.alarm_s <= 0.0 for one in found)
+    late = sum(one.alarm_s > LATE_S for one in found)
+    return [*(figure(mean) for mean in means), f"early in {early} of {len(found)}, late by > {LATE_S:.0f} s in {late}"]
 
 
 def _alarm_s(mission: Mission) -> float:

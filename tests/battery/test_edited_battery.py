@@ -127,7 +127,7 @@ def test_the_live_page_says_it(tampered: Path) -> None:
 
     try:
         with running(f"udpin:127.0.0.1:{vehicle.to[1]}", *arguments) as process:
-            shown = until(batteries, 20.0)[0]
+            shown = until(batteries)[0]
     finally:
         vehicle.is_over = True
         vehicle.join(2.0)

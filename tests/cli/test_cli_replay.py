@@ -123,7 +123,7 @@ def test_loads(load: str, tmp_path: Path) -> None:
 
 
 def test_options_of_the_pack_are_used(tmp_path: Path) -> None:
-    short(tmp_path, "a.csv", 50)
+    short(tmp_path, "a.csv", 300)  # in the first four minutes what is usual for a pack of the size counts as well
     ends = {}
     for name, more in {
         "plain": (),
@@ -146,7 +146,7 @@ def test_lines_on_standard_output_are_nothing_but_lines(tmp_path: Path) -> None:
 def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
     short(tmp_path, "a.csv")
     command = f"'{UAVBATT}' replay a.csv --capacity-ah 5 --jsonl - | head -n 1"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert len(done.stdout.splitlines()) == 1 and "Traceback" not in done.stderr
 
 

@@ -79,5 +79,5 @@ def test_of_a_fleet(tmp_path: Path) -> None:
 
 
 def test_an_uncertainty_beyond_the_charge_is_said_in_words() -> None:
-    assert known_only_to(0.08) == "state of charge known only to ±8%"
+    assert known_only_to(0.08) == "still settling: charge known to ±8%"
     assert known_only_to(7.0e19) == known_only_to(1.0) == "state of charge not known at all"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from route_rig import HOME
 
-from uavbatt.battery.powers import UNKNOWN, Powers, induced_ratio, power, terms
+from uavbatt.battery.powers import GRAVITY_MS2, TURN_S, UNKNOWN, Powers, induced_ratio, power, terms, turning_power
 from uavbatt.battery.vehicle_file import Speeds
 from uavbatt.fitting.powers import powers
 from uavbatt.fitting.vehicle import speeds
@@ -37,6 +37,26 @@ def flight(scale: float = 1.0) -> Flight:
     return Flight("flown", "test", tuple(samples), navigation=tuple(known))
 
 
+def flown_at(speed_ms: float, seconds: int, scale: float) -> list[tuple[float, float]]:
+    """Speed [m/s] and power [W] of each second, `scale` times what TRUE asks."""
+    return [(speed_ms, scale * asked_W(TRUE, speed_ms, 0.0))] * seconds
+
+
+def joined(*parts: list[tuple[float, float]]) -> Flight:
+    rows = [row for part in parts for row in part]
+    samples = tuple(Sample(float(k), 15.0, watts / 15.0) for k, (_, watts) in enumerate(rows))
+    known = tuple(
+        Navigation(
+            time_s=float(k),
+            mode=Mode.MANUAL,
+            home=HOME,
+            position=Position(float(k), HOME.lat_deg, HOME.lon_deg, 50.0, speed_ms, 0.0, 0.0),
+        )
+        for k, (speed_ms, _) in enumerate(rows)
+    )
+    return Flight("flown", "test", samples, navigation=known)
+
+
 def test_induced_velocity_is_one_in_hover_and_falls_as_momentum_theory_says() -> None:
     assert induced_ratio(0.0, 5.0) == pytest.approx(1.0)
     ratio = float(induced_ratio(10.0, 5.0))
@@ -48,6 +68,24 @@ def test_an_unknown_aircraft_asks_more_in_a_climb_and_least_in_between() -> None
     hover, middling, fast = (asked_W(UNKNOWN, v, 0.0) for v in (0.0, 8.0, 18.0))
     assert middling < hover < fast
     assert asked_W(UNKNOWN, 8.0, -1.5) < middling < asked_W(UNKNOWN, 8.0, 2.0)
+
+
+def test_a_turn_asks_a_hover_and_the_kinetic_energy_that_is_gained() -> None:
+    """A hover of m g v_h induced watts tells the mass that speeds up."""
+    mass_kg = UNKNOWN.induced * TRUE.hover_W / (GRAVITY_MS2 * UNKNOWN.induced_ms)
+    quad = msgspec.structs.replace(UNKNOWN, hover_W=TRUE.hover_W)
+    assert float(turning_power(quad, 0.0)) == TRUE.hover_W
+    gained_J = (float(turning_power(quad, 12.0)) - TRUE.hover_W) * TURN_S
+    assert gained_J == pytest.approx(0.5 * mass_kg * 12.0**2)
+
+
+def test_a_minute_of_fast_flight_is_heard_beside_an_hour_of_slow_flight() -> None:
+    """The slow rows bend in a way that the shape cannot; the power at 15 m/s must not pay for it."""
+    slow = [flown_at(speed_ms, 900, bent) for speed_ms, bent in ((4.0, 1.0), (6.0, 1.0), (8.0, 1.03), (10.0, 0.97))]
+    found = powers([joined(*slow, flown_at(15.0, 60, 1.1))] * 2)
+    assert found is not None
+    true = 1.1 * asked_W(TRUE, 15.0, 0.0) / asked_W(TRUE, 6.0, 0.0)
+    assert asked_W(found, 15.0, 0.0) / asked_W(found, 6.0, 0.0) == pytest.approx(true, rel=0.02)
 
 
 def test_powers_are_found_again_from_flights_with_speed_and_climb() -> None:

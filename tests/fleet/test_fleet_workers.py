@@ -10,20 +10,22 @@ import subprocess
 import sys
 import threading
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
 from factories import generic_pack
-from live_rig import until
+from live_rig import PATIENCE_S, until
 
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.fleet.fly import Job
+from uavbatt.fleet.errand import Errand
+from uavbatt.fleet.fly import Job, fly_log, lost
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.processes import TRIES, Processes
-from uavbatt.fleet.row import LOST
+from uavbatt.fleet.row import LOST, FlightRow
 from uavbatt.simulate import Mission, simulate_flight, write_log
 
 COMMAND = [sys.executable, "-c", "from uavbatt.cli import main; main()", "fleet"]
@@ -46,8 +48,9 @@ def waiting(tmp_path: Path) -> LogFile:
     return LogFile(str(tmp_path / "b.tlog"), 0, "")
 
 
-def job() -> Job:
-    return Job(battery_file.read_battery("lipo-generic"), PackOptions())
+def errand(log: LogFile) -> Errand[FlightRow]:
+    job = Job(battery_file.read_battery("lipo-generic"), PackOptions())
+    return Errand(log, partial(fly_log, job=job), partial(lost, job=job))
 
 
 def tree(pid: int) -> list[int]:
@@ -89,7 +92,7 @@ def test_a_fleet_that_runs_listens_on_no_port(log: Path, tmp_path: Path) -> None
     command = [*COMMAND, str(log), str(tmp_path / "b.csv"), "--capacity-ah", "5", "-o", str(journal.parent)]
     process = subprocess.Popen([*command, "--workers", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
-        until(lambda: journal.exists() and b"a.tlog" in journal.read_bytes(), 60.0)
+        until(lambda: journal.exists() and b"a.tlog" in journal.read_bytes())
         pids = tree(process.pid)
         assert len(pids) >= 3 and process.poll() is None
         assert listening(pids) == []
@@ -97,7 +100,7 @@ def test_a_fleet_that_runs_listens_on_no_port(log: Path, tmp_path: Path) -> None
             assert f"0100007F:{ours.getsockname()[1]:04X}" in listening([os.getpid()])
     finally:
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE_S)
     assert until(lambda: not any(map(opened, pids)))  # no worker outlives the run
 
 
@@ -111,11 +114,11 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
     held = os.open(waiting.name, os.O_RDWR)  # so that opening does not wait, only reading does
     killer = threading.Thread(target=kill)
     with closing(Processes(1)) as crew:
-        crew.fly(1, waiting, job())
-        crew.fly(2, find_logs([str(log)])[0], job())
+        crew.send(1, errand(waiting))
+        crew.send(2, errand(find_logs([str(log)])[0]))
         killer.start()
         rows = dict(crew.finished() for _ in range(2))
-    killer.join(5.0)
+    killer.join(PATIENCE_S)
     os.close(held)
     assert (rows[1].status, rows[2].status) == (LOST, "ok")
     assert "the worker died on it" in rows[1].reason
@@ -123,6 +126,6 @@ def test_a_worker_that_dies_takes_only_its_log_along(waiting: LogFile, log: Path
 
 def test_a_worker_that_takes_too_much_memory_is_ended(waiting: LogFile) -> None:
     with closing(Processes(1, limit_bytes=1e6)) as crew:
-        crew.fly(7, waiting, job())
+        crew.send(7, errand(waiting))
         number, row = crew.finished()
     assert (number, row.status) == (7, LOST) and "more than 1 MB of memory" in row.reason

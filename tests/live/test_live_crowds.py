@@ -7,7 +7,6 @@ import os
 import resource
 import socket
 import sys
-import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -16,7 +15,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
-from live_rig import Station, StreamVehicle, Vehicle, connecting, free_port, listening, running, until
+from live_rig import PATIENCE_S, Station, StreamVehicle, Vehicle, connecting, free_port, listening, running, until
 
 from uavbatt.live.config import HttpSection
 from uavbatt.mavlink.links import open_autopilot, open_link
@@ -66,7 +65,7 @@ def is_time_left(message: Any) -> bool:
 def now(port: int) -> dict[str, Any]:
     """What the page knows, asked by a new connection; empty when it does not answer."""
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/now.json", timeout=5.0) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/now.json", timeout=PATIENCE_S) as answer:
             return dict(json.load(answer))
     except OSError:
         return {}
@@ -132,7 +131,7 @@ def test_who_sends_half_a_header_is_sent_away_and_who_asked_for_a_stream_is_not(
     pytest.importorskip("uvicorn")
     from uavbatt.live import connections, web
 
-    monkeypatch.setattr(connections, "REQUEST_WITHIN_S", 0.6)
+    monkeypatch.setattr(connections, "REQUEST_WITHIN_S", 2.0)
     monkeypatch.setattr(connections, "LOOK_PERIOD_S", 0.1)
     bench, port = Bench(), free_port()
     bench.fly(3.0)
@@ -140,7 +139,7 @@ def test_who_sends_half_a_header_is_sent_away_and_who_asked_for_a_stream_is_not(
     until(lambda: now(port))
 
     def said(text: bytes) -> socket.socket:
-        line = socket.create_connection(("127.0.0.1", port), 5.0)
+        line = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
         line.sendall(text)
         return line
 
@@ -160,12 +159,13 @@ def test_who_sends_half_a_header_is_sent_away_and_who_asked_for_a_stream_is_not(
         except OSError:
             return True
 
-    until(is_gone, 5.0)
+    until(is_gone)
     assert dribbled > 3  # it went on saying something
-    heard, until_s = b"", time.monotonic() + 1.5
-    while time.monotonic() < until_s:
-        heard += stream.recv(4096)
-    assert heard.count(b"data: ") >= 4
+    heard = b""
+    while heard.count(b"data: ") < 12:  # more than it was sent until then
+        more = stream.recv(4096)
+        assert more
+        heard += more
     stream.close()
 
 
@@ -192,7 +192,7 @@ def test_silent_clients_do_not_keep_the_autopilot_out_of_tcpin() -> None:
 def reached(port: int, crowd: ExitStack) -> bool:
     """One more client that says nothing."""
     try:
-        crowd.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
+        crowd.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
     except OSError:
         return False
     return True
@@ -231,7 +231,7 @@ def test_in_a_full_table_who_speaks_keeps_the_place() -> None:
     with ExitStack() as crowd:
 
         def comes(now_s: float) -> socket.socket:
-            made = crowd.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
+            made = crowd.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
             link.read(now_s)
             return made
 

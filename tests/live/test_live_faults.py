@@ -246,5 +246,5 @@ def test_a_hundred_thousand_damaged_frames_forge_nothing() -> None:
     """A tenth of what scripts/fuzz_live.py sends when it is run alone."""
     command = [sys.executable, str(ROOT / "scripts/fuzz_live.py"), "--frames", "100000", "--seed", "5"]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=env)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=env)
     assert done.returncode == 0, done.stdout + done.stderr[-500:]

@@ -22,7 +22,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
-from live_rig import free_port
+from live_rig import PATIENCE_S, free_port
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live.config import HttpSection
@@ -168,11 +168,11 @@ def test_mavsdk_sees_the_time(ports: tuple[int, int], tmp_path: Path, feed: str,
         other.start()
     try:
         command = [GCS_PYTHON, "-c", SEEN_BY_MAVSDK, str(ports[1]), str(battery_id)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=40)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     finally:
         other.is_over = True
         companion.terminate()
-        companion.wait(8.0)
+        companion.wait(PATIENCE_S)
     assert "SEEN" in done.stdout, done.stdout[-500:] + done.stderr[-500:]
 
 
@@ -195,13 +195,13 @@ def console(port: int, folder: Path, steps: list[tuple[str, str]]) -> str:
             if line:
                 process.stdin.write(line + "\n")
                 process.stdin.flush()
-            end_s = time.monotonic() + (20.0 if answer else 2.0)
+            end_s = time.monotonic() + (PATIENCE_S if answer else 2.0)
             while (not answer or answer not in "".join(said)) and time.monotonic() < end_s:
                 time.sleep(0.1)
     finally:
         process.kill()
-        process.wait(10.0)
-        listener.join(5.0)
+        process.wait(PATIENCE_S)
+        listener.join(PATIENCE_S)
     return "".join(said)
 
 
@@ -219,7 +219,7 @@ def test_mavproxy_works_behind_the_proxy_as_without_it(ports: tuple[int, int], t
         behind = console(ports[1], tmp_path, steps)
     finally:
         companion.terminate()
-        companion.wait(8.0)
+        companion.wait(PATIENCE_S)
 
     def lines(said: str, *wanted: str) -> list[str]:
         found = [line.split("> ")[-1].strip() for line in said.splitlines() if any(w in line for w in wanted)]
@@ -232,17 +232,21 @@ def test_mavproxy_works_behind_the_proxy_as_without_it(ports: tuple[int, int], t
     assert "time_remaining : 0," in plain and "time_remaining : 0," not in status
 
 
-def shown_in_chromium(url: str, folder: Path, width: int) -> str:
-    """The page's elements after its script has run, at a width in pixels; leaves a picture in the folder."""
+def shown_in_chromium(url: str, folder: Path, width: int, wanted: str) -> str:
+    """The page's elements once its script has brought what is wanted, at a width in pixels; leaves a picture."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     if browser is None:
         pytest.skip("no chromium here: apt-get install chromium")
     picture = folder / f"{width}.png"
-    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--timeout=1500"]
-    command += [f"--user-data-dir={folder}", f"--window-size={width},900", f"--screenshot={picture}", "--dump-dom", url]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}"]
+    command += [f"--window-size={width},900", f"--screenshot={picture}", "--dump-dom"]
+    for allowed_ms in (1500, 6000, 24000):  # a browser on a busy machine is late, and takes its picture all the same
+        call = [*command, f"--timeout={allowed_ms}", url]
+        page = subprocess.run(call, capture_output=True, text=True, timeout=2 * PATIENCE_S).stdout
+        if wanted in page:
+            break
     assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 8000
-    return done.stdout
+    return page
 
 
 @pytest.mark.parametrize(("state", "width"), [("ok", 390), ("converging", 1280), ("refused", 390), ("stale", 1280)])
@@ -256,14 +260,15 @@ def test_chromium_shows_every_state_as_it_is(tmp_path: Path, state: str, width: 
     bench.play({"ok": ground + flight, "converging": flight, "refused": ground, "stale": ground + flight}[state])
     bench.now_s += 10.0 if state == "stale" else 0.1
     serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
-    page = shown_in_chromium(f"http://127.0.0.1:{port}/", tmp_path, width)
     shown = {"refused": "waiting"}.get(state, state)  # on the ground nothing is wrong
-    assert f'class="state {shown}"' in page
+    wanted = f'class="state {shown}"'
+    page = shown_in_chromium(f"http://127.0.0.1:{port}/", tmp_path, width, wanted)
+    assert wanted in page
     known = state in ("ok", "converging")
     assert (re.search(r'class="time( low)?" data-k="time">\d+:\d\d<', page) is not None) == known
     assert ('class="time last"' in page and "s ago</small>" in page) == (state == "stale")
-    assert ('class="time unknown"' in page) == (state == "refused")
-    reasons = {"ok": "probably between", "converging": "known only to", "refused": "waiting for take-off"}
+    assert (re.search(r'class="time (unknown|planned)"', page) is not None) == (state == "refused")
+    reasons = {"ok": "probably between", "converging": "still settling", "refused": "waiting for take-off"}
     reasons["stale"] = "no telemetry for 10 s"
     assert reasons[state] in page
 
@@ -289,7 +294,7 @@ def test_a_mission_that_mavproxy_loads_passes_the_proxy_and_is_understood(
         said = console(ports[1], tmp_path, steps)
     finally:
         companion.terminate()
-        companion.wait(8.0)
+        companion.wait(PATIENCE_S)
     assert "47.5" in said and "87.0" in said, said
     (path,) = recorded.glob("*.tlog")
     known = read_log(path).navigation[-1]
@@ -304,7 +309,7 @@ def test_the_page_answers_to_its_own_names_and_runs_its_own_scripts_only() -> No
     serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
 
     def answered(host: str) -> tuple[int, str]:
-        connection = HTTPConnection("127.0.0.1", port, timeout=5.0)
+        connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
         connection.request("GET", "/", headers={"Host": host})
         response = connection.getresponse()
         return response.status, response.headers.get("Content-Security-Policy", "")

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
-from live_rig import free_port, until
+from live_rig import PATIENCE_S, free_port, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.live import proxy
@@ -105,12 +105,12 @@ def crowd(link: Any, port: int, number: int) -> None:
 def test_many_senders_do_not_push_the_autopilot_out(crowd_first: bool) -> None:
     """More senders than places between two frames of the autopilot: a command still reaches it."""
     with listening() as (link, port), closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as autopilot:
-        autopilot.settimeout(2.0)
+        autopilot.settimeout(PATIENCE_S)
         if crowd_first:
             crowd(link, port, 2 * MOST_PEERS)
         for _ in range(5):
             autopilot.sendto(b"telemetry", ("127.0.0.1", port))
-            until(lambda: link.read(1.0), 5.0)
+            until(lambda: link.read(1.0))
         crowd(link, port, 3 * MOST_PEERS)
         link.write(b"command", 1.0)
         assert autopilot.recv(100) == b"command"
@@ -125,7 +125,7 @@ def test_the_proxy_reaches_the_autopilot_past_many_senders(tmp_path: Path) -> No
     frame = bytes(heartbeat(True).pack(dialect.MAVLink(None, srcSystem=1, srcComponent=1)))
     with closing(served), closing(autopilot), closing(station):
         for line in (autopilot, station):
-            line.settimeout(2.0)
+            line.settimeout(PATIENCE_S)
         for _ in range(3):
             autopilot.sendto(frame, ("127.0.0.1", port))
             served.turn(0.0)
@@ -134,7 +134,7 @@ def test_the_proxy_reaches_the_autopilot_past_many_senders(tmp_path: Path) -> No
             line.sendto(frame, ("127.0.0.1", port))
             served.turn(0.0)
         station.sendto(b"command", ("127.0.0.1", station_port))
-        until(lambda: (served.turn(0.0), _has(autopilot))[1], 5.0)
+        until(lambda: (served.turn(0.0), _has(autopilot))[1])
         assert autopilot.recv(100) == b"command"
         for line in crowd_lines:
             line.close()
@@ -153,7 +153,7 @@ def test_a_slow_resolver_does_not_hold_the_loop(monkeypatch: pytest.MonkeyPatch)
 
     def slow(host: str) -> str:
         looked.append(host)
-        answered.wait(10.0)
+        answered.wait(PATIENCE_S)
         if len(looked) == 1:
             raise socket.gaierror(socket.EAI_AGAIN, "try again")
         return "127.0.0.1"
@@ -161,7 +161,7 @@ def test_a_slow_resolver_does_not_hold_the_loop(monkeypatch: pytest.MonkeyPatch)
     with closing(socket.create_server(("127.0.0.1", 0))) as server:
         monkeypatch.setattr(socket, "gethostbyname", slow)
         link, now_s = open_link(f"tcp:drone.example:{server.getsockname()[1]}"), [0.0]
-        until(lambda: (link.read(now_s[0]), looked)[1], 5.0)
+        until(lambda: (link.read(now_s[0]), looked)[1])
         for _ in range(1000):
             assert link.read(now_s[0]) == []
         assert looked == ["drone.example"]
@@ -172,7 +172,7 @@ def test_a_slow_resolver_does_not_hold_the_loop(monkeypatch: pytest.MonkeyPatch)
             link.read(now_s[0])
             return bool(list(link.filenos()))
 
-        until(turned, 10.0)
+        until(turned)
         assert len(looked) == 2
         server.accept()[0].close()
         link.close()

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import OPTIONS, Bench, FakeLink
-from live_rig import ROOT, StreamVehicle, Vehicle, connecting, free_port, listening, until
+from live_rig import PATIENCE_S, ROOT, StreamVehicle, Vehicle, connecting, free_port, listening, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
@@ -132,10 +132,10 @@ def test_a_log_that_is_played_on_a_socket_gives_its_rows(ours: str, theirs: str)
     step = daemon._step
     daemon._step = lambda row, now_s: (seen.append(row.sample.voltage_V), step(row, now_s))[1]  # type: ignore[method-assign]
     try:
-        until(lambda: (daemon.turn(), len(seen) >= 0.6 * len(wanted))[1], 20.0)
+        until(lambda: (daemon.turn(), len(seen) >= 0.6 * len(wanted))[1])
     finally:
         player.terminate()
-        player.wait(5.0)
+        player.wait(PATIENCE_S)
         daemon.close()
     begins = range(len(wanted)) if ours == "tcp" else [0]  # before the connection it plays to nobody
     assert any(seen == wanted[k : k + len(seen)] for k in begins)
@@ -220,7 +220,7 @@ def test_the_page_is_read_with_the_token_only() -> None:
     def asked(path: str, **headers: str) -> int:
         request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
         try:
-            return int(urllib.request.urlopen(request, timeout=5.0).status)
+            return int(urllib.request.urlopen(request, timeout=PATIENCE_S).status)
         except urllib.error.HTTPError as error:
             return error.code
         except urllib.error.URLError:

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
-from live_rig import PROGRAM, Station, Vehicle, free_port, manager_at, running, until
+from live_rig import PATIENCE_S, PROGRAM, Station, Vehicle, free_port, manager_at, running, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.records import Sample
@@ -42,17 +42,15 @@ def test_the_proxy_outlives_its_estimator(vehicle: Vehicle, tmp_path: Path) -> N
     ]  # fmt: skip
     runtime = {"RUNTIME_DIRECTORY": str(tmp_path)}
     with running(*arguments, **runtime) as first:
-        station.until(is_timed, 20.0)
+        station.until(is_timed)
         end_s = time.monotonic() + 2.5  # a state is saved
         station.until(lambda m: time.monotonic() > end_s)
         first.send_signal(signal.SIGKILL)
         first.wait()
     killed_s, before = time.monotonic(), dict(station.named)
-    station.until(is_untimed, 5.0)
+    station.until(is_untimed)
     with running(*arguments, **runtime):
-        start_s = time.monotonic()
-        after = station.until(is_timed, 20.0)
-        assert time.monotonic() - start_s < 10.0
+        after = station.until(is_timed)
         passed_s = time.monotonic() - killed_s
         assert before["REM_LO_S"] < after.time_remaining + passed_s < before["REM_HI_S"]
         assert vehicle.heard == []
@@ -70,7 +68,7 @@ def test_what_reaches_the_autopilot_with_every_feed_and_requests(vehicle: Vehicl
     arguments = [f"udpin:127.0.0.1:{vehicle.to[1]}", "--gcs", f"udpout:127.0.0.1:{station.port}", *feeds]
     said = bytes(dialect.MAVLink_param_set_message(1, 1, b"BATT_MONITOR", 4.0, 9).pack(gcs))
     with running(*arguments, RUNTIME_DIRECTORY=str(tmp_path)):
-        station.until(is_timed, 20.0)
+        station.until(is_timed)
         station.until(lambda m: m.get_srcComponent() == 180 and m.get_type() == "BATTERY_STATUS")
         for _ in range(20):
             station.line.sendto(said, station.peer)
@@ -120,10 +118,11 @@ def test_a_bad_radio_over_a_real_socket(tmp_path: Path) -> None:
             end_s = time.monotonic() + 3.0
             station.until(lambda m: time.monotonic() > end_s)
             flown = dict(station.named)
-            vehicle.is_silent = True
-            station.until(lambda m: is_time(m) and m.value != m.value, 6.0)
+            vehicle.is_silent, silent_s = True, time.monotonic()
+            station.until(lambda m: is_time(m) and m.value != m.value)
             vehicle.is_silent = False
             again = station.until(lambda m: is_time(m) and m.value > 60)
+            passed_s = time.monotonic() - silent_s
     finally:
         vehicle.is_over = True
     good = Bench()
@@ -131,7 +130,7 @@ def test_a_bad_radio_over_a_real_socket(tmp_path: Path) -> None:
     clean = good.daemon.board.reports[0]
     assert clean.remaining.remaining_lo_s < flown["REM_S"] < clean.remaining.remaining_hi_s
     assert flown["SOC"] == pytest.approx(clean.estimate.soc, abs=0.03)
-    assert flown["REM_LO_S"] < again.value + 7.0 < flown["REM_HI_S"]
+    assert flown["REM_LO_S"] < again.value + passed_s < flown["REM_HI_S"]
     assert {"REM_S", "REM_LO_S", "REM_HI_S", "SOC"} <= set(station.named)  # TURN_S and HOME_SOC where home is known
     (log,) = tmp_path.glob("*.tlog")
     assert {s.voltage_V for s in read_log(log).samples if s.voltage_V < 14.0} == set()
@@ -152,12 +151,10 @@ def test_requests_are_answered_and_the_page_shows_it(vehicle: Vehicle, tmp_path:
             assert events.readline().startswith(b"data: {")
         assert b"EventSource" in urllib.request.urlopen(f"{base}/").read()
         vehicle.is_over = True
-        time.sleep(3.6)
-        with pytest.raises(urllib.error.HTTPError, match="503"):
-            urllib.request.urlopen(f"{base}/healthz")
+        until(lambda: health(base) == 503)
         assert json.load(urllib.request.urlopen(f"{base}/now.json"))["status"] == "stale"
         process.send_signal(signal.SIGTERM)
-        assert process.wait(8.0) == 0
+        assert process.wait(PATIENCE_S) == 0
     assert {m.get_type() for m in vehicle.heard} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}
     assert {b"READY=1", b"WATCHDOG=1", b"STOPPING=1"} <= set(told) and any(m.startswith(b"STATUS=") for m in told)
     (lines,) = record.glob("*.jsonl")
@@ -166,21 +163,30 @@ def test_requests_are_answered_and_the_page_shows_it(vehicle: Vehicle, tmp_path:
 
 def wait_for_page(port: int) -> dict[str, Any]:
     """What the page shows once it shows a time."""
-    end_s = time.monotonic() + 20.0
-    while time.monotonic() < end_s:
+
+    def shown() -> dict[str, Any] | None:
         try:
-            shown: dict[str, Any] = json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/now.json"))
+            said: dict[str, Any] = json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/now.json"))
         except urllib.error.URLError:
-            time.sleep(0.1)
-            continue
-        if shown["batteries"] and shown["batteries"][0]["remaining_s"] is not None:
-            return shown
-        time.sleep(0.2)
-    raise AssertionError("no time on the page in 20 s")
+            return None
+        return said if said["batteries"] and said["batteries"][0]["remaining_s"] is not None else None
+
+    found: dict[str, Any] = until(shown)
+    return found
+
+
+def health(base: str) -> int:
+    """The status that the page answers to a service that watches it."""
+    try:
+        return int(urllib.request.urlopen(f"{base}/healthz").status)
+    except urllib.error.HTTPError as refusal:
+        return refusal.code
 
 
 def refusal(*arguments: str) -> tuple[int, str]:
-    done = subprocess.run([*PROGRAM, *arguments], capture_output=True, text=True, timeout=20, env={**os.environ})
+    done = subprocess.run(
+        [*PROGRAM, *arguments], capture_output=True, text=True, timeout=PATIENCE_S, env={**os.environ}
+    )
     return done.returncode, done.stderr
 
 

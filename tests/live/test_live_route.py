@@ -186,11 +186,11 @@ def test_a_mission_written_through_the_proxy_reaches_the_estimator(tmp_path: Pat
             time.sleep(0.005)
         return len(passed) == len(sent) and len(heard) == len(ITEMS)
 
-    until(lambda: (turn(), client.pid)[1], 5.0)
+    until(lambda: (turn(), client.pid)[1])
     for at in range(0, len(sent), 37):  # a stream knows no frames
         station.sendall(sent[at : at + 37])
         turn()
-    until(turn, 5.0)
+    until(turn)
     for end in (client, served, vehicle, station):
         end.close()
     assert passed == sent

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from daemon_bench import Bench, FakeLink
-from live_rig import ROOT, Station, Vehicle, free_port, manager_at, running, until
+from live_rig import PATIENCE_S, ROOT, Station, Vehicle, free_port, manager_at, running, until
 
 from uavbatt.live import config
 from uavbatt.live.config import Config, LinkSection, RecordSection
@@ -32,11 +32,12 @@ class StuckLink(FakeLink):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stuck, self.freed = threading.Event(), threading.Event()
+        self.stuck, self.hangs, self.freed = threading.Event(), threading.Event(), threading.Event()
 
     def read(self, now_s: float) -> list[Chunk]:
         if self.stuck.is_set():
-            self.freed.wait(10.0)
+            self.hangs.set()
+            self.freed.wait(PATIENCE_S)
         return super().read(now_s)
 
 
@@ -54,16 +55,16 @@ def test_only_the_loop_feeds_the_watchdog(tmp_path: Path, monkeypatch: pytest.Mo
         loop.start()
         until(lambda: told.count(b"WATCHDOG=1") >= 2)
         link.stuck.set()
-        time.sleep(0.1)
+        assert link.hangs.wait(PATIENCE_S)
         fed, beats = told.count(b"WATCHDOG=1"), len(link.sent)
         time.sleep(1.6)
         assert (told.count(b"WATCHDOG=1"), len(link.sent)) == (fed, beats)
-        assert urllib.request.urlopen(f"http://127.0.0.1:{port}/now.json", timeout=5.0).status == 200
+        assert urllib.request.urlopen(f"http://127.0.0.1:{port}/now.json", timeout=PATIENCE_S).status == 200
         link.stuck.clear()
         link.freed.set()
         until(lambda: told.count(b"WATCHDOG=1") > fed)
         over.set()
-        loop.join(5.0)
+        loop.join(PATIENCE_S)
     assert b"READY=1" in told and b"STOPPING=1" in told
 
 
@@ -71,7 +72,7 @@ def test_the_unit_file_is_without_fault() -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze here")
     unit = ROOT / "scripts/uavbatt.service"
-    done = subprocess.run(["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stderr) == (0, "")
     text = unit.read_text()
     for line in ("Type=notify", "WatchdogSec=10", "DynamicUser=yes", "StateDirectory=uavbatt", "Restart=on-failure"):
@@ -96,10 +97,10 @@ def test_a_disk_that_is_full_stops_recording_and_state_but_not_the_estimate(vehi
             except OSError:
                 return ""
 
-        until(lambda: "not recording: File too large" in notes() and "state not saved" in notes(), 25.0)
+        until(lambda: "not recording: File too large" in notes() and "state not saved" in notes())
         station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(8.0) == 0
+        assert process.wait(PATIENCE_S) == 0
     assert resource.getrlimit(resource.RLIMIT_FSIZE) == before
     assert not list(tmp_path.glob("*.part"))  # what could not be written whole is not left behind
 
@@ -112,7 +113,7 @@ def test_sigterm_writes_out_what_is_held_and_the_replay_gives_the_same_lines(veh
         station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60)
         time.sleep(2.5)  # three forecasts or more
         process.send_signal(signal.SIGTERM)
-        assert process.wait(8.0) == 0
+        assert process.wait(PATIENCE_S) == 0
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.battery0.jsonl")
     out = tmp_path / "again.jsonl"
     command = [sys.executable, "-c", "from uavbatt.cli import main; main()", "replay", str(log)]

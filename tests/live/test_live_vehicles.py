@@ -78,7 +78,7 @@ def test_wrong_vehicle_first_through_the_process() -> None:
             if system == 1:
                 line.sendto(bytes(row(16.0).pack(link)), ("127.0.0.1", port))
             time.sleep(0.1)
-        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60, 25.0)
+        said = station.until(lambda m: m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 60)
         assert said.get_srcSystem() == 1
         process.terminate()
         assert "uavbatt: heard systems 42, 1; following 1\n" in process.stderr.readlines()
@@ -199,7 +199,7 @@ def two_sources() -> Iterator[tuple[Daemon, list[float], Source, Source, FakeLin
 def taken(daemon: Daemon, frames: int) -> None:
     """Turn until that many more frames were found."""
     wanted = daemon.board.counts.get("frames", 0) + frames
-    until(lambda: (daemon.turn(), daemon.board.counts["frames"] >= wanted)[1], 5.0)
+    until(lambda: (daemon.turn(), daemon.board.counts["frames"] >= wanted)[1])
 
 
 @pytest.mark.parametrize("what", ["voltage", "current", "charge drawn"])
@@ -255,7 +255,7 @@ def test_the_proxy_tells_the_estimator_who_sends(tmp_path: Path) -> None:
         heard.extend(sender for _, sender in client.read(0.0))
         return len(heard)
 
-    until(lambda: (turn(), client.pid)[1], 5.0)
+    until(lambda: (turn(), client.pid)[1])
     for source in 2 * sources:
         before = len(heard)
         source.send(row(16.0))

@@ -74,7 +74,7 @@ def test_the_prior_of_a_flight_knows_nothing_of_later_ones_nor_of_itself(tmp_pat
         last = ledger.before("A", FLIGHTS[2].start_utc_s, FLIGHTS[2].key)
         assert last.flight.key == FLIGHTS[1].key
         assert ledger.before("A", FLIGHTS[0].start_utc_s, FLIGHTS[0].key) is None
-        assert ledger.before("B", FLIGHTS[2].start_utc_s) is None
+        assert ledger.before("B", FLIGHTS[2].start_utc_s, FLIGHTS[2].key) is None
 
 
 def test_forgetting_a_pack_leaves_the_others(tmp_path):

@@ -108,8 +108,7 @@ def test_the_flights_own_evidence_overrules_what_is_remembered(record):
     """A pack remembered as aged is as good as new: at the end the flight believes its own readings."""
     aged = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
     estimator = Estimator(BATTERY, OPTIONS, remembered=aged)
-    for sample in flight(3, effects={}).samples:
-        estimate, _ = estimator.step(sample)
+    *_, (estimate, _) = estimator.run(flight(3, effects={}).samples)
     assert estimate.capacity_scale == pytest.approx(1.0, abs=0.05)
 
 

@@ -223,6 +223,7 @@ def test_the_interval_narrows_towards_the_end() -> None:
     assert widths == sorted(widths, reverse=True) and widths[-1] < 0.5 * widths[0]
 
 
+@pytest.mark.slow  # its witness: tests/estimation/test_wrong_packs.py
 def test_intervals_hold_on_flights_of_the_model_itself() -> None:
     """At half time, at four and at two minutes before the end, over eight flights and three ambients: 90 % of 24."""
     inside, errors = [], []
@@ -322,6 +323,7 @@ def test_ardupilot_logs(shared_data: Path, name: str) -> None:
     assert refused <= 0.05 * rows
 
 
+@pytest.mark.slow  # forty flights; the ardupilot logs are their witness
 def test_m100_flights(shared_data: Path) -> None:
     options = PackOptions(cells=6, capacity_Ah=5.7, cutoff_V=21.6)
     logs = sorted((shared_data / "flights/m100").glob("m100_*.csv"))
@@ -331,6 +333,7 @@ def test_m100_flights(shared_data: Path) -> None:
         assert rows > 20 and refused <= 0.05 * rows, path.name
 
 
+@pytest.mark.slow
 def test_reference_flights(shared_data: Path) -> None:
     for path in sorted((shared_data / "truth/reference/r0").glob("*.tlog")):
         rows, refused = judge(path, battery_file.read_battery("lipo-generic"), PackOptions(), 60.0)

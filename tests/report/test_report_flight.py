@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 import math
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -11,9 +14,12 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
+from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow
+from uavbatt.navigation import Mode, Navigation
+from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status
 from uavbatt.report.flight import flight_report
+from uavbatt.report.flight_events import apart, events
 from uavbatt.report.series import MOST_STRETCHES, innovation_sd, outer, rows, stretches, thinned, with_gaps
 
 RESOLVED = PackSize("lipo-generic", "generic", 3, "vehicle", 2.65, "vehicle", 9.6, "--cutoff-voltage", NAN, "nobody")
@@ -40,7 +46,10 @@ def render(
     flight = Flight(source, "csv", tuple(Sample(s.estimate.time_s, 11.5) for s in steps), notes=notes, skipped_bytes=7)
     html = flight_report(flight, steps, RESOLVED, outcome, battery_file.read_battery("lipo-generic"))
     found = list(ElementTree.fromstring(html.partition("\n")[2].encode("utf-8")).iter())
-    assert not any(e.tag == "script" or "src" in e.attrib for e in found)
+    assert not any("src" in e.attrib for e in found)
+    (own,) = (e.text or "" for e in found if e.tag == "script" and "type" not in e.attrib)
+    allowed = base64.b64encode(hashlib.sha256(own.encode()).digest()).decode()
+    assert f"script-src &#x27;sha256-{allowed}&#x27;" in html  # the one script, and no other
     assert all(e.attrib["href"].startswith("#") for e in found if "href" in e.attrib)
     return html
 
@@ -49,12 +58,11 @@ def test_an_ordinary_flight_shows_the_answer_the_figures_and_the_sources() -> No
     points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0), Checkpoint("120 s before", 120.0, NAN, NAN, NAN))
     outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.25, 0.9, points)
     html = render([step(float(t), warnings=("mind the cold",)) for t in range(600)], outcome, notes=("a note",))
-    assert "10 % of the charge was left at the end of the log (6 to 14 %" in html
-    assert "ended by its battery 9 min 10 s after" in html
+    assert "10 % charge left at the end of the log (7 to 13 %)" in html
     assert "50 s too long, truth inside" in html
     assert "the forecast was refused" in html
     assert "refused: a miss" in html
-    assert html.count("<svg") == 6
+    assert html.count("<svg") == 7  # the pilot's chart twice, one of them shown; five for engineers
     assert "7 unreadable bytes" in html
     assert "mind the cold (all rows)" in html
     assert "a note" in html
@@ -104,7 +112,7 @@ def test_unbounded_intervals_and_a_single_row_draw() -> None:
 
 def test_hostile_names_and_reasons_stay_text() -> None:
     html = render([step(0.0, warnings=(HOSTILE,)), step(1.0, refused=HOSTILE)], source=HOSTILE, notes=(HOSTILE,))
-    assert "<script" not in html
+    assert "alert(1)</script>" not in html and "<script>alert" not in html
 
 
 def test_a_long_flight_stays_small() -> None:
@@ -121,6 +129,41 @@ def test_a_long_flight_stays_small() -> None:
 
 def _odd(i: int) -> dict[str, object]:
     return {"refused": f"spread {i} s too wide"} if i % 7 == 0 else {}
+
+
+def test_events_are_told_in_order_and_those_that_lie_close_share_a_mark() -> None:
+    ground = [step(float(t), refused=NOT_FLYING, current_A=0.1) for t in range(20)]
+    air = [step(float(t), voltage_V=11.5 if t < 70 else 10.4) for t in range(20, 100)]
+    alarmed = [replace(s, remaining=replace(s.remaining, remaining_alarm_s=150.0 - s.estimate.time_s)) for s in air]
+    landed = [step(float(t), refused=NOT_FLYING, current_A=0.1) for t in range(100, 120)]
+    outcome = replace(NO_OUTCOME, landing=Landing(99.0, 400.0, 300.0, 500.0, NAN))
+    modes = (Navigation(mode=Mode.HOLD, mode_since_s=0.0), Navigation(mode=Mode.MISSION, mode_since_s=22.0),
+             Navigation(mode=Mode.RETURN, mode_since_s=60.0))  # fmt: skip
+    flight = Flight("f", "csv", (), navigation=modes)
+    found = events(flight, [*ground, *alarmed, *landed], outcome, low_V=10.5)
+    assert [(e.time_s, e.words) for e in found] == [
+        (20.0, "take-off"), (22.0, "mission"), (30.0, "alarm"), (60.0, "return"), (74.0, "low voltage"),
+        (100.0, "landed"),
+    ]  # fmt: skip
+    assert [e.words for e in found if e.tells_danger] == ["alarm", "low voltage"]
+    assert [e.words for e in apart(found, 9.0)] == ["take-off, mission", "alarm", "return", "low voltage", "landed"]
+
+
+def test_the_end_of_the_battery_is_said_once() -> None:
+    points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0),)
+    landing = Landing(599.0, 0.0, 0.0, 0.0, NAN)
+    outcome = Outcome(600, 599.0, 9.5, 0.1, 0.02, 550.0, 0.0, 0.9, points, landing)
+    html = render([step(float(t)) for t in range(600)], outcome)
+    assert html.count("9 min 10 s after the log") == 1
+    assert "Not checked against the truth" not in html
+
+
+def test_the_cursor_knows_no_number_that_was_refused() -> None:
+    run = [step(float(t), **({"refused": REFUSAL} if t < 30 else {})) for t in range(100)]
+    html = render(run)
+    data = json.loads(html.partition('id="rows">')[2].partition("</script>")[0])
+    assert data["remaining_s"][:30] == [None] * 30 and None not in data["remaining_s"][30:]
+    assert len(data["time_s"]) == 100 and data["time_s"][-1] == 99.0
 
 
 def test_thinning_keeps_every_extreme_and_bands_never_get_narrower() -> None:

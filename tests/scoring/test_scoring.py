@@ -13,6 +13,7 @@ import pytest
 import score
 from factories import generic_pack
 from scoring import data, lines, m100, m100_tables, table, truth
+from scoring.peer_lines import MAH
 
 from uavbatt import simulate
 from uavbatt.battery import battery_file
@@ -75,9 +76,10 @@ def test_only_the_other_aircraft_teach() -> None:
     assert np.array_equal(again.library.power_W, known.library.power_W) and len(known.library.power_W) == len(others)
 
 
+@pytest.mark.slow
 def test_every_method_is_scored_on_every_flight() -> None:
     found = results()
-    assert {m100.LOG, m100.LEARNED, m100.UNKNOWN, m100.RECENT, m100.MAH, "PX4, rated", "INAV, calibrated"} <= set(found)
+    assert {m100.LOG, m100.LEARNED, m100.UNKNOWN, m100.RECENT, MAH, "PX4, rated", "INAV, calibrated"} <= set(found)
     assert all([r.flight.name for r in rs] == [f.name for f in benchmark()] for rs in found.values())
     late = {name: [abs(r.score.at["120 s"].error_s) for r in rs] for name, rs in found.items()}
     assert np.mean(late[m100.LOG]) < 0.3 * np.mean(late["ArduPilot mAh, rated"])  # the flights are the model's own
@@ -175,6 +177,7 @@ def error_s(step: ReplayedRow, flight: Flight) -> float:
     return step.remaining.remaining_s - (end_s(flight) - step.estimate.time_s)
 
 
+@pytest.mark.slow
 def test_a_library_that_scatters_widens() -> None:
     """Past flights whose mean powers scatter by 25 % instead of 5 %: a fifth wider, beside what the pack scatters."""
     spread = (-1.3, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.3)

@@ -62,6 +62,7 @@ def test_pooling_is_forbidden_for_temperature(found):
 def test_two_s_holds_two_thirds(found):
     finding = one(found, "corridor_coverage")
     assert finding.numbers["share"] == pytest.approx(0.65) and "65%" in finding.title
+    assert finding.severity == "note"  # true of every data set: no alarm
 
 
 def test_F_emp_misprint_and_breaks(found):

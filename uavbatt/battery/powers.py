@@ -7,8 +7,12 @@
 With v the airspeed and v_h the induced velocity in hover [m/s]. The shape is linear in what is learned, so that least
 squares with a prior finds it, and few data leave it where theory and other aircraft have it.
 
-Reference: Leishman, Principles of Helicopter Aerodynamics, 2nd ed. (2006), eq. 2.141 (forward flight); the share of
-fast flight is ours, measured on 40 flights of a Matrice 100.
+An aircraft that turns and speeds up to V passes through a hover, and within T gains the kinetic energy m V² / 2:
+
+    P_turn / P_hover = 1 + c V² / (2 g v_h T)        with m g v_h = c P_hover, c the share that is induced, a
+
+Reference: Leishman, Principles of Helicopter Aerodynamics, 2nd ed. (2006), eq. 2.14 (hover) and 2.141 (forward
+flight); the share of fast flight is ours, measured on 40 flights of a Matrice 100.
 """
 
 from __future__ import annotations
@@ -23,6 +27,8 @@ from uavbatt.battery.model import Array
 
 DRAG_AT_MS = 10.0
 FAST_MS = 8.0
+TURN_S = 5.0  # in which an aircraft turns and has its new speed: 4 to 6 s on the flights of a simulated quadrotor
+GRAVITY_MS2 = 9.81
 TERMS = ("induced", "drag", "climb", "descent", "fast_climb", "fast_descent", "take_off", "landing")
 
 Share = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
@@ -93,3 +99,9 @@ def terms(
 def power(powers: Powers, columns: Array) -> Array:
     """Return the power [W] for columns of `terms`; never less than a fifth of the hover's."""
     return np.asarray(powers.hover_W * np.maximum(1.0 + columns @ powers.shares, 0.2))
+
+
+def turning_power(powers: Powers, speed_ms: ArrayLike) -> Array:
+    """Return the mean power [W] over TURN_S in which an aircraft turns and gains `speed_ms` [m/s] over ground."""
+    gained = powers.induced * np.square(speed_ms) / (2.0 * GRAVITY_MS2 * powers.induced_ms * TURN_S)
+    return np.asarray(powers.hover_W * (1.0 + np.maximum(gained, 0.0)))

@@ -22,7 +22,8 @@ REACH, FEWEST, LARGEST_STEP = 2.0, 5, 0.1  # members from -2 to +2 sd, at most s
 CHANGED_WEIGHT, ANY_WEIGHT = 0.05, 0.03  # the ohms have changed since the last flight; any pack in service
 
 LEAST_UNLIKE, UNLIKE_SD = 0.2, 2.0
-CAUSES = "damaged, or another pack under its name?"
+ANOTHER = "another pack under its name?"
+CAUSES = f"damaged, or {ANOTHER}"
 
 
 class PackHealth(NamedTuple):
@@ -34,6 +35,11 @@ class PackHealth(NamedTuple):
     log_ohm: float
     log_Ah: float
     covariance: Array
+    cells: int = 0  # in series; 0 where nobody says
+
+    def may_be(self, pack: Pack) -> bool:
+        """Return True unless the pack has another number of cells, so that it is another pack under this name."""
+        return self.cells in (0, int(pack.installation.cells))
 
 
 class Scales(NamedTuple):
@@ -72,7 +78,7 @@ def health_of(pack: Pack, scales: Scales) -> PackHealth:
 
 def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
     """The members of a pack that was met before, or of one that nobody knows."""
-    return capacities(pack) if health is None else remembered_capacities(pack, health)
+    return capacities(pack) if health is None or not health.may_be(pack) else remembered_capacities(pack, health)
 
 
 def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
@@ -81,7 +87,7 @@ def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
     A resistance that grows with an emptying cell would end a warm flight early; a drop that does not would hide the
     cold. Which of the two ages a pack no flight of it tells apart, so that each gets its share.
     """
-    if health is None:
+    if health is None or not health.may_be(pack):
         return pack
     more = math.expm1(float(scales_of(pack, health).mean[0]))
     drop_V = REACTION_SHARE * more * HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
@@ -123,10 +129,12 @@ def _together(*parts: Capacities) -> Capacities:
 
 
 def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
-    """Return why a pack in flight is hardly the one that is remembered, by its ohms; empty when it may be.
+    """Return why a pack in flight is hardly the one that is remembered, by its cells or ohms; empty when it may be.
 
     wear, wear_sd: ohms above the type's, relative, as the flight has them.
     """
+    if not health.may_be(pack):
+        return f"{pack.installation.cells} cells, {health.cells} remembered of this pack: {ANOTHER}"
     if not wear > -1.0:
         return ""
     expected = health.log_ohm - math.log(type_ohm(pack))

@@ -17,6 +17,7 @@ from uavbatt.cli.options import (
     CutoffOption,
     PackOption,
     PacksOption,
+    ReportOption,
     UncertifiedOption,
     check_named,
     check_writable,
@@ -48,7 +49,7 @@ def diagnose(
     without: Annotated[list[str] | None, typer.Option("--without", help="Effect to leave out; repeatable.")] = None,
     gate: Annotated[Path | None, typer.Option("--gate", metavar="DATASET", help="Bench tests to gate with.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="The diagnosis as JSON.")] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="NEW.battery.toml, the extended file.")] = None,
     follow: Annotated[
         bool, typer.Option("--follow", help="Logs in order of time: since when, and is it growing?")

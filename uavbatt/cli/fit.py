@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight
+from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flight
 from uavbatt.cli.options import (
     BatteryOption,
     CapacityOption,
@@ -40,6 +40,7 @@ def fit(
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
     join: JoinOption = "",
+    system: SystemOption = None,
 ) -> None:
     """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
     from uavbatt import dataset
@@ -55,7 +56,7 @@ def fit(
     check_named(output, vehicle)
     check_writable(output, vehicle, reads=sources)
     datasets = [dataset.load(path) for path in sources if path.is_dir()]
-    flights = [asked_flight(path, instance, join) for path in sources if not path.is_dir()]
+    flights = [asked_flight(path, instance, join, system) for path in sources if not path.is_dir()]
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if battery:
         content = read_battery(battery, allow_uncertified)

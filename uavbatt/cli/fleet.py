@@ -8,19 +8,22 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uavbatt.cli.logs import InstanceOption, JoinOption, check_join
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     BatteryOption,
     CapacityOption,
     CellsOption,
     CutoffOption,
+    LoadOption,
     PacksOption,
     ReserveOption,
     UncertifiedOption,
+    VehicleOption,
     read_battery,
     remark,
     say,
@@ -30,10 +33,12 @@ from uavbatt.errors import UavbattError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from contextlib import AbstractContextManager
 
-    from uavbatt.fleet.fly import Job
+    from uavbatt.fleet.fly import Job, PackMet
+    from uavbatt.fleet.logs import LogFile
     from uavbatt.fleet.row import FlightRow
-    from uavbatt.fleet.run import Finished
+    from uavbatt.fleet.run import Crew, Finished
 
 PAGE = "fleet.html"
 MOST_REASONS = 5
@@ -48,6 +53,10 @@ def fleet(
     cutoff_voltage: CutoffOption = None,
     reserve_soc: ReserveOption = 0.0,
     allow_uncertified: UncertifiedOption = False,
+    vehicle: VehicleOption = None,
+    load: LoadOption = "learned",
+    instance: InstanceOption = None,
+    join: JoinOption = "",
     workers: Annotated[int | None, typer.Option("--workers", min=1, help="Processes; default: one a core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Existing Dask cluster, tcp://host:8786.")
@@ -63,9 +72,12 @@ def fleet(
 ) -> None:
     """Fly a whole fleet's logs: one row a flight (Parquet, CSV) and a page about packs and forecasts.
 
-    A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown.
-    With --packs what the flights taught of packs with a serial is saved in the ledger.
+    A log that cannot be flown is a row with its reason. Run again, only new and changed logs are flown; with other
+    options all are flown again.
+    With --packs each flight of a pack with a serial is forecast with what the flights before it taught, and is
+    remembered itself.
     """
+    from uavbatt.battery import vehicle_file
     from uavbatt.fleet.run import check_extra
 
     check_extra(scheduler)
@@ -73,39 +85,67 @@ def fleet(
     from uavbatt.fleet.fly import Job
     from uavbatt.fleet.logs import JOURNAL, find_logs
     from uavbatt.prediction.forecaster import ForecastSettings
+    from uavbatt.prediction.load_options import check_word
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: expected one of them, a cluster has workers of its own")
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
-    settings = ForecastSettings(reserve_soc=reserve_soc)
-    content = read_battery(battery, allow_uncertified)
-    job = Job(content, options, settings, _column(by), _pattern(aircraft), teaches=packs is not None)
+    check_join(instance, join)
+    check_word(load)
+    job = Job(
+        battery=read_battery(battery, allow_uncertified),
+        options=options,
+        settings=ForecastSettings(reserve_soc=reserve_soc),
+        load=load,
+        vehicle=vehicle_file.read_vehicle(vehicle) if vehicle is not None else None,
+        instance=instance,
+        join=join,
+        by=_column(by),
+        aircraft_pattern=_pattern(aircraft),
+    )
     found = find_logs(logs)
-    flown = 0
-    crew = run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
-    with _progress() as show:
-        for finished in run.run_fleet(crew, found, job, output):
-            flown += finished.row is not None
-            if finished.dropped:
-                left_out = f"damaged rows left out: {finished.dropped}; their logs are flown again"
-                remark(f"uavbatt: {output / JOURNAL}: {left_out}")
-            show(finished)
-    _tell(output, run.rows(output, found, job), job, flown, len(found))
-    if packs is not None:
-        _fill(packs, run.rows(output, found, job))
+
+    def crew() -> AbstractContextManager[Crew[Any]]:
+        return run.connected(workers or len(os.sched_getaffinity(0)), scheduler)
+
+    met, told = _met(packs, crew, found, job, output) if packs is not None else ([], "")
+    flown = _worked_off(run.run_fleet(crew(), found, job, output, met), output / JOURNAL, "flights")
+    _tell(output, run.rows(output, found, job, met), job, flown, len(found))
+    if told:
+        say(told)
 
 
-def _fill(packs: Path, rows: Iterable[FlightRow]) -> None:
-    """Save in the ledger what the flights taught."""
-    from uavbatt.fleet.ledger import fill
+def _worked_off(finished: Iterable[Finished], journal: Path, what: str) -> int:
+    """Have the logs done under a bar; how many were done now."""
+    count = 0
+    with _progress(what) as show:
+        for one in finished:
+            count += one.row is not None
+            if one.dropped:
+                remark(f"uavbatt: {journal}: damaged rows left out: {one.dropped}; their logs are flown again")
+            show(one)
+    return count
+
+
+def _met(
+    packs: Path, crew: Callable[[], AbstractContextManager[Crew[Any]]], found: list[LogFile], job: Job, output: Path
+) -> tuple[list[PackMet], str]:
+    """The first pass: the ledger filled with what all flights taught; the pack of each log before it, and a line."""
+    from uavbatt.fleet import ledger as fleet_ledger
+    from uavbatt.fleet import run
+    from uavbatt.fleet.logs import LESSONS
     from uavbatt.packs.ledger import Ledger
 
     with Ledger(packs) as ledger:
-        saved, left_out = fill(ledger, rows)
+        _worked_off(run.learn_all(crew(), found, job, output), output / LESSONS, "packs")
+        lessons = list(run.lessons(output, found, job))
+        filled = fleet_ledger.fill(ledger, lessons)
+        met = fleet_ledger.met(ledger, lessons, filled, len(found), job.battery.certificate.content_sha256)
         count = len(ledger.packs())
-    for words in left_out:
-        remark(f"uavbatt: {words}")
-    say(f"{saved} flights in {packs}, which remembers {count} pack{'s' * (count != 1)}; see `uavbatt packs {packs}`")
+    for number, words in filled.left_out.items():
+        remark(f"uavbatt: {found[number].name}: {words}")
+    told = f"{filled.saved} flights in {packs}, which remembers {count} pack{'s' * (count != 1)}"
+    return met, f"{told}; see `uavbatt packs {packs}`"
 
 
 def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: int) -> None:
@@ -117,7 +157,7 @@ def _tell(folder: Path, rows: Iterable[FlightRow], job: Job, flown: int, logs: i
 
     overview = gathered(rows)
     battery = f"{job.battery.battery.name} ({job.battery.status})"
-    remarks = (("logs", f"{logs}, of which {flown} were flown in this run and the others before"),)
+    remarks = (("logs", f"{logs}; {flown} of them read in this run, the others in an earlier one"),)
     write_page(folder / PAGE, fleet_report(overview, battery, remarks))
     failed = sum(overview.failures.values())
     say(f"{counted(logs, 'log')} ({flown} done now): {overview.flights} flown, {failed} could not be")
@@ -145,7 +185,7 @@ def _pattern(text: str) -> str:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[Finished], None]]:
+def _progress(what: str) -> Iterator[Callable[[Finished], None]]:
     """A bar on stderr when that is a terminal, nothing otherwise."""
     if not sys.stderr.isatty():
         yield lambda _: None
@@ -153,7 +193,7 @@ def _progress() -> Iterator[Callable[[Finished], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("flights")
+        task = bar.add_task(what)
         yield lambda finished: bar.update(task, completed=finished.done, total=finished.total)

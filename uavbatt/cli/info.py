@@ -7,17 +7,18 @@ from typing import Annotated
 
 import typer
 
-from uavbatt.cli.logs import InstanceOption
+from uavbatt.cli.logs import InstanceOption, SystemOption
 from uavbatt.cli.options import say
 
 
 def info(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="DataFlash, tlog, ulg or CSV.")],
     instance: InstanceOption = None,
+    system: SystemOption = None,
 ) -> None:
     """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted."""
     from uavbatt.telemetry import read_log
     from uavbatt.telemetry.info import describe, lines
 
-    for line in lines(describe(read_log(log, instance))):
+    for line in lines(describe(read_log(log, instance, system))):
         say(line)

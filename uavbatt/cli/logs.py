@@ -17,18 +17,28 @@ InstanceOption = Annotated[int | None, typer.Option("--instance", min=0, help="B
 JoinOption = Annotated[str, typer.Option("--join", help="parallel or series: all batteries of the log as one pack.")]
 
 
-def asked_flight(log: Path, instance: int | None, join: str) -> Flight:
+SystemOption = Annotated[
+    int | None, typer.Option("--system", min=1, max=255, help="Vehicle of a .tlog that holds several.")
+]
+
+
+def asked_flight(log: Path, instance: int | None, join: str, system: int | None = None) -> Flight:
     """The flight as the options ask for it; UsageError when they contradict each other or the log."""
     from uavbatt.telemetry import read_log
     from uavbatt.telemetry.join import Wiring, read_joined
 
-    if not join:
-        return read_log(log, instance)
-    if join not in tuple(Wiring):
+    check_join(instance, join)
+    return read_joined(log, Wiring(join), system) if join else read_log(log, instance, system)
+
+
+def check_join(instance: int | None, join: str) -> None:
+    """UsageError for a wiring that is none, or beside a single battery."""
+    from uavbatt.telemetry.join import Wiring
+
+    if join and join not in tuple(Wiring):
         raise UsageError(f"--join {join}: expected parallel or series")
-    if instance is not None:
+    if join and instance is not None:
         raise UsageError("--instance names one battery and --join takes them all: expected one of the two")
-    return read_joined(log, Wiring(join))
 
 
 def distinct_names(logs: Sequence[Path]) -> list[str]:

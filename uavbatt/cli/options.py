@@ -19,6 +19,20 @@ if TYPE_CHECKING:
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.navigation import Wind
 
+STANDARD_OUTPUT = Path("-")
+
+
+def check_ending(path: Path | None, option: str, ending: str) -> None:
+    """UsageError for an output whose name promises another kind of file than is written."""
+    if path is not None and path != STANDARD_OUTPUT and path.suffix.lower() != ending:
+        raise UsageError(f"{option} {path}: expected a name that ends in {ending}")
+
+
+def _page_name(report: Path | None) -> Path | None:
+    check_ending(report, "--report", ".html")
+    return report
+
+
 BATTERY = typer.Option("--battery", help="Packaged battery by name, or a battery file.")
 RESERVE = typer.Option("--reserve-soc", min=0.0, max=0.99, help="State of charge that ends the flight, 0..1.")
 UNCERTIFIED = typer.Option("--allow-uncertified", help="Read a battery file whose hash or verdict is broken.")
@@ -29,12 +43,14 @@ CutoffOption = Annotated[float | None, typer.Option("--cutoff-voltage", help="Pa
 ReserveOption = Annotated[float, RESERVE]
 UncertifiedOption = Annotated[bool, UNCERTIFIED]
 AmbientOption = Annotated[float, typer.Option("--ambient-c", min=-40.0, max=60.0, help="Ambient temperature [°C].")]
+ReportOption = Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.", callback=_page_name)]
+LoadOption = Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")]
+VehicleOption = Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")]
 PacksOption = Annotated[Path | None, typer.Option("--packs", metavar="FILE", help="Pack ledger; made when missing.")]
 PackOption = Annotated[str, typer.Option("--pack", metavar="NAME", help="Name of the pack; else its serial.")]
 WindOption = Annotated[
     str | None, typer.Option("--wind", metavar="SPEED@FROM_DEG", help="Wind [m/s] and where it comes from, as 6@270.")
 ]
-STANDARD_OUTPUT = Path("-")
 DEFAULT_BATTERY = "lipo-generic"
 FASTEST_WIND_MS = 100.0
 

@@ -50,13 +50,15 @@ class PackMemory:
             return None
         if not self.stated:
             raise UsageError("--packs: expected --pack NAME as well, the pack that will fly")
-        last = self.ledger.before(self.stated, time.time())
+        last = self.ledger.last(self.stated)
         if last is None:
             raise UsageError(f"--pack {self.stated}: expected a pack of {self.ledger.path}, found none of that name")
         return prior(last, time.time(), battery.certificate.content_sha256)
 
     def learn(self, flight: Flight, battery: BatteryFile, options: PackOptions) -> Learned:
         """Save what the flight taught of its pack."""
+        from uavbatt.packs.findings import ANOTHER
+        from uavbatt.packs.ledger import AnotherSize
         from uavbatt.remembering import name_of, taught
 
         if self.ledger is None:
@@ -67,7 +69,12 @@ class PackMemory:
         found = taught(battery, options, flight)
         if found.record is None:
             return Learned((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
-        after = self.ledger.save(name, found.record)
+        try:
+            after = self.ledger.save(name, found.record)
+        except AnotherSize as error:  # of another pack: the forecast was made without what is remembered
+            return Learned(
+                (f"  pack       {name}: not remembered: {error}",), {"pack": name, "pack_findings": [ANOTHER]}
+            )
         pack = self.ledger.pack(name)
         assert pack is not None
         seen = pack.outlook

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uavbatt.cli.options import check_writable, remark, say
+from uavbatt.cli.options import ReportOption, check_writable, remark, say
 from uavbatt.errors import UavbattError, UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def packs(
     ledger: Annotated[Path, typer.Argument(metavar="FILE.sqlite", help="The pack ledger.")],
     pack: Annotated[str, typer.Option("--pack", metavar="NAME", help="Only this pack, flight by flight.")] = "",
     summary: Annotated[Path | None, typer.Option("--json", help="The same as JSON.")] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     forget: Annotated[str, typer.Option("--forget", metavar="NAME", help="Delete a pack with its flights.")] = "",
     export: Annotated[Path | None, typer.Option("--export", help="Write the pack of --pack to this file.")] = None,
     take_in: Annotated[Path | None, typer.Option("--import", help="Add the pack of such a file.")] = None,

@@ -20,6 +20,7 @@ from uavbatt.cli.options import (
     CutoffOption,
     PackOption,
     PacksOption,
+    ReportOption,
     ReserveOption,
     UncertifiedOption,
     check_writable,
@@ -61,7 +62,7 @@ def plan(
     instance: InstanceOption = None,
     packs: PacksOption = None,
     pack: PackOption = "",
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
     """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature."""
@@ -79,15 +80,15 @@ def plan(
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = planning.resolve(content, options, flight)
+    with pack_memory.opened(packs, pack, only_read=True) as memory:
+        remembered = memory.recalled_now(content)
     if mission is not None and vehicle is not None:
         from uavbatt.cli.plan_mission import plan_mission
 
         conditions = (ambient_c, start_soc, reserve_soc)
-        plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary))
+        plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary), remembered)
         return
     load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
-    with pack_memory.opened(packs, pack, only_read=True) as memory:
-        remembered = memory.recalled_now(content)
     found = planning.make_plan(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
     for line in _lines(found):
         say(line, report, summary)
@@ -106,9 +107,9 @@ def _load(
     """The load to come and its name."""
     from uavbatt.battery import vehicle_file
     from uavbatt.fitting.vehicle import vehicle_file as learn
-    from uavbatt.plan import FromTakeOff
     from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad
     from uavbatt.prediction.load_library import learned_load
+    from uavbatt.prediction.take_off import FromTakeOff
 
     if math.isfinite(power_W):
         return ConstantLoad(power_W, STATED_SPREAD), f"{power_W:g} W"

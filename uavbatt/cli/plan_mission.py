@@ -12,6 +12,7 @@ from uavbatt.errors import UsageError
 
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
+    from uavbatt.battery.remembered import PackHealth
     from uavbatt.battery.sizing import PackSize
     from uavbatt.plan_route import LegEnd, MissionPlan, RouteFit
 
@@ -26,10 +27,12 @@ def plan_mission(
     resolved: PackSize,
     conditions: tuple[float, float, float],
     outputs: tuple[Path | None, Path | None],
+    remembered: PackHealth | None = None,
 ) -> None:
     """Say whether the mission fits.
 
-    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON
+    conditions : ambient temperature [°C], charge at take-off, reserve; outputs : page, JSON; remembered : the health of
+    a pack that was met before
     """
     import msgspec
 
@@ -50,7 +53,7 @@ def plan_mission(
     if math.isfinite(read.cruise_ms):
         settings = replace(settings, cruise_ms=read.cruise_ms)
     planned = Planned(read.mission, read.home, settings, flown.powers, air)
-    found = make_route_plan(content, resolved, planned, *conditions)
+    found = make_route_plan(content, resolved, planned, *conditions, remembered)
     report, summary = outputs
     for line in _lines(found, mission.name):
         say(line, report, summary)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from uavbatt.cli import pack_memory
-from uavbatt.cli.logs import InstanceOption, JoinOption, asked_flight, distinct_names
+from uavbatt.cli.logs import InstanceOption, JoinOption, SystemOption, asked_flight, distinct_names
 from uavbatt.cli.options import (
     DEFAULT_BATTERY,
     STANDARD_OUTPUT,
@@ -20,11 +19,15 @@ from uavbatt.cli.options import (
     CapacityOption,
     CellsOption,
     CutoffOption,
+    LoadOption,
     PackOption,
     PacksOption,
     ReserveOption,
     UncertifiedOption,
+    VehicleOption,
     check_apart,
+    check_ending,
+    check_named,
     check_writable,
     read_battery,
     remark,
@@ -51,8 +54,9 @@ def replay(
     allow_uncertified: UncertifiedOption = False,
     instance: InstanceOption = None,
     join: JoinOption = "",
-    load: Annotated[str, typer.Option("--load", help="learned, recent, log or watts: the load to come.")] = "learned",
-    vehicle: Annotated[Path | None, typer.Option("--vehicle", help="Vehicle file of this aircraft.")] = None,
+    system: SystemOption = None,
+    load: LoadOption = "learned",
+    vehicle: VehicleOption = None,
     packs: PacksOption = None,
     pack: PackOption = "",
     mission: Annotated[
@@ -62,11 +66,13 @@ def replay(
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    png: Annotated[Path | None, typer.Option("--png", help="The chart of the time left as PNG.")] = None,
+    svg: Annotated[Path | None, typer.Option("--svg", help="The same as SVG.")] = None,
 ) -> None:
     """Replay flight logs: state of charge and remaining time at every row, and how good it was.
 
-    With several logs, --jsonl, --csv and --report name folders (one file a log) and --json holds a list; a log that
-    cannot be replayed is told, the others are replayed, and the exit code is 1.
+    With several logs, --jsonl, --csv, --report, --png and --svg name folders (one file a log) and --json holds a list;
+    a log that cannot be replayed is told, the others are replayed, and the exit code is 1.
     With --packs each flight begins with what is remembered of its pack, and is remembered itself.
 
     Example: uavbatt replay flight.BIN --report flight.html
@@ -77,16 +83,20 @@ def replay(
     several = len(logs) > 1
     names = distinct_names(logs)
     targets = [
-        [_target(path, name, ending, several) for path, ending in _outputs(jsonl, csv, report)] for name in names
+        [_target(path, name, ending, several) for path, ending in _endings(jsonl, csv, report, png, svg)]
+        for name in names
     ]
     outputs = [summary, *(target for of_one in targets for target in of_one)]
+    check_named(png, svg)
     if several:
-        _check_folders(jsonl, csv, report)
+        _check_folders(jsonl, csv, report, png, svg)
         check_apart(outputs, reads=[*logs, vehicle, mission])
-        for folder in (jsonl, csv, report):
+        for folder in (jsonl, csv, report, png, svg):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
     check_writable(*outputs, reads=[*logs, vehicle, mission, packs])
+    for path, option, ending in ((report, "--report", ".html"), (png, "--png", ".png"), (svg, "--svg", ".svg")):
+        check_ending(path if not several else None, option, ending)
     content = read_battery(battery, allow_uncertified)
     planned = read_mission(mission) if mission is not None else None
     flown = vehicle_file.read_vehicle(vehicle) if vehicle is not None else None
@@ -94,7 +104,7 @@ def replay(
     results, failed = list[dict[str, Any]](), False
     with pack_memory.opened(packs, pack) as memory:
         for log, of_one in zip(logs, targets, strict=True):
-            chosen, to_come, outputs_of_one = (instance, join), (load, flown), (*of_one, summary)
+            chosen, to_come, outputs_of_one = (instance, join, system), (load, flown), (*of_one, summary)
             stated = (options, reserve_soc)
             try:
                 results.append(_one(log, content, stated, to_come, chosen, memory, outputs_of_one, planned))
@@ -117,35 +127,25 @@ def _one(
     content: BatteryFile,
     stated: tuple[PackOptions, float],
     load: tuple[str, VehicleFile | None],
-    chosen: tuple[int | None, str],
+    chosen: tuple[int | None, str, int | None],
     memory: PackMemory,
     outputs: Sequence[Path | None],
     planned: PlannedFlight | None = None,
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
-    from uavbatt.battery.statements import check_statements
-    from uavbatt.estimator import Estimator
-    from uavbatt.log_replay import MANY_ROWS, engine_for, outcome, steps, with_mission
+    from uavbatt.log_replay import estimator_for, outcome, recorded_period_s, size_of_replayed, steps, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text
-    from uavbatt.telemetry.formats.recording import forecast_period_s
 
-    jsonl, csv, report = outputs[:3]
+    jsonl, csv, report, *charts = outputs[:5]
     flight, (options, reserve_soc) = asked_flight(log, *chosen), stated
     if planned is not None:
         flight = with_mission(flight, planned)
-    check_statements(content, options, flight)
-    period_s = forecast_period_s(log)
     to_come = stated_load(load[0], flight, load[1], content)
-    settings = (
-        ForecastSettings(to_come, reserve_soc, period_s)
-        if math.isfinite(period_s)
-        else ForecastSettings(to_come, reserve_soc)
-    )
-    engine = engine_for(is_long=len(flight.samples) >= MANY_ROWS)
-    estimator = Estimator(content, options, settings, engine, memory.recalled(flight, content))
+    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(log))
+    estimator = estimator_for(flight, content, options, settings, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -154,10 +154,14 @@ def _one(
             run.append(step)
             for sink in out:
                 sink.write(output.line(step.estimate, step.remaining))
-        resolved = estimator.pack_size
-        if resolved is None:
-            raise UsageError(f"{log}: expected at least one row with a voltage")
+        resolved = size_of_replayed(estimator, flight)
         found = outcome(run, resolved.cutoff_V)
+        if any(charts):
+            from uavbatt.report.flight import save_charts
+
+            wanted = [path for path in charts if path is not None]
+            if not save_charts(wanted, flight, run, resolved, found):
+                remark(f"uavbatt: {', '.join(map(str, wanted))}: not written, the time left was refused throughout")
         if report is not None:
             from uavbatt.report.flight import flight_report
             from uavbatt.report.page import write_page
@@ -179,8 +183,9 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
     return track(rows, total=total, description=terminal_line(name), console=Console(stderr=True), transient=True)
 
 
-def _outputs(jsonl: Path | None, csv: Path | None, report: Path | None) -> list[tuple[Path | None, str]]:
-    return [(jsonl, ".jsonl"), (csv, ".csv"), (report, ".html")]
+def _endings(*paths: Path | None) -> list[tuple[Path | None, str]]:
+    """Each output, in the order of the options, with the ending of its file."""
+    return list(zip(paths, (".jsonl", ".csv", ".html", ".png", ".svg"), strict=True))
 
 
 def _target(path: Path | None, name: str, ending: str, several: bool) -> Path | None:

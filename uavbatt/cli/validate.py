@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavbatt.cli.options import check_writable, remark, say
+from uavbatt.cli.options import ReportOption, check_writable, remark, say
 from uavbatt.cli.progress import progress_bar
 from uavbatt.errors import UsageError
 
@@ -29,7 +29,7 @@ class Method(StrEnum):
 def validate(
     dataset: Annotated[Path | None, typer.Argument(metavar="[DATASET]", help="Folder; default: the study.")] = None,
     ship: Annotated[Path | None, typer.Option("--ship", metavar="DIR", help="Write the battery file on pass.")] = None,
-    report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
+    report: ReportOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Every number as JSON.")] = None,
     method: Annotated[Method, typer.Option("--method", help="iso gates; paper = the study as printed.")] = Method.ISO,
     template: Annotated[
@@ -176,4 +176,30 @@ def _paper_lines(name: str, replayed: PaperReplay) -> list[str]:
         + (", drifts by the study's rule" if c.drifts else "")
         for c in replayed.columns
     ]
-    return [*lines, *(f"  note: {note}" for note in replayed.notes)]
+    return [*lines, *(f"  note: {note}" for note in replayed.notes), "", *_conclusion(replayed)]
+
+
+def _conclusion(replayed: PaperReplay) -> list[str]:
+    """Say what the study's own rules make of the tests: the precision, the pooling, the corridor."""
+    volts = [column for column in replayed.columns if column.quantity == "voltage_V"]
+    drifting = [column for column in volts if column.drifts]
+    worst = max(volts, key=lambda column: column.r)
+    lines = [
+        f"conclusion by the study's own rules, at {replayed.ambient_C:g} °C",
+        f"  repeatability: r is {worst.r:.3f} V at most (sample {worst.sample}, {worst.time_s / 60.0:g} min); "
+        f"{len(drifting)} of {len(volts)} columns of voltage drift",
+    ]
+    for name, unit, pooled in (("voltage", "V", replayed.pooled), ("temperature", "°C", replayed.pooled_surface)):
+        if not pooled:
+            continue
+        apart = [one for one in pooled if not one.may_pool]
+        minutes = ", ".join(f"{one.time_s / 60.0:g}" for one in apart)
+        said = f"may not be pooled at {minutes} min" if apart else "may be pooled at every instant"
+        corridor = max(pooled, key=lambda one: one.C)
+        lines.append(
+            f"  {name}: the samples {said}; corridor mean ± C, C at most {corridor.C:.3f} {unit} "
+            f"({corridor.time_s / 60.0:g} min)"
+        )
+    if not replayed.pooled:
+        lines.append("  one sample: nothing to pool, no corridor by the study's rules")
+    return [*lines, "  it judges the tests and gates no model: that is `--method iso`"]

@@ -75,6 +75,8 @@ QUANTITY = {
     "diffusion_activation_K": "growth of the diffusion in the cold",
 }
 
+SHARES = {"fade", "deficit", "growth"}  # people read these as percent
+
 
 def separating(members: tuple[str, ...], outside: str | None) -> str:
     """The readings that tell the members apart; for a lone member, the one that confirms it."""

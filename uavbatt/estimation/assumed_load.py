@@ -1,6 +1,6 @@
 """A pack without a current sensor: the load that is assumed for it, and how much that is doubted.
 
-Hovers of 12 to 30 minutes draw 2 to 4 C, so 2.5 C, give or take a factor of 1.6; a stated power is right to a fifth.
+The power is that of a middling multirotor, give or take a factor of 1.6; a stated power is right to a fifth.
 Around its mean the load wanders by a fifth for a minute at a time: as independent errors of readings two seconds apart
 that is five times as much.
 """
@@ -11,13 +11,14 @@ import math
 
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.typical_power import typical_power_W
 
-ASSUMED_C_RATE, ASSUMED_CELL_V, ASSUMED_SD, STATED_SD = 2.5, 3.8, (0.5, 1.2), (0.2, 0.4)
+ASSUMED_SD, STATED_SD = (0.5, 1.2), (0.2, 0.4)
 
 
 def assumed_power_W(size: PackSize) -> float:
     """Power [W] of a middling multirotor on a pack of this size."""
-    return ASSUMED_C_RATE * size.capacity_Ah * size.cells * ASSUMED_CELL_V
+    return typical_power_W(size.cells, size.capacity_Ah)
 
 
 def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:

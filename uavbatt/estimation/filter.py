@@ -194,7 +194,7 @@ def unknown(sample: Sample, reason: str) -> Estimate:
 
 def known_only_to(soc_sd: float) -> str:
     """Say how little is known of the charge; beyond any charge that there is, the number would say nothing."""
-    return f"state of charge known only to ±{soc_sd:.0%}" if soc_sd < 1.0 else "state of charge not known at all"
+    return f"still settling: charge known to ±{soc_sd:.0%}" if soc_sd < 1.0 else "state of charge not known at all"
 
 
 def _why_nothing(sample: Sample) -> str:

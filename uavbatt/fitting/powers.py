@@ -1,7 +1,9 @@
 """The `[powers]` of a vehicle file: power over airspeed and climb, from flights that logged both or flew a known route.
 
 Least squares with a prior (momentum theory and other aircraft), in shares of each flight's own hover power, which is
-found in turns with the shape: a flight with a payload teaches the shape as well as one without.
+found in turns with the shape: a flight with a payload teaches the shape as well as one without. The shape itself is
+never quite right: many blocks at one airspeed and climb count for no more than that error lets them, so that the few at
+high airspeed are heard.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
 TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
+SHAPE_SD = 0.01  # of the shape itself within a cell of 1 m/s airspeed and climb
 STEADY_MS2 = 0.3
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 
@@ -90,23 +93,25 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
     """The shape of all flights and the hover of each in turns; the misfit and the powers."""
     columns = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
-    shares_of_one = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
+    counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
+    design, count, crowd = np.concatenate(columns), np.concatenate(counts), _crowds(told, counts)
+    ends = np.cumsum([len(c) for c in columns])[:-1]
     hovers_W, noise = np.ones(len(told)), NOISE
     for _ in range(TURNS):
-        weights = [share / noise**2 for share in shares_of_one]
+        variance = noise**2 + crowd * SHAPE_SD**2
+        weight = count / variance
         hovers_W = np.array(
             [
                 w @ (r.power_W * (1.0 + c @ shares)) / (w @ (1.0 + c @ shares) ** 2)
-                for r, c, w in zip(told, columns, weights, strict=True)
+                for r, c, w in zip(told, columns, np.split(weight, ends), strict=True)
             ]
         )
-        design, weight = np.concatenate(columns), np.concatenate(weights)
         seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W, strict=True)])
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
         shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
-        noise = max(float(np.sqrt(np.average((seen - design @ shares) ** 2, weights=weight))), LEAST_NOISE)
+        noise = max(float(np.sqrt(np.average((seen - design @ shares) ** 2, weights=count))), LEAST_NOISE)
     left = [r.power_W / (h * (1.0 + c @ shares)) - 1.0 for r, c, h in zip(told, columns, hovers_W, strict=True)]
-    entropy = 2.0 * float(np.sum(np.concatenate(shares_of_one))) * math.log(noise)
+    entropy = float(count @ np.log(variance))
     misfit = float(weight @ np.concatenate(left) ** 2 + np.sum(((shares - prior) / PRIOR_SD) ** 2)) + entropy
     return misfit, Powers(
         hover_W=_rounded(float(np.mean(hovers_W)), 1),
@@ -114,10 +119,17 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
         **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
         level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
         fast_sd=_rounded(_spread(_unusual(told, columns, left), UNKNOWN.fast_sd), 4),
-        row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(left) ** 2, weights=weight))), 4),
+        row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(left) ** 2, weights=count))), 4),
         flights=len(told),
         seconds=_rounded(sum(float(r.length_s.sum()) for r in told), 0),
     )
+
+
+def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:
+    """Return how many blocks share the cell of 1 m/s airspeed and climb of each block, over all flights."""
+    flown = np.floor(np.concatenate([np.stack([rows.airspeed_ms, rows.climb_ms + 0.5], axis=1) for rows in told]))
+    _, cell = np.unique(flown, axis=0, return_inverse=True)
+    return np.asarray(np.bincount(cell, np.concatenate(counts))[cell], float)
 
 
 def _unusual(told: list[PowerRows], columns: list[Array], left: list[Array]) -> Array:

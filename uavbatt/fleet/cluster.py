@@ -5,18 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Generic
 
 from uavbatt import __version__
 from uavbatt.errors import UavbattError, UsageError
-from uavbatt.fleet.fly import Job, bad, fly_log
-from uavbatt.fleet.logs import LogFile
-from uavbatt.fleet.row import LOST, FlightRow
+from uavbatt.fleet.errand import Errand, Row
 
 WAIT_FOR_WORKERS_S = 30
 
 
-class Cluster:
+class Cluster(Generic[Row]):
     """A crew of as many workers as the cluster has threads."""
 
     def __init__(self, client: Any) -> None:
@@ -24,36 +22,37 @@ class Cluster:
 
         self.size = max(sum(client.nthreads().values()), 1)
         self._client = client
-        self._under_way: dict[Any, tuple[int, LogFile, Job]] = {}
+        self._under_way: dict[Any, tuple[int, Errand[Row]]] = {}
         self._coming = as_completed(loop=client.loop)
 
-    def fly(self, number: int, log: LogFile, job: Job) -> None:
-        """Have a log flown."""
-        future = self._client.submit(fly_log, log, job, pure=False, retries=1)
-        self._under_way[future] = (number, log, job)
+    def send(self, number: int, errand: Errand[Row]) -> None:
+        """Have an errand done."""
+        future = self._client.submit(errand.done, pure=False, retries=1)
+        self._under_way[future] = (number, errand)
         self._coming.add(future)
 
-    def finished(self) -> tuple[int, FlightRow]:
+    def finished(self) -> tuple[int, Row]:
         """The next row that comes back, with the number of its log."""
         future = next(self._coming)
-        number, log, job = self._under_way.pop(future)
-        row = self._row(future, log, job)
+        number, errand = self._under_way.pop(future)
+        row = self._row(future, errand)
         future.release()
         return number, row
 
-    def _row(self, future: Any, log: LogFile, job: Job) -> FlightRow:
-        """The row of a future. `fly` raises nothing, so an error here is the cluster's."""
+    def _row(self, future: Any, errand: Errand[Row]) -> Row:
+        """The row of a future. An errand raises nothing, so an error here is the cluster's."""
         try:
-            row: FlightRow = future.result()
+            row: Row = future.result()
         except Exception as error:
             if self._client.status != "running":
                 raise UavbattError("the cluster went away: run again, what is done stays done") from None
-            return bad(log, job, f"the worker died on it, of too little memory perhaps ({type(error).__name__})", LOST)
+            reason = f"the worker died on it, of too little memory perhaps ({type(error).__name__})"
+            return errand.lost(errand.log, reason)
         return row
 
 
 @contextmanager
-def joined(scheduler: str) -> Iterator[Cluster]:
+def joined(scheduler: str) -> Iterator[Cluster[Any]]:
     """The crew of a cluster.
 
     Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.

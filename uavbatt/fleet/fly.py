@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 import re
 from dataclasses import dataclass, replace
@@ -13,17 +11,20 @@ from pathlib import PurePath
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
 from uavbatt.log_replay import Outcome, ReplayedRow, engine_for, outcome, steps
-from uavbatt.packs.exchange import plain_flight
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.remembering import taught
-from uavbatt.telemetry.info import charges_Ah, describe, gap_limit_s, median_step_s
+from uavbatt.telemetry.drawn import drawn
+from uavbatt.telemetry.info import describe, gap_limit_s, median_step_s
+from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.read import read_bytes
 
 MUCH_REFUSED, HIGH_NIS = 0.2, 3.0
@@ -40,16 +41,30 @@ class Job:
     battery: BatteryFile
     options: PackOptions
     settings: ForecastSettings = ForecastSettings()
+    load: str = "learned"  # the word for the load to come, as `replay --load` has it
+    vehicle: VehicleFile | None = None
+    instance: int | None = None
+    join: str = ""  # how the batteries of a log are wired, where all of them are flown as one pack
     by: str = ""  # the column that names the aircraft
     aircraft_pattern: str = ""  # what it matches in a log's name is the aircraft; a group in it, only that
     flights_each: int = 1  # about how many logs a worker will fly
-    teaches: bool = False  # what each flight says of its pack is worked out as well
 
 
-def fly_log(log: LogFile, job: Job) -> FlightRow:
+@dataclass(frozen=True, slots=True)
+class PackMet:
+    """The pack of one log by the ledger: what the flights before it taught, and what this one showed, in words."""
+
+    health: PackHealth | None = None
+    findings: tuple[str, ...] = ()
+
+
+NOT_MET = PackMet()
+
+
+def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
     """The row of one log; never raises for anything that a log can cause."""
     try:
-        return _flown(read_bytes(log.name, log.read()), log, job)
+        return _flown(read(log, job), log, job, met)
     except Unreadable as error:
         return bad(log, job, str(error).removeprefix(f"{log.name}: "), LOST)
     except UavbattError as error:
@@ -59,15 +74,28 @@ def fly_log(log: LogFile, job: Job) -> FlightRow:
     return bad(log, job, reason)
 
 
+def read(log: LogFile, job: Job) -> Flight:
+    """The flight of a log, as the job asks for it. Raises BadInput when it is none, Unreadable without its bytes."""
+    if job.join:
+        return bytes_joined(log.name, log.read(), Wiring(job.join))
+    return read_bytes(log.name, log.read(), job.instance)
+
+
 def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
     """The row of a log that could not be flown."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
-def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
+def lost(log: LogFile, reason: str, job: Job) -> FlightRow:
+    """The row of a log whose worker died, which the next run flies again."""
+    return bad(log, job, reason, LOST)
+
+
+def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     engine = engine_for(is_long=job.flights_each >= MANY_FLIGHTS)
-    estimator = Estimator(job.battery, job.options, job.settings, engine)
+    load = stated_load(job.load, flight, job.vehicle, job.battery)
+    estimator = Estimator(job.battery, job.options, replace(job.settings, load=load), engine, met.health)
     run = list(steps(flight, estimator))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
@@ -76,8 +104,7 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
     who, info = flight.identity, describe(flight)
     last = run[-1].estimate
     limit_s = gap_limit_s(median_step_s(flight.samples))
-    charge_Ah, _ = charges_Ah(flight.samples, limit_s)
-    energy_Wh, flown_s = _energy(flight, limit_s)
+    total = drawn(flight.samples, limit_s)
     temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
     row = FlightRow(
         file=log.name,
@@ -97,9 +124,9 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
         cells=pack.cells,
         capacity_Ah=pack.capacity_Ah,
         cutoff_V=pack.cutoff_V,
-        charge_Ah=charge_Ah,
-        energy_Wh=energy_Wh,
-        mean_power_W=energy_Wh * 3600.0 / flown_s if flown_s > 0.0 else NAN,
+        charge_Ah=total.charge_Ah,
+        energy_Wh=total.energy_Wh,
+        mean_power_W=total.energy_Wh * 3600.0 / total.time_s if total.time_s > 0.0 else NAN,
         temp_C=float(np.median(temps)) if temps else NAN,
         end_voltage_V=found.end_voltage_V,
         end_soc=found.end_soc,
@@ -114,19 +141,10 @@ def _flown(flight: Flight, log: LogFile, job: Job) -> FlightRow:
         trust=info.trust,
         skipped_bytes=flight.skipped_bytes,
         warnings="; ".join(_warnings(flight, run)),
-        taught=_taught(flight, job),
         size_bytes=log.size,
     )
     row = _scored(_identified(row, job), found)
-    return replace(row, look="; ".join(_reasons(row, info.reasons)))
-
-
-def _taught(flight: Flight, job: Job) -> str:
-    """Return what a flight of a known pack says of it, as JSON; empty where it says nothing."""
-    if not (job.teaches and flight.identity.battery_serial):
-        return ""
-    found = taught(job.battery, job.options, flight).record
-    return json.dumps(plain_flight(found)) if found is not None else ""
+    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons)]))
 
 
 def _identified(row: FlightRow, job: Job) -> FlightRow:
@@ -135,17 +153,6 @@ def _identified(row: FlightRow, job: Job) -> FlightRow:
     if named:
         return replace(row, aircraft=named, aircraft_from="--by")
     return replace(row, aircraft_from="--aircraft" if job.aircraft_pattern else "folder")
-
-
-def _energy(flight: Flight, limit_s: float) -> tuple[float, float]:
-    """Energy drawn [Wh] over all steps that are no gap, and their time [s]; NaN without a current."""
-    joules, flown_s = 0.0, 0.0
-    for a, b in itertools.pairwise(flight.samples):
-        step_s = b.time_s - a.time_s
-        step_J = 0.5 * (a.voltage_V * a.current_A + b.voltage_V * b.current_A) * step_s
-        if step_s <= limit_s and math.isfinite(step_J):
-            joules, flown_s = joules + step_J, flown_s + step_s
-    return (joules / 3600.0, flown_s) if flown_s > 0.0 else (NAN, 0.0)
 
 
 def _scored(row: FlightRow, found: Outcome) -> FlightRow:

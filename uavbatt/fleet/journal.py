@@ -1,8 +1,8 @@
 """Rows on disk as they come: one JSON line a flight, so that a stopped run goes on where it was.
 
 A row counts for a later run only under the same key: path, size and time of change of the log, content of the battery
-file, pack options and version of uavbatt. Rows under other keys stay in the file until it is tidied. A damaged row is
-taken out of the file at once, and its log flown again.
+file and of the vehicle file, all options, what is remembered of its pack, and version of uavbatt. Rows under other
+keys stay in the file until it is tidied. A damaged row is taken out of the file at once, and its log flown again.
 """
 
 from __future__ import annotations
@@ -10,37 +10,58 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
+
+import msgspec
 
 from uavbatt import __version__
 from uavbatt.battery.battery_file import content_hash
 from uavbatt.errors import BadInput
 from uavbatt.files import atomic_write
-from uavbatt.fleet.fly import Job
-from uavbatt.fleet.logs import JOURNAL, LogFile
-from uavbatt.fleet.row import LOST, FlightRow, row_of
+from uavbatt.fleet.fly import NOT_MET, Job, PackMet
+from uavbatt.fleet.lesson import Lesson
+from uavbatt.fleet.logs import LogFile
+from uavbatt.fleet.row import LOST, FlightRow
+
+Row = TypeVar("Row", FlightRow, Lesson)
 
 
-def key(log: LogFile, job_key: str) -> str:
+def key(log: LogFile, job_key: str, met: PackMet = NOT_MET) -> str:
     """Return the key under which a finished row is kept."""
-    return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}")
+    pack = ""
+    if met != NOT_MET:
+        health = met.health
+        numbers = [] if health is None else [*health[:2], *health.covariance.ravel(), health.cells]
+        pack = " ".join(f"{number:.9g}" for number in numbers) + "\0".join(met.findings)
+    return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}\0{pack}")
 
 
 def job_key(job: Job) -> str:
     """Return a key of all that a job says and that changes its rows."""
-    said = f"{job.options!r}\0{job.settings!r}\0{job.by}\0{job.aircraft_pattern}\0{job.teaches}"
+    vehicle = msgspec.json.encode(job.vehicle).decode()
+    said = "\0".join(map(repr, (job.settings, job.load, vehicle, job.by, job.aircraft_pattern)))
+    return _digest(f"{lesson_key(job)}\0{said}")
+
+
+def lesson_key(job: Job) -> str:
+    """Return a key of all that a job says and that changes what its flights teach."""
+    said = "\0".join(map(repr, (job.options, job.instance, job.join)))
     return _digest(f"{__version__}\0{content_hash(job.battery)}\0{said}")
 
 
-class Journal:
+class Journal(Generic[Row]):
     """The journal of one output folder, open for the length of a run; only the places of its rows are in memory."""
 
-    def __init__(self, folder: Path, keys: Mapping[str, int]) -> None:
-        """keys: key of every log of this run -> its number; raises BadInput when the folder cannot be written."""
-        self.path = folder / JOURNAL
+    def __init__(self, path: Path, keys: Mapping[str, int], row_of: Callable[[Mapping[str, Any]], Row]) -> None:
+        """Open it; raises BadInput when its folder cannot be written.
+
+        keys : key of every log of this run -> its number; row_of : a row from its plain values, else ValueError.
+        """
+        self.path, folder = path, path.parent
         self._keys = keys
+        self._row_of: Callable[[Mapping[str, Any]], Row] = row_of
         self._places: dict[int, int] = {}
         self.dropped = 0  # damaged rows
         try:
@@ -51,7 +72,7 @@ class Journal:
         if not self._index():
             self._heal()
 
-    def __enter__(self) -> Journal:
+    def __enter__(self) -> Journal[Row]:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -63,18 +84,18 @@ class Journal:
     def __len__(self) -> int:
         return len(self._places)
 
-    def add(self, number: int, key: str, row: FlightRow) -> None:
+    def add(self, number: int, key: str, row: Row) -> None:
         """Keep the row of log `number`; it is on disk when this returns."""
         self._places[number] = self._file.seek(0, os.SEEK_END)
         line = json.dumps({"key": key, **row.plain()}, allow_nan=False)  # ASCII: a file name may be no text at all
         self._file.write(line.encode() + b"\n")
         self._file.flush()
 
-    def rows(self) -> Iterator[FlightRow]:
-        """The rows of this run in the order of its logs, one at a time."""
+    def rows(self) -> Iterator[tuple[int, Row]]:
+        """(number of the log, its row) of this run in the order of its logs, one at a time."""
         for number in sorted(self._places):
             self._file.seek(self._places[number])
-            yield row_of(json.loads(self._file.readline()))
+            yield number, self._row_of(json.loads(self._file.readline()))
 
     def _index(self) -> bool:
         """Find the rows that count; True if none is damaged. A last line that a crash cut short is cut away."""
@@ -100,7 +121,7 @@ class Journal:
         if number is None:
             return -1  # of another run, which may be of another version: not ours to judge
         try:
-            return number if row_of(said).status != LOST else -1
+            return number if self._row_of(said).status != LOST else -1
         except ValueError:
             return None
 

@@ -1,28 +1,69 @@
-"""The ledger that a fleet's rows fill: the same as by replaying the logs one by one, in whatever order."""
+"""The pack ledger of a fleet: the same as by replaying the logs one by one in order of time, on however many cores."""
 
 from __future__ import annotations
 
-import json
+import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from uavbatt.errors import UavbattError
-from uavbatt.fleet.row import FlightRow
-from uavbatt.packs.exchange import flight_of
-from uavbatt.packs.ledger import Ledger
-from uavbatt.packs.records import FlightRecord
+from uavbatt.fleet.fly import NOT_MET, PackMet
+from uavbatt.fleet.lesson import Lesson
+from uavbatt.packs.ledger import AnotherSize, Ledger, prior
+
+Numbered = tuple[int, Lesson]
 
 
-def fill(ledger: Ledger, rows: Iterable[FlightRow]) -> tuple[int, list[str]]:
-    """Save what the rows' flights taught of their packs; how many flights, and why packs were left out."""
-    taught: dict[str, list[FlightRecord]] = defaultdict(list)
-    for row in rows:
-        if row.taught:
-            taught[row.battery_serial].append(flight_of(json.loads(row.taught)))
-    saved, left_out = 0, []
-    for name, flights in sorted(taught.items()):
-        try:
-            saved += len(ledger.save_all(name, flights))
-        except UavbattError as error:
-            left_out.append(str(error))
-    return saved, left_out
+@dataclass(frozen=True, slots=True)
+class Filled:
+    """How many flights a ledger has taken in, and why it left out others: number of the log -> words."""
+
+    saved: int
+    left_out: dict[int, str]
+
+
+def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> Filled:
+    """Save what the flights taught of their packs."""
+    saved, left_out = 0, dict[int, str]()
+    for name, flights in sorted(_by_pack(lessons).items()):
+        teaching = [(number, lesson) for number, lesson in flights if lesson.taught is not None]
+        while teaching:
+            try:
+                saved += len(ledger.save_all(name, [lesson.taught for _, lesson in teaching if lesson.taught]))
+                break
+            except AnotherSize as error:
+                number, _ = teaching.pop(error.index)
+                left_out[number] = str(error)
+            except UavbattError as error:
+                left_out |= {number: str(error) for number, _ in teaching}
+                break
+    return Filled(saved, left_out)
+
+
+def met(ledger: Ledger, lessons: Iterable[Numbered], filled: Filled, logs: int, battery_sha256: str) -> list[PackMet]:
+    """Return the pack of each of so many logs as the flights before it left it, once the ledger is filled."""
+    found = [NOT_MET] * logs
+    for name, flights in _by_pack(lessons).items():
+        findings = {after.flight.key: after.findings for after in ledger.flights(name)}
+        for number, lesson in flights:
+            last = ledger.before(name, lesson.start_utc_s, lesson.key)
+            health = prior(last, lesson.start_utc_s, battery_sha256) if last is not None else None
+            words = [finding.words for finding in findings.get(lesson.key, ())]
+            words += [filled.left_out[number]] if number in filled.left_out else []
+            found[number] = PackMet(health, tuple(f"pack {name}: {one}" for one in words))
+    return found
+
+
+def _by_pack(lessons: Iterable[Numbered]) -> dict[str, Sequence[Numbered]]:
+    """The flights of each named pack in order of time, those without a clock after all others."""
+    packs: dict[str, list[Numbered]] = defaultdict(list)
+    for number, lesson in lessons:
+        if lesson.pack:
+            packs[lesson.pack].append((number, lesson))
+    return {name: sorted(flights, key=_moment) for name, flights in packs.items()}
+
+
+def _moment(numbered: Numbered) -> tuple[float, int]:
+    number, lesson = numbered
+    return (lesson.start_utc_s if math.isfinite(lesson.start_utc_s) else math.inf, number)

@@ -18,6 +18,7 @@ from uavbatt.errors import BadInput, UsageError
 
 SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
 JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # what a fleet's own folder holds: no logs
+LESSONS = "lessons.jsonl"
 _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag", "created", "CRC")
 
 

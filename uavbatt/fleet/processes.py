@@ -1,10 +1,10 @@
 """Workers on this machine: processes at the ends of unnamed pipes, so that no port is open through which another user
 of the machine could have code run.
 
-    queue -> the pipe of an idle worker -> fly -> the pipe -> row
+    queue -> the pipe of an idle worker -> its work -> the pipe -> row
 
-A worker flies one log at a time: when it dies, or takes more memory than its share, it is known on which. That log is
-flown once more in a new process; a second time, its row says so.
+A worker is on one log at a time: when it dies, or takes more memory than its share, it is known on which. That log is
+tried once more in a new process; a second time, its row says so.
 """
 
 from __future__ import annotations
@@ -21,14 +21,10 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 from uavbatt.errors import UavbattError
-from uavbatt.fleet.logs import LogFile
-
-if TYPE_CHECKING:  # a worker loads the rest when it knows on how many threads
-    from uavbatt.fleet.fly import Job
-    from uavbatt.fleet.row import FlightRow
+from uavbatt.fleet.errand import Errand, Row
 
 TRIES = 2
 LOOK_PERIOD_S = 1.0
@@ -37,11 +33,10 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class Task(NamedTuple):
-    """A log to be flown, and how often that has been tried."""
+    """An errand, and how often it has been tried."""
 
     number: int
-    log: LogFile
-    job: Job
+    errand: Errand[Any]
     tries: int = 0
 
 
@@ -53,16 +48,14 @@ class Worker:
         self._process: SpawnProcess = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()
-        self._job: Job | None = None
         self.task: Task | None = None
         self.is_ready = False
 
     def give(self, task: Task) -> None:
-        """Have a log flown; the job goes along when it is another than before."""
+        """Send it on an errand."""
         self.task = task
-        is_new, self._job = task.job is not self._job, task.job
         with suppress(OSError):  # it is dead, as its pipe will tell
-            self.line.send((task.job if is_new else None, task.log))
+            self.line.send(task.errand)
 
     def memory_bytes(self) -> int:
         """Return the memory that it holds now [bytes]; 0 where the system does not tell."""
@@ -80,7 +73,7 @@ class Worker:
         return self._process.exitcode
 
 
-class Processes:
+class Processes(Generic[Row]):
     """A crew of `size` workers; no more than `limit_bytes` of memory for each."""
 
     def __init__(self, size: int, limit_bytes: float | None = None) -> None:
@@ -90,16 +83,16 @@ class Processes:
         self._queue: deque[Task] = deque()
         self._workers = [Worker() for _ in range(size)]
 
-    def fly(self, number: int, log: LogFile, job: Job) -> None:
-        """Have a log flown."""
-        self._queue.append(Task(number, log, job))
+    def send(self, number: int, errand: Errand[Row]) -> None:
+        """Have an errand done."""
+        self._queue.append(Task(number, errand))
         self._hand_out()
 
-    def finished(self) -> tuple[int, FlightRow]:
+    def finished(self) -> tuple[int, Row]:
         """The next row that comes back, with the number of its log."""
         return next(found for found in self._rows() if found is not None)
 
-    def _rows(self) -> Iterator[tuple[int, FlightRow] | None]:
+    def _rows(self) -> Iterator[tuple[int, Row] | None]:
         """Yield the rows of each worker that has something to say or has grown too big."""
         while True:
             if time.monotonic() >= self._look_s:
@@ -123,15 +116,15 @@ class Processes:
             if self._queue and worker.is_ready and worker.task is None:
                 worker.give(self._queue.popleft())
 
-    def _heard(self, worker: Worker) -> tuple[int, FlightRow] | None:
+    def _heard(self, worker: Worker) -> tuple[int, Row] | None:
         try:
-            row: FlightRow | None = worker.line.recv()
+            row: Row | None = worker.line.recv()
         except (EOFError, OSError):
             return self._lost(worker, "the worker died on it, of too little memory perhaps")
         task, worker.task, worker.is_ready = worker.task, None, True
         return None if task is None or row is None else (task.number, row)
 
-    def _lost(self, worker: Worker, reason: str) -> tuple[int, FlightRow] | None:
+    def _lost(self, worker: Worker, reason: str) -> tuple[int, Row] | None:
         """A new process in the place of this one; the row of its log if that has been tried often enough."""
         code, task = worker.end(), worker.task
         if not worker.is_ready:
@@ -142,10 +135,8 @@ class Processes:
         if task.tries + 1 < TRIES:
             self._queue.appendleft(task._replace(tries=task.tries + 1))
             return None
-        from uavbatt.fleet.fly import bad
-        from uavbatt.fleet.row import LOST
-
-        return task.number, bad(task.log, task.job, f"{reason} (exit code {code})", LOST)
+        row: Row = task.errand.lost(task.errand.log, f"{reason} (exit code {code})")
+        return task.number, row
 
 
 def machine_bytes() -> float:
@@ -163,16 +154,13 @@ def _work(line: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(50_000)  # as the command does: rows are values without circles
-    from uavbatt.fleet.fly import fly_log
+    import uavbatt.fleet.lesson  # noqa: F401  # all that errands need, loaded before the first
 
-    job: Job | None = None
     try:
         line.send(None)
         while True:
-            new, log = line.recv()
-            job = new or job
-            assert job is not None
-            line.send(fly_log(log, job))
+            errand: Errand[Any] = line.recv()
+            line.send(errand.done())
     except (EOFError, OSError):
         return
 

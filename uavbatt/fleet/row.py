@@ -76,7 +76,6 @@ class FlightRow:
     trust: str = ""
     skipped_bytes: int = 0
     warnings: str = ""
-    taught: str = ""  # what the flight says of its pack, as JSON, where a ledger is to be filled
     size_bytes: int = 0
 
     def plain(self) -> dict[str, Any]:

@@ -2,36 +2,41 @@
 
     logs -> a bounded number under way -> fly (worker process, or a cluster's) -> journal -> tables
 
-Few logs are under way at a time, so that memory does not grow with the number of flights.
+Few logs are under way at a time, so that memory does not grow with the number of flights. With a pack ledger the logs
+go out twice: first for what each flight says of its pack, from which the ledger is filled, then to be flown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from uavbatt.errors import MissingExtra
-from uavbatt.fleet import journal, tables
-from uavbatt.fleet.fly import Job
-from uavbatt.fleet.logs import LogFile
+from uavbatt.fleet import fly, journal, lesson, tables
+from uavbatt.fleet.errand import Errand, Row
+from uavbatt.fleet.fly import NOT_MET, Job, PackMet
+from uavbatt.fleet.journal import Journal
+from uavbatt.fleet.lesson import Lesson, lesson_of
+from uavbatt.fleet.logs import JOURNAL, LESSONS, LogFile
 from uavbatt.fleet.processes import Processes
-from uavbatt.fleet.row import FlightRow
+from uavbatt.fleet.row import FlightRow, row_of
 
 _UNDER_WAY_PER_WORKER = 3
 
 
-class Crew(Protocol):
-    """The workers that replay the logs."""
+class Crew(Protocol[Row]):
+    """The workers that read the logs."""
 
     size: int
 
-    def fly(self, number: int, log: LogFile, job: Job) -> None:
-        """Have a log flown."""
+    def send(self, number: int, errand: Errand[Row]) -> None:
+        """Have an errand done."""
 
-    def finished(self) -> tuple[int, FlightRow]:
+    def finished(self) -> tuple[int, Row]:
         """The next row that comes back, with the number of its log."""
 
 
@@ -42,7 +47,7 @@ class Finished:
     dropped: damaged rows of earlier runs that were taken out of the journal.
     """
 
-    row: FlightRow | None
+    row: FlightRow | Lesson | None
     done: int
     total: int
     dropped: int = 0
@@ -60,13 +65,13 @@ def check_extra(scheduler: str | None = None) -> None:
 
 
 @contextmanager
-def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew]:
+def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew[Any]]:
     """The crew of an existing Dask cluster, or of `workers` processes on this machine that end with the block.
 
     Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
     """
     if scheduler is None:
-        with closing(Processes(workers)) as crew:
+        with closing(Processes[Any](workers)) as crew:
             yield crew
         return
     from uavbatt.fleet.cluster import joined
@@ -75,42 +80,102 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew]:
         yield cluster
 
 
+def learn_all(
+    crew: AbstractContextManager[Crew[Lesson]], logs: Sequence[LogFile], job: Job, folder: Path
+) -> Iterator[Finished]:
+    """Work out what each flight says of its pack, for all logs of which `folder` does not have it yet.
+
+    crew and errors as in `run_fleet`; `lessons` gives what was found.
+    """
+
+    def errand(number: int, _: int) -> Errand[Lesson]:
+        return Errand(logs[number], partial(lesson.learn, job=job), lesson.lost)
+
+    keys = _lesson_keys(logs, job)
+    with Journal(folder / LESSONS, _numbers(keys), lesson_of) as done:
+        yield from _worked_off(crew, errand, keys, done)
+        done.tidy()
+
+
+def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
+    """(number of the log, what its flight says of its pack) of a finished first pass."""
+    with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as done:
+        yield from done.rows()
+
+
 def run_fleet(
-    crew: AbstractContextManager[Crew], logs: Sequence[LogFile], job: Job, folder: Path
+    crew: AbstractContextManager[Crew[FlightRow]],
+    logs: Sequence[LogFile],
+    job: Job,
+    folder: Path,
+    met: Sequence[PackMet] = (),
 ) -> Iterator[Finished]:
     """Fly every log that `folder` has no row of yet, then write its tables; yields as logs are done.
 
     crew: see `connected`; not entered when there is nothing to do. The first item tells how many were done before.
-    Raises UavbattError when the cluster goes away: what is done stays done, and the next run goes on there.
+    met: the pack of each log, where a ledger knows it. Raises UavbattError when the cluster goes away: what is done
+    stays done, and the next run goes on there.
     """
-    job_key = journal.job_key(job)
-    keys = [journal.key(log, job_key) for log in logs]
-    with journal.Journal(folder, {key: number for number, key in enumerate(keys)}) as done:
-        yield Finished(None, len(done), len(logs), done.dropped)
-        if len(done) < len(logs):
-            to_do = [number for number in range(len(logs)) if number not in done]
-            with crew as at_work:
-                for number, row in _flown(at_work, logs, job, to_do):
-                    done.add(number, keys[number], row)
-                    yield Finished(row, len(done), len(logs))
-        tables.write_tables(folder, done.rows())
+
+    def errand(number: int, each: int) -> Errand[FlightRow]:
+        flown = replace(job, flights_each=each)
+        work = partial(fly.fly_log, job=flown, met=met[number] if met else NOT_MET)
+        return Errand(logs[number], work, partial(fly.lost, job=flown))
+
+    keys = _keys(logs, job, met)
+    with Journal(folder / JOURNAL, _numbers(keys), row_of) as done:
+        yield from _worked_off(crew, errand, keys, done)
+        tables.write_tables(folder, (row for _, row in done.rows()))
         done.tidy()
 
 
-def rows(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[FlightRow]:
+def rows(folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[PackMet] = ()) -> Iterator[FlightRow]:
     """The rows of a finished run, one at a time."""
+    with Journal(folder / JOURNAL, _numbers(_keys(logs, job, met)), row_of) as done:
+        yield from (row for _, row in done.rows())
+
+
+def _keys(logs: Sequence[LogFile], job: Job, met: Sequence[PackMet]) -> list[str]:
     job_key = journal.job_key(job)
-    keys = {journal.key(log, job_key): number for number, log in enumerate(logs)}
-    with journal.Journal(folder, keys) as done:
-        yield from done.rows()
+    return [journal.key(log, job_key, one) for log, one in zip(logs, met or [NOT_MET] * len(logs), strict=True)]
 
 
-def _flown(crew: Crew, logs: Sequence[LogFile], job: Job, to_do: Sequence[int]) -> Iterator[tuple[int, FlightRow]]:
+def _lesson_keys(logs: Sequence[LogFile], job: Job) -> list[str]:
+    lesson_key = journal.lesson_key(job)
+    return [journal.key(log, lesson_key) for log in logs]
+
+
+def _numbers(keys: Sequence[str]) -> dict[str, int]:
+    return {key: number for number, key in enumerate(keys)}
+
+
+def _worked_off(
+    crew: AbstractContextManager[Crew[journal.Row]],
+    errand: Callable[[int, int], Errand[journal.Row]],
+    keys: Sequence[str],
+    done: Journal[journal.Row],
+) -> Iterator[Finished]:
+    """Have the errands of all logs done that the journal has no row of.
+
+    errand : of the log of a number, where a worker does about so many.
+    """
+    yield Finished(None, len(done), len(keys), done.dropped)
+    to_do = [number for number in range(len(keys)) if number not in done]
+    if not to_do:
+        return
+    with crew as at_work:
+        for number, row in _sent_out(at_work, errand, to_do):
+            done.add(number, keys[number], row)
+            yield Finished(row, len(done), len(keys))
+
+
+def _sent_out(
+    crew: Crew[Row], errand: Callable[[int, int], Errand[Row]], to_do: Sequence[int]
+) -> Iterator[tuple[int, Row]]:
     """(number of the log, its row) as they come back."""
-    job = replace(job, flights_each=len(to_do) // crew.size)
-    sent = 0
+    each, sent = len(to_do) // crew.size, 0
     for done in range(len(to_do)):
         while sent < len(to_do) and sent - done < _UNDER_WAY_PER_WORKER * crew.size:
-            crew.fly(to_do[sent], logs[to_do[sent]], job)
+            crew.send(to_do[sent], errand(to_do[sent], each))
             sent += 1
         yield crew.finished()

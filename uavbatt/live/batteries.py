@@ -99,6 +99,8 @@ class Batteries:
         )
         since_s = before.flying_since_s if before is not None and math.isfinite(before.flying_since_s) else now_s
         report = replace(report, flying_since_s=NAN if report.remaining.reason == NOT_FLYING else since_s)
+        if report.is_waiting:
+            report = replace(report, endurance=self.tracked[instance].endurance(row.sample.time_s))
         self.reports[instance] = report
         return report
 

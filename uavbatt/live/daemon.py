@@ -18,10 +18,10 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
-from uavbatt.live.listener import Frame, Listener
+from uavbatt.live.listener import Frame, Listener, tell
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
-from uavbatt.live.report import STALE_AFTER_S, Board
+from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board
 from uavbatt.live.sender import Sender, in_order
 from uavbatt.live.systemd import notify
 from uavbatt.mavlink import fields
@@ -57,6 +57,7 @@ class Daemon:
     ) -> None:
         self.config, self.board = config, Board()
         self._settings, self._link, self._stations = settings, link, stations
+        self._problems: dict[str, str] = {}  # of the links by endpoint, as they were told
         self._clock_s = clock_s
         self._start_s = clock_s()
         self._start_us = int(wall_s() * 1e6)
@@ -160,13 +161,13 @@ class Daemon:
 
     def _housekeeping(self, now_s: float) -> None:
         """Publish, flush, save, and tell the service manager."""
-        notes = [*self.batteries.notes(now_s), *self._listener.notes()]
+        notes = [*self._link_notes(), *self.batteries.notes(now_s), *self._listener.notes()]
         if self._recorder is not None and self._recorder.problem:
             notes.append(self._recorder.problem)
         reports, trend = tuple(in_order(self.batteries.reports)), self.board.trend
         trend.look(now_s, reports)
         counts = {**self._listener.counts, **self._counts}
-        self.board = Board(reports, tuple(notes), counts, trend, tuple(self._sender.said))
+        self.board = Board(reports, tuple(notes), counts, trend, self._link.problem, tuple(self._sender.said))
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:
@@ -179,11 +180,21 @@ class Daemon:
             self._status_s = now_s + STATUS_PERIOD_S
             notify(f"STATUS={self._words(now_s)}")
 
+    def _link_notes(self) -> list[str]:
+        """Links that are not open; each change is said once in the log, coming back as well."""
+        names = (self.config.link.endpoint, *self.config.link.gcs)
+        problems = {name: link.problem for name, link in zip(names, (self._link, *self._stations), strict=False)}
+        for name, problem in problems.items():
+            if problem != self._problems.get(name, ""):
+                tell(problem or f"{name} is open")
+        self._problems = problems
+        return [*filter(None, problems.values())]
+
     def _words(self, now_s: float) -> str:
         """One line for `systemctl status`."""
         if not self.batteries.reports:
-            return "no battery telemetry yet"
+            return self._link.problem or NOTHING_YET
         shown = in_order(self.batteries.reports)[0].at(now_s)
         if shown.remaining_s == shown.remaining_s:
             return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
-        return f"{shown.status}: {shown.reason}"
+        return shown.reason if in_order(self.batteries.reports)[0].is_waiting else f"{shown.status}: {shown.reason}"

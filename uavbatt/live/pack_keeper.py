@@ -22,7 +22,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, LeftOver
-from uavbatt.packs.ledger import Ledger, prior
+from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 from uavbatt.remembering import taught
 
@@ -160,7 +160,7 @@ class PackKeeper:
 
     def _recalled(self, name: str, now_s: float) -> PackHealth | None:
         try:
-            last = self._ledger.before(name, self._utc_s(now_s))
+            last = self._ledger.last(name)
         except UavbattError as error:
             self.note = f"pack ledger: {error}"
             return None
@@ -182,7 +182,12 @@ class PackKeeper:
             airborne.dropped(self._ledger, number)
             self.note = f"pack {flight.name}: nothing learned: {found.why_not}"
             return
-        after = self._ledger.save(flight.name, found.record, landed=number)
+        try:
+            after = self._ledger.save(flight.name, found.record, landed=number)
+        except AnotherSize as error:
+            airborne.dropped(self._ledger, number)
+            self.note = f"pack {flight.name}: not remembered: {error}"
+            return
         words = "; ".join(finding.words for finding in after.findings)
         self.note = f"pack {flight.name}: flight remembered" + (f"; {words}" if words else "")
 

@@ -243,7 +243,12 @@ class Proxy:
             self.autopilot.write(body, now_s)
         elif kind == HELLO:
             self._from = ""  # it may be another estimator
-            stats = {"settings": self._settings._asdict(), "pid": os.getpid(), "rewritten": self.rewriter.rewritten}
+            stats = {
+                "settings": self._settings._asdict(),
+                "pid": os.getpid(),
+                "rewritten": self.rewriter.rewritten,
+                "problem": self.autopilot.problem,
+            }
             self.control.write(STATS, json.dumps(stats).encode())
         elif kind == QUIT:
             self.is_asked_to_quit = True

@@ -54,6 +54,7 @@ class ProxyClient:
         self._from = ""  # whose telemetry comes
         self.pid = 0
         self.rewritten = 0
+        self.problem = ""  # of the proxy's link to the autopilot
 
     def filenos(self) -> Iterator[int]:
         """The control socket, when connected."""
@@ -130,7 +131,7 @@ class ProxyClient:
 
     def _stats(self, body: bytes) -> None:
         told = json.loads(body)
-        self.pid, self.rewritten = told["pid"], told["rewritten"]
+        self.pid, self.rewritten, self.problem = told["pid"], told["rewritten"], str(told.get("problem", ""))
         if told["settings"] != self._settings._asdict():
             print("uavbatt: the proxy that runs has other settings: it is replaced", file=sys.stderr)
             self._tell(proxy.QUIT, b"")

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from uavbatt.output import Line, line, rounded
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
+NOTHING_YET = "no battery telemetry yet"
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 
@@ -32,6 +34,25 @@ class Display:
     remaining_alarm_s: float
 
 
+class Endurance(NamedTuple):
+    """The time in the air of a flight that would begin now [s]: median, 5 % and 95 % point; NaN is unknown."""
+
+    median_s: float = NAN
+    lo_s: float = NAN
+    hi_s: float = NAN
+
+    @property
+    def words(self) -> str:
+        """Say it as a pilot plans: in minutes."""
+        if not math.isfinite(self.median_s):
+            return "waiting for take-off"
+        middle, lo, hi = (f"{value_s / 60.0:.0f}" for value_s in self)
+        return f"waiting for take-off; about {middle} min ({lo} to {hi}) from this charge"
+
+
+UNKNOWN = Endurance()
+
+
 @dataclass(frozen=True, slots=True)
 class Report:
     """The last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""
@@ -47,6 +68,7 @@ class Report:
     battery: str = ""
     certificate: str = ""
     flying_since_s: float = NAN  # on the monotonic clock; NaN on the ground
+    endurance: Endurance = UNKNOWN  # before take-off
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the row was received."""
@@ -73,7 +95,7 @@ class Report:
         r = self.remaining
         return Display(
             status,
-            str(made["reason"]),
+            self.endurance.words if self.is_waiting else str(made["reason"]),
             soc if isinstance(soc, float) else NAN,
             left(r.remaining_s),
             left(r.remaining_lo_s),
@@ -99,12 +121,16 @@ class Report:
         if stale:
             made |= dict.fromkeys(("soc", "soc_sd", "voltage_V", "current_A", "temp_C", "power_W", "innovation_V"))
         made |= {"status": shown.status.value, "reason": shown.reason}
+        endurance = UNKNOWN if stale else self.endurance
         volts = made["voltage_V"]
         known = isinstance(volts, float) and self.cells > 0
         return made | {
             "instance": self.instance,
             "age_s": rounded(self.age_s(now_s), 2),
             "waiting": self.is_waiting and not stale,
+            "plan_s": rounded(endurance.median_s, 1),
+            "plan_lo_s": rounded(endurance.lo_s, 1),
+            "plan_hi_s": rounded(endurance.hi_s, 1),
             "flight_s": rounded(now_s - self.flying_since_s, 1),
             "cells": self.cells or None,
             "cell_voltage_V": round(volts / self.cells, 3) if known and isinstance(volts, float) else None,
@@ -155,4 +181,5 @@ class Board:
     notes: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     trend: Trend = field(default_factory=Trend)
+    problem: str = ""  # why the autopilot's link is not open
     said: tuple[tuple[float, str], ...] = ()  # what was said aloud: (monotonic time [s], text)

@@ -123,6 +123,8 @@ def _implausible_memory(was: SavedBattery) -> str:
     flown_s, flown_J = was.past.forecaster.flown_s, was.past.forecaster.flown_J
     if flown_s < 0.0 or abs(flown_J) > largest_W * flown_s:
         return f"a memory of {flown_J:g} J in {flown_s:g} s"
+    if not was.past.forecaster.route.is_possible:
+        return "a memory of a route that no flight teaches"
     load = was.past.forecaster.load
     if load.variance < 0.0 or load.gust_variance < 0.0:
         return "a memory of a load with a negative variance"

@@ -18,6 +18,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
+from uavbatt.live.report import UNKNOWN, Endurance
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -25,6 +26,7 @@ from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.builder import MAX_CURRENT_A
 
 COUNTER_SLACK_AH = 0.02
+ENDURANCE_PERIOD_S = 10.0
 
 
 class TrackedBattery:
@@ -43,6 +45,7 @@ class TrackedBattery:
         self.estimator = self._anew()
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
+        self._endurance, self._endurance_s = UNKNOWN, math.nan
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
 
     def remember(self, health: PackHealth | None) -> None:
@@ -72,6 +75,17 @@ class TrackedBattery:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
             return refused(sample, where + " ".join(str(error).split()))
+
+    def endurance(self, time_s: float) -> Endurance:
+        """Return the time in the air if it took off now; worked out anew every few seconds, unknown where it cannot."""
+        if not 0.0 <= time_s - self._endurance_s < ENDURANCE_PERIOD_S:
+            try:
+                found = self.estimator.before_take_off(time_s)
+            except Exception:  # as in `step`: a number beside the row must not end the process
+                found = None
+            self._endurance_s = time_s
+            self._endurance = Endurance(found.median_s, found.lo_s, found.hi_s) if found is not None else UNKNOWN
+        return self._endurance
 
     def saved(self, facts: PackFacts) -> SavedBattery | None:
         """Return the values worth saving; None before the first estimate."""

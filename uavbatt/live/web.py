@@ -26,7 +26,7 @@ from typing import Any
 from uavbatt import __version__
 from uavbatt.errors import MissingExtra, UsageError
 from uavbatt.live.config import HttpSection, address
-from uavbatt.live.report import STALE_AFTER_S, Board
+from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
@@ -45,7 +45,7 @@ def content(board: Board, now_s: float) -> dict[str, Any]:
     first = batteries[0] if batteries else None
     return {
         "status": first["status"] if first else "stale",
-        "reason": first["reason"] if first else "no battery telemetry yet",
+        "reason": first["reason"] if first else board.problem or NOTHING_YET,
         "batteries": batteries,
         "notes": list(board.notes),
         "said": [{"age_s": round(now_s - at, 1), "text": text} for at, text in board.said if now_s - at <= SAID_S],

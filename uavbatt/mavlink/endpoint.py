@@ -31,6 +31,7 @@ class Link(Protocol):
     """The loops' view of an endpoint."""
 
     is_stream: bool
+    problem: str  # why it is not open, in words; empty while it is
 
     def filenos(self) -> Iterator[int]:
         """Descriptors to wait on."""

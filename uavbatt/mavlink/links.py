@@ -1,7 +1,7 @@
 """Endpoints (`endpoint.parse`) as raw sockets and serial lines. No dependencies but the standard library.
 
 A link never blocks and never raises for a peer that is not there: what cannot be opened or has broken off is tried
-again with a growing pause (0.5 s to 10 s).
+again with a growing pause (0.5 s to 10 s), and says why in `problem`.
 Bytes only: what they mean is `framing`'s matter.
 """
 
@@ -53,7 +53,7 @@ class Peer(NamedTuple):
 class UdpLink:
     """Datagrams. `udpin` learns its peers from what they send; `udpout` has one."""
 
-    is_stream = False
+    is_stream, problem = False, ""
 
     def __init__(self, at: Endpoint) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -122,6 +122,8 @@ class StreamLink:
         self._connecting: socket.socket | None = None
         self._pause_s, self._next_s, self._deadline_s = SHORTEST_PAUSE_S, float("-inf"), 0.0
         self._resolver, self._address = Resolver(at.host), ""
+        self._name = at.host if at.kind == "serial" else at.text
+        self.problem = ""
 
     def filenos(self) -> Iterator[int]:
         """The descriptor, when open."""
@@ -135,20 +137,20 @@ class StreamLink:
             return []
         data = pipe.read()
         if data is None:
-            self._broken(now_s)
+            self._broken(now_s, f"lost {self._name}")
             return []
         if data:
             self._pause_s = SHORTEST_PAUSE_S
         if data or pipe.write(b""):
             return [(data, None)] if data else []
-        self._broken(now_s)
+        self._broken(now_s, f"lost {self._name}")
         return []
 
     def write(self, data: bytes, now_s: float) -> None:
         """Send, if the line is open."""
         pipe = self._opened(now_s)
         if pipe is not None and not pipe.write(data):
-            self._broken(now_s)
+            self._broken(now_s, f"lost {self._name}")
 
     def close(self) -> None:
         """Release what is open."""
@@ -157,8 +159,9 @@ class StreamLink:
                 thing.close()
         self._pipe = self._connecting = None
 
-    def _broken(self, now_s: float) -> None:
+    def _broken(self, now_s: float, why: str) -> None:
         self.close()
+        self.problem = f"{why}, trying again"
         self._next_s = now_s + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
 
@@ -169,8 +172,10 @@ class StreamLink:
             return None
         try:
             self._pipe = Pipe(_serial(self._at)) if self._at.kind == "serial" else self._connected(now_s)
-        except OSError:
-            self._broken(now_s)
+        except OSError as error:
+            self._broken(now_s, f"cannot open {self._name}: {error.strerror or error}")
+        if self._pipe is not None:
+            self.problem = ""
         return self._pipe
 
     def _connected(self, now_s: float) -> Pipe | None:
@@ -212,5 +217,5 @@ def _serial(at: Endpoint) -> int:
         termios.tcsetattr(fd, termios.TCSANOW, mode)
     except termios.error as error:
         os.close(fd)
-        raise OSError(errno.ENOTTY, str(error)) from None
+        raise OSError(errno.ENOTTY, f"no serial line ({error.args[-1]})") from None
     return fd

@@ -23,7 +23,7 @@ QUIET_S = 5.0  # heartbeats come every second
 class TcpServer:
     """The listening socket and its clients, at most MOST_CLIENTS."""
 
-    is_stream = True
+    is_stream, problem = True, ""
 
     def __init__(self, at: Endpoint, silent_after_s: float = math.inf) -> None:
         self._clients: dict[Pipe, tuple[bool, float]] = {}  # has it spoken, and when it last did or came [s]

@@ -22,11 +22,11 @@ from uavbatt.packs.records import FlightRecord, Known, PackFinding, Remembered
 
 # A pack that nobody met is as good as new, or it is in service: shares, means and sds of (ln ohm, ln Ah) against its
 # type and its rating. From flight to flight it ages: LiPo packs lose a fifth in 50 to 300 flights, and a season of hard
-# use can take 2 % a flight.
+# use can take 2 % a flight; by the time a fifth is lost the ohms are half as many again, or more: twice the change.
 NEW_SHARE = 0.6
 NEW_MEAN, NEW_SD = np.array([0.0, 0.0]), np.array([0.10, 0.03])
 USED_MEAN, USED_SD = np.array([0.10, -0.12]), np.array([0.25, 0.10])
-TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.010, 0.010])
+TREND_MEAN, TREND_SD = np.array([0.003, -0.0015]), np.array([0.020, 0.010])
 AGED_TOGETHER = (-0.5, -0.9)  # correlations, of what is and of its change: who has lost charge has gained ohms
 FLIGHT_SD = np.array([0.006, 0.006, 0.0005, 0.0005])  # a flight more
 MONTH_SD = np.array([0.020, 0.010, 0.0, 0.0])  # a month on the shelf
@@ -36,7 +36,8 @@ LONGEST_DAYS = 3650.0
 OTHER_CONDITIONS_SD = np.array([0.15, 0.02])
 OTHER_FILE_SD = np.array([0.10, 0.03])  # read with another battery file
 # A flight is odd at this many sd; two in a row, taken together, at fewer.
-ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 3.0, 2.5
+ODD_ALONE, ODD_TOGETHER, FITS_AGAIN = 3.2, 2.5, 2.5
+DAMAGED_SHARE = 0.1  # of packs that look so after two flights; the others age faster than was known
 DAMAGE_SD = np.array([0.30, 0.15, 0.0, 0.0])
 
 F = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -59,10 +60,14 @@ def first_known(flight: FlightRecord) -> Known:
     kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
     likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
     weight = likely / likely.sum() if likely.sum() > 0.0 else np.array([0.0, 1.0])
-    after = [_taken(kind, flight) for kind in kinds]
-    mean = np.asarray(sum(w * known.mean for w, known in zip(weight, after, strict=True)))
+    return _together(weight, [_taken(kind, flight) for kind in kinds])
+
+
+def _together(weight: Array, beliefs: Sequence[Known]) -> Known:
+    """One belief with the mean and the covariance of several that are each so likely."""
+    mean = np.asarray(sum(w * known.mean for w, known in zip(weight, beliefs, strict=True)))
     covariance = np.zeros((4, 4))
-    for w, known in zip(weight, after, strict=True):
+    for w, known in zip(weight, beliefs, strict=True):
         apart = known.mean - mean
         covariance += w * (known.covariance + np.outer(apart, apart))
     return Known(mean, covariance)
@@ -182,15 +187,21 @@ def _improved(course: Course, expected: Known, flight: FlightRecord, said: PackF
 
 
 def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, PackFinding] | None:
-    """Two flights in a row that say the same: damage, of which one alone was not sure."""
+    """Two flights in a row that say the same: damage, of which one alone was not sure, or faster ageing.
+
+    The belief holds both, each as likely as the two flights make it, so that later flights decide.
+    """
     z = oddness_together(course.expected, course.last, flight)
     if max(z[OHM], -z[CHARGE]) <= ODD_TOGETHER:
         return None
     change = 0.5 * (course.last.told.mean + flight.told.mean) - H @ course.expected.mean
-    before = _taken(_shaken(course.expected, z), course.last)
-    known = _taken(later(before, 0.0), flight)
-    said = odd.sudden(z, change, " since the flight before")
-    return Course(known, before, flight, undamaged=course.expected, is_settled=False), said
+    begun = (_shaken(course.expected, z), course.expected)
+    between = [later(_taken(one, course.last), 0.0) for one in begun]
+    likely = np.array([DAMAGED_SHARE, 1.0 - DAMAGED_SHARE])
+    likely *= [_likelihood(a, course.last) * _likelihood(b, flight) for a, b in zip(begun, between, strict=True)]
+    known = _together(likely / likely.sum(), [_taken(one, flight) for one in between])
+    said = odd.sudden(z, change, " since the flight before", "damaged, or ageing fast?")
+    return Course(known, between[0], flight, undamaged=course.expected, is_settled=False), said
 
 
 def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:

@@ -25,9 +25,10 @@ from uavbatt.packs.records import Told
 
 HOVER_C_RATE = 2.5
 ELECTRODE_SD_V = 0.025  # what sluggish electrodes of a pack in service take
-# From flight to flight of one pack the beliefs scatter by half of what each says of itself: the other half is the
-# error of the battery file, which is the same in all of them.
-SCATTER_SHARE = np.array([0.35, 0.5])  # of the sd: of ohms, of charge
+# From flight to flight of one pack the beliefs scatter by a part of what each says of itself: the other part is the
+# error of the battery file, which is the same in all of them. Of the charge that part falls with what a flight tells:
+# one that lands half full extrapolates, and errs by all of its sd.
+OHM_SHARE, ALL_CHANCE_SD = 0.35, 0.16
 LEAST_SD = np.array([0.015, 0.01])
 # A flight in the cold says less of 25 °C: the file's temperature dependence is not known better [per K].
 COLD_SD_PER_K = np.array([0.005, 0.002])
@@ -42,9 +43,10 @@ def told(pack: Pack, loaded: Belief, last: Belief, temp_C: float) -> Told:
     `temp_C` is the pack's mean temperature under load [°C]; NaN where it was not measured.
     """
     said = _with_rest(_without_prior(scales(pack, loaded), _prior(pack)), loaded, last)
-    log_ohm, log_Ah, covariance = health_of(pack, said)
+    log_ohm, log_Ah, covariance, _ = health_of(pack, said)
     away_K = abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNKNOWN_AWAY_K
-    scatter = covariance * np.outer(SCATTER_SHARE, SCATTER_SHARE)
+    share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
+    scatter = covariance * np.outer(share, share)
     scatter += np.diag(LEAST_SD**2 + (COLD_SD_PER_K * away_K) ** 2)
     return Told(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
 

@@ -9,6 +9,7 @@ from uavbatt.packs.records import FlightRecord, PackFinding
 
 WEAK_CELL_V = 0.06  # below the mean of the cells under load: balanced packs stay within half of it
 FASTEST_CHARGE_C, COUNTED_CHARGE = 6.0, 0.15  # chargers give 1 to 5 C; smaller rises may be a misread start
+ANOTHER = "another_pack"
 HELD_TEXT = "another pack under this name?"
 
 
@@ -34,14 +35,14 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, .
     return tuple(found)
 
 
-def sudden(z: Array, change: Array, words: str = "") -> PackFinding:
+def sudden(z: Array, change: Array, since: str = " at once", causes: str = "damaged?") -> PackFinding:
     """Damage: which of the two numbers gives it away, and by how much.
 
     z [2], change [2]: how many sd, and by how much in ln, ohms and charge lie from what was expected.
     """
     if z[0] >= -z[1]:
-        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms at once{words}: damaged?")
-    return PackFinding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge at once{words}: damaged?")
+        return PackFinding("sudden_ohms", f"{100.0 * math.expm1(change[0]):.0f} % more ohms{since}: {causes}")
+    return PackFinding("sudden_loss", f"{-100.0 * math.expm1(change[1]):.0f} % less charge{since}: {causes}")
 
 
 def another(z: Array, change: Array) -> PackFinding:
@@ -50,4 +51,4 @@ def another(z: Array, change: Array) -> PackFinding:
         what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
     else:
         what = f"{100.0 * math.expm1(change[1]):.0f} % more charge"
-    return PackFinding("another_pack", f"{what} at once, which no pack can do: {HELD_TEXT}")
+    return PackFinding(ANOTHER, f"{what} at once, which no pack can do: {HELD_TEXT}")

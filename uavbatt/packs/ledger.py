@@ -24,13 +24,24 @@ from uavbatt.packs.records import FlightRecord, PackRow, Remembered
 PATIENCE_S = 10.0  # for another writer
 SHOWN_FINDINGS = 5
 LONGEST_NAME = 64
-# A log of the same flight that began a moment earlier is not before it.
-BEFORE = """
-SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack
-WHERE packs.name = :name AND key != :key
-    AND (start_utc_s IS NULL OR :start IS NULL OR start_utc_s + 0.5 * duration_s < :start)
-ORDER BY (start_utc_s IS NULL) = (:start IS NULL) DESC, start_utc_s DESC, flights.id DESC LIMIT 1
+OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"
+LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
+# A log of the same flight that began earlier is not before it; without a clock, all are but those saved after it.
+BEFORE = f"""
+{OF_PACK} AND key != :key AND CASE WHEN :start IS NOT NULL THEN start_utc_s + 0.9 * duration_s < :start
+    ELSE start_utc_s IS NOT NULL OR flights.id < ifnull(
+        (SELECT own.id FROM flights AS own WHERE own.pack = packs.id AND own.key = :key), flights.id + 1) END
+{LATEST}
 """
+
+
+class AnotherSize(BadInput):
+    """A flight whose pack has another number of cells than the pack of its name; `index` among those to be saved."""
+
+    def __init__(self, path: Path, name: str, expected: int, found: int, index: int) -> None:
+        words = f"flights of {expected} cells as before, found {found}: another pack under this name?"
+        super().__init__(path, f"pack {name}", words)
+        self.index = index
 
 
 class Ledger:
@@ -96,23 +107,30 @@ class Ledger:
     def flights(self, name: str) -> list[Remembered]:
         """The flights of a pack in order of time, with what is believed after each."""
         with self._told():
-            found = self._connection.execute(
-                "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = ?", (name,)
-            )
+            found = self._connection.execute(OF_PACK, {"name": name})
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
-    def before(self, name: str, start_utc_s: float, key: str = "") -> Remembered | None:
-        """The last flight of a pack before a time [s since 1970], NaN for now, other than the flight of that key."""
+    def last(self, name: str) -> Remembered | None:
+        """The last flight of a pack: what is known of it when it flies next."""
+        return self._one(f"{OF_PACK} {LATEST}", {"name": name})
+
+    def before(self, name: str, start_utc_s: float, key: str) -> Remembered | None:
+        """The last flight of a pack before the flight of that key, which began at a time [s since 1970].
+
+        NaN where no clock was set: such flights come after all others, in the order in which they were saved.
+        """
+        start = start_utc_s if math.isfinite(start_utc_s) else None
+        return self._one(BEFORE, {"name": name, "key": key, "start": start})
+
+    def _one(self, query: str, values: dict[str, object]) -> Remembered | None:
         with self._told():
-            row = self._connection.execute(
-                BEFORE, {"name": name, "key": key, "start": start_utc_s if math.isfinite(start_utc_s) else None}
-            ).fetchone()
+            row = self._connection.execute(query, values).fetchone()
         return rows.remembered_of(row) if row is not None else None
 
     def save(self, name: str, flight: FlightRecord, landed: int | None = None) -> Remembered:
         """Save a flight of a pack; one that is in the ledger already is replaced, unless the new one knows less of it.
 
-        Returns the flight with what is believed after it. Raises BadInput for a pack of another size. `landed` is the
+        Returns the flight with what is believed after it. Raises AnotherSize for a pack of other cells. `landed` is the
         number of the airborne flight that this one was, which ends with it.
         """
         return self.save_all(name, [flight], landed)[-1]
@@ -140,7 +158,8 @@ class Ledger:
 def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHealth:
     """The prior of the flight that begins at a time, by what is believed after the last one before it."""
     days = ageing.days_between(last.flight, start_utc_s)
-    return ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
+    health = ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
+    return health._replace(cells=last.flight.cells)
 
 
 def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
@@ -180,10 +199,9 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
     flight = flights[0]
     row = connection.execute("SELECT id, cells FROM packs WHERE name = ?", (name,)).fetchone()
     cells = flight.cells if row is None else int(row["cells"])
-    for other in flights:
+    for index, other in enumerate(flights):
         if other.cells != cells:
-            expected = f"flights of {cells} cells as before, found {other.cells}: another pack under this name?"
-            raise BadInput(path, f"pack {name}", expected)
+            raise AnotherSize(path, name, cells, other.cells, index)
     if row is None:
         nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0)
         pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
@@ -193,7 +211,11 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
 
 
 def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
-    """Write a flight, or leave the longer record of it in place; the key under which it stands."""
+    """Write a flight, or leave the longer record of it in place; the key under which it stands.
+
+    A record that is replaced hands its number on, which is the order of flights without a clock.
+    """
+    numbers = []
     for row in connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall():
         other = rows.flight_of(row)
         if not other.is_same_as(flight):
@@ -202,7 +224,9 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
             return other.key
         flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
         connection.execute("DELETE FROM flights WHERE id = ?", (row["id"],))
-    connection.execute(*inserted("flights", {**rows.flight_row(flight), "pack": pack, "findings": ""}))
+        numbers.append(int(row["id"]))
+    number = min(numbers, default=None)
+    connection.execute(*inserted("flights", {**rows.flight_row(flight), "id": number, "pack": pack, "findings": ""}))
     return flight.key
 
 
@@ -233,7 +257,6 @@ def _known(value: float, other: float) -> float:
 
 def inserted(table: str, row: dict[str, object]) -> tuple[str, dict[str, object]]:
     """The statement that inserts a row into a table, and its values."""
-    """The statement that inserts a row, and its values."""
     names = ", ".join(row)
     return f"INSERT INTO {table} ({names}) VALUES ({', '.join(':' + name for name in row)})", row
 

@@ -16,6 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
 from uavbatt.prediction.route_forecast import RouteAsked
+from uavbatt.prediction.take_off import AtTakeOff
 from uavbatt.prediction.time_to_end import EndTimes, Wander, time_to_end
 
 SIDE_BY_SIDE = 16  # more do not fit the cache
@@ -33,6 +34,7 @@ class Question(NamedTuple):
     dt_s: Array
     reserve_soc: float
     by_rows: bool
+    at_take_off: AtTakeOff | None = None  # what was expected then
     route: RouteAsked | None = None  # what else the forecast says, of the route and of the way home
 
 

@@ -7,7 +7,7 @@ which counts down between two.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,8 @@ from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentL
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import Flying
-from uavbatt.prediction.route_progress import Progress
+from uavbatt.prediction.route_progress import FlightLessons, Progress
+from uavbatt.prediction.take_off import SPOOL_UP_S, SPOOLED_UP, AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Sample, Status
 
@@ -90,6 +91,7 @@ class Memory(NamedTuple):
     took_off_s: float
     flown_s: float
     flown_J: float
+    route: FlightLessons
 
     def moved(self, shift_s: float) -> Memory:
         """The same past on a clock that shows `shift_s` more."""
@@ -117,6 +119,8 @@ class Forecaster:
         self._asked_s = NAN
         self._last: Forecast | None = None
         self._progress = Progress()  # on the route
+        self._rested: Belief | None = None  # the last one on the ground
+        self._at_take_off: AtTakeOff | None = None
 
     @property
     def memory(self) -> Memory:
@@ -131,6 +135,7 @@ class Forecaster:
             self._took_off_s,
             self._flown_s,
             self._flown_J,
+            self._progress.lessons,
         )
 
     def recall(self, memory: Memory) -> None:
@@ -139,6 +144,7 @@ class Forecaster:
         self._flying_since_s, self._loaded_s = memory.flying_since_s, memory.loaded_s
         self._time_s, self._row_s, self._took_off_s = memory.time_s, memory.row_s, memory.took_off_s
         self._flown_s, self._flown_J = memory.flown_s, memory.flown_J
+        self._progress = self._progress.recall(memory.route)
 
     def step(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
@@ -156,6 +162,7 @@ class Forecaster:
         Nothing of it depends on an answer, so that a replay may ask many questions and simulate them side by side.
         """
         self._remember(sample, navigation)
+        self._expect(sample, belief)
         refusal, question = self._refusal(sample, estimate), None
         if not refusal and belief is None:
             refusal = "no belief about the pack yet"
@@ -206,12 +213,32 @@ class Forecaster:
             dt_s=scenarios.dt_s,
             reserve_soc=self.settings.reserve_soc,
             by_rows=by_rows,
+            at_take_off=self._at_take_off,
         )
         if navigation is NOWHERE:
             return question
         flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
         route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
         return question._replace(route=route)
+
+    def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
+        """Return the endurance if it took off now, with the load as it is known on the ground; no memory changes."""
+        load = before_take_off(self.settings.load, self.pack)
+        return Forecaster(self._weakest(), replace(self.settings, load=load)).forecast(belief, time_s)
+
+    def _expect(self, sample: Sample, belief: Belief | None) -> None:
+        """At take-off, work out what is expected of the flight, from what was believed of the pack at rest."""
+        if not math.isfinite(self._flying_since_s):
+            self._rested, self._at_take_off = belief, None
+        elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
+            self._at_take_off = self._expected(self._rested or belief, self._flying_since_s)
+
+    def _expected(self, belief: Belief, take_off_s: float) -> AtTakeOff:
+        load = before_take_off(self.settings.load, self.pack)
+        question = Forecaster(self._weakest(), replace(self.settings, load=load)).question(belief, take_off_s)
+        if question is None:
+            return AtTakeOff(take_off_s, np.empty(0), np.empty(0))
+        return AtTakeOff(take_off_s, *(np.sort(np.minimum(s, question.horizon_s)) for s in end_times(question)))
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""
@@ -221,11 +248,13 @@ class Forecaster:
     def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
         """Quantiles of the simulated ends."""
         time_s, horizon_s = question.time_s, question.horizon_s
-        fresh_s = np.sort(np.minimum(ends.end_s, horizon_s))
-        ends_s = self._steadied(fresh_s, time_s)
+        fresh = EndTimes(*(np.sort(np.minimum(times_s, horizon_s)) for times_s in ends))
+        if question.at_take_off is not None:
+            fresh = question.at_take_off.joined(time_s, fresh)
+        ends_s = self._steadied(fresh.end_s, time_s)
         lo_s, alarm_s, median_s, hi_s = (_quantile(ends_s, level) for level in LEVELS)
         known_low = math.isfinite(self.pack.low_V)
-        low_s = _quantile(np.sort(np.minimum(ends.low_s, horizon_s)), 0.5) if known_low else NAN
+        low_s = _quantile(fresh.low_s, 0.5) if known_low else NAN
         route = question.route and route_forecast.route_answer(question.route, ends.end_s)
         low_s = min(low_s, median_s) if known_low else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
@@ -296,6 +325,16 @@ class Forecaster:
         else:
             self._flown_s += max(dt_s, 0.0)
             self._flown_J += max(dt_s, 0.0) * power_W
+            self._spool_up(sample.time_s, power_W)
+
+    def _spool_up(self, time_s: float, power_W: float) -> None:
+        """All before was the motors' spool-up if the power has risen by half: the flight begins here."""
+        if time_s - self._took_off_s > SPOOL_UP_S or not self._load.gust_W * self._flown_s > SPOOLED_UP * self._flown_J:
+            return
+        self._load = RecentLoad().after(time_s, power_W)
+        self._took_off_s, self._flown_s, self._flown_J = time_s, 0.0, 0.0
+        if self._at_take_off is not None:
+            self._at_take_off = self._at_take_off._replace(take_off_s=time_s)
 
     def _refusal(self, sample: Sample, estimate: Estimate) -> str:
         if estimate.status is Status.REFUSED:

@@ -15,6 +15,8 @@ from uavbatt.prediction.load import STATED_SPREAD, ConstantLoad, Load, LoggedLoa
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
 
+WORDS = ("learned", "recent", "log")
+
 
 def stated_load(
     text: str,
@@ -42,10 +44,20 @@ def stated_load(
         volts = np.array([s.voltage_V for s in rows])
         amps = true_current(sensors, np.array([s.current_A for s in rows]), volts)
         return LoggedLoad(np.array([s.time_s for s in rows]), np.maximum(volts * amps, 0.0))
+    return ConstantLoad(_watts(text, name), STATED_SPREAD)
+
+
+def check_word(text: str, name: str = "--load ") -> None:
+    """Raise UsageError for a word that means no load, before any flight is read."""
+    if text not in WORDS:
+        _watts(text, name)
+
+
+def _watts(text: str, name: str) -> float:
     try:
         watts = float(text)
     except ValueError:
         watts = math.nan
     if not (math.isfinite(watts) and watts > 0.0):
-        raise UsageError(f"{name}{text}: expected learned, recent, log or a positive number of watts")
-    return ConstantLoad(watts, STATED_SPREAD)
+        raise UsageError(f"{name}{text}: expected {', '.join(WORDS)} or a positive number of watts")
+    return watts

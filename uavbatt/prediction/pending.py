@@ -17,6 +17,7 @@ from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0
+ALARM = f"about 1 in {1.0 / ALARM_RISK:.0f} chance that less than {ALARM_S / 60.0:.0f} minutes are left"
 TURN_BACK = "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %"
 
 
@@ -48,8 +49,7 @@ def _finish(row: Pending, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
     if remaining.reason == FALLS_FASTER:
         found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
     if remaining.remaining_alarm_s <= ALARM_S:
-        alarm = f"two minutes left or less, at a risk of {ALARM_RISK:.1%}"
-        found = replace(found, warnings=(*found.warnings, alarm))
+        found = replace(found, warnings=(*found.warnings, ALARM))
     if remaining.route is not None and remaining.route.turn_back_lo_s <= 0.0:
         found = replace(found, warnings=(*found.warnings, TURN_BACK))
     return found, remaining

@@ -69,6 +69,23 @@ class Timing(NamedTuple):
         return math.sqrt(max(variance / det, 0.0))
 
 
+class FlightLessons(NamedTuple):
+    """The knowledge of this flight that no message repeats: timing, power level, wind. It outlives a restart."""
+
+    short: Timing = Timing()
+    long: Timing = Timing()
+    wind_north_ms: float = NAN
+    wind_east_ms: float = NAN
+    level_s: float = 0.0  # seconds of flight that told the level
+    level_sum_s: float = 0.0  # flown over modelled power, summed over them
+
+    @property
+    def is_possible(self) -> bool:
+        """True if a flight can have taught this: a saved file may hold anything."""
+        timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
+        return timed and self.level_s >= 0.0 and self.level_sum_s >= 0.0
+
+
 class Flown(NamedTuple):
     """The aircraft's movement at one row."""
 
@@ -111,6 +128,15 @@ class Progress(NamedTuple):
             return moved
         ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
         return moved._replace(level_s=self.level_s + told_s, level_sum_s=self.level_sum_s + told_s * ratio)
+
+    @property
+    def lessons(self) -> FlightLessons:
+        """The part worth keeping over a restart; the rest is heard again."""
+        return FlightLessons(*(getattr(self, name) for name in FlightLessons._fields))
+
+    def recall(self, lessons: FlightLessons) -> Progress:
+        """Return the memory with what was kept over a restart."""
+        return self._replace(**lessons._asdict())
 
     def _on_path(self, navigation: Navigation) -> Progress:
         """The leg by what the autopilot says that it flies to, and the timing of those behind."""

@@ -1,8 +1,9 @@
 """The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
 
 Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
-voltage's least height above the cut-off on that way home is noted. A draw's turn-back is the last t at which it has not
-met its end before and that height is not negative.
+voltage's least height above the cut-off on that way home is noted: as it turns and speeds up, and then under the
+highest power of each step. A draw's turn-back is the last t at which it has not met its end before and that height is
+not negative.
 """
 
 from __future__ import annotations
@@ -15,17 +16,19 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.powers import TURN_S, turning_power
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
 from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, walked
 from uavbatt.prediction.route_ahead import Ahead, Piece, Way
 from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
-from uavbatt.prediction.route_path import way_home
+from uavbatt.prediction.route_path import Leg, way_home
+from uavbatt.prediction.route_progress import OVER_HOME_M
 
 LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
 CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
 FASTEST_CLIMB_MS = 0.3
-ROUGH = 2.0  # sds: the highest of some twenty powers in a row, each judged by its mean over seconds
+ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is judged, is hardly above one
 
 
 class TurnBack(NamedTuple):
@@ -43,6 +46,7 @@ class Homewards(NamedTuple):
     power_W: Array
     far: Array
     rough: Array  # relative sd of the power within the step
+    turn_W: Array  # [looks] while it turns and speeds up; a hover where it is over home
 
 
 def turned(
@@ -66,7 +70,7 @@ def turned(
     levels, fast, stretch = factors(load)[:, scenario]
     home = _homewards(flown, look_s, load, way, settings)
     at_turn = flown_on(going, flown_W, dt_s, look_s)
-    least_V, normals = np.full(at_turn.bias_V.shape, np.inf), sampling.wander().bias[::-1]
+    least_V, normals = _turning_V(at_turn, home.turn_W[:, None] * levels), sampling.wander().bias[::-1]
     for k, length_s in enumerate(home.length_s):
         power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
         above_V = above_cutoff_V(at_turn, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
@@ -75,6 +79,12 @@ def turned(
     return TurnBack(
         look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0)
     )
+
+
+def _turning_V(at_turn: Going, power_W: Array) -> Array:
+    """Return the height above the cut-off while the draws turn, in the middle of it."""
+    halfway = walked(at_turn, power_W, 0.5 * TURN_S, np.zeros_like(power_W))
+    return above_cutoff_V(halfway, power_W)
 
 
 def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
@@ -102,7 +112,8 @@ def _at(values: Array, edges_s: Array, time_s: float) -> Array:
 
 def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
     """The way home from where each instant finds the aircraft."""
-    ways = [_steps(home_pieces(flown, way, settings, float(time_s))) for time_s in look_s]
+    legs = [way_home(flown.point(float(time_s)), settings) for time_s in look_s]
+    ways = [_steps(way.pieces(those)) for those in legs]
     every = tuple(piece for pieces in ways for piece in pieces)
     there = replace(load, ahead=Ahead(flown.begin, every))
     told = np.stack(
@@ -112,7 +123,15 @@ def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings:
     for column, (end, pieces) in enumerate(zip(ends, ways, strict=True)):
         table[:, : len(pieces), column] = told[:, end - len(pieces) : end]
         table[1:, len(pieces) :, column] = told[1:, end - 1 : end]  # a step of no length draws nothing
-    return Homewards(*table)
+    speeds_ms = np.array([_speed_home_ms(those) for those in legs])
+    length_s, power_W, far_share, rough = table
+    turn_W = load.level * turning_power(load.powers, speeds_ms)
+    return Homewards(length_s, power_W, far_share, rough, turn_W)
+
+
+def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
+    """Return the speed that has to be gained for the way home; 0 over home."""
+    return max((leg.speed_ms for leg in legs if leg.run_m > OVER_HOME_M), default=0.0)
 
 
 def home_pieces(flown: Ahead, way: Way, settings: ReturnSettings, time_s: float) -> tuple[Piece, ...]:

@@ -20,7 +20,7 @@ from uavbatt.diagnosis.classes import EffectClass
 from uavbatt.diagnosis.close import Closed
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.residual import Residual
-from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY
+from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY, SHARES
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
@@ -32,6 +32,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    scrolled,
     section,
     strong,
     table,
@@ -46,6 +47,7 @@ ANSWERS = {
     "effect_found": ("bad", "Something is missing in the battery file, and it has a name."),
     "undeclared_effect": ("unsure", "Something is missing that none of the known effects explains."),
 }
+ROOM_FOR_NAMES = 120.0
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 
 
@@ -89,9 +91,9 @@ def _suspect(one: EffectClass) -> Html:
     meaning = MEANING[name]
     rows = []
     for quantity, i in one.parameters.items():
-        interval = f"{number(i.lo, _decimals(i.lo))} to {number(i.hi, _decimals(i.hi))}"
-        words = QUANTITY.get(quantity, quantity)
-        rows.append((words, quantity, number(i.value, _decimals(i.value)), interval, unit_words(i.unit)))
+        scale, unit = (100.0, "%") if quantity in SHARES else (1.0, unit_words(i.unit))
+        value, lo, hi = (number(scale * v, _decimals(scale * v)) for v in (i.value, i.lo, i.hi))
+        rows.append((QUANTITY.get(quantity, quantity), value, f"{lo} to {hi}", unit, quantity))
     sure = f"The cause is {'among these' if others else 'this'} with a probability of {one.probability:.0%}."
     rivals = [paragraph("These records cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
     return element(
@@ -101,7 +103,7 @@ def _suspect(one: EffectClass) -> Html:
         paragraph(sure),
         paragraph(strong("What to check")),
         bullets(f"{CHECK[m][0].upper()}{CHECK[m][1:]} ({m})." for m in one.members),
-        table(("if it is so", "quantity", "value", "95 % interval", "unit"), rows, text_columns=(0, 1, 4)),
+        table(("if it is so", "value", "95 % interval", "unit", "in the file"), rows, text_columns=(0, 3, 4)),
     )
 
 
@@ -117,13 +119,16 @@ def evidence_figure(blocks: tuple[Block, ...]) -> Html:
         axes.axvline(0.0, color=plot.INK, linewidth=0.7)
 
     told = ", ".join(f"{b.name} {b.saved:.0f}" for b in blocks)
-    return figure(plot.panel(draw, f"Evidence by part of the flights: {told}", x="chi-square saved", y=""), "Evidence")
+    drawn = plot.panel(
+        draw, f"Evidence by part of the flights: {told}", x="chi-square saved", y="", left=ROOM_FOR_NAMES
+    )
+    return figure(drawn, "Evidence")
 
 
 def _decimals(value: float) -> int:
-    """Three significant digits."""
+    """Two significant digits: no interval here is worth more."""
     size = abs(value)
-    return 3 if size == 0.0 else int(np.clip(2 - np.floor(np.log10(size)), 0, 5))
+    return 0 if size == 0.0 else int(np.clip(1 - np.floor(np.log10(size)), 0, 5))
 
 
 def _errors(closed: Closed, floor_V: float) -> Html:
@@ -194,13 +199,13 @@ def _panel(
         axes.set_ylim(-limit, limit)
 
     alt = f"{title}: measured minus modelled against time, {len(records)} records"
-    return figure(plot.panel(draw, alt, x="minutes", y=unit), title)
+    return figure(plot.panel(draw, alt, x="time (min)", y=unit), title)
 
 
 def _changes(found: Diagnosis, lines: Sequence[str]) -> list[Html]:
     if not lines:
         return [paragraph("None.")]
-    text = element("pre", "\n".join(lines))
+    text = scrolled(element("pre", "\n".join(lines)), "Changed lines of the battery file")
     shown = [details(f"{len(lines)} lines", text) if len(lines) > 40 else text]
     if any(len(c.members) > 1 for c in found.classes):
         shown.insert(0, paragraph("Where several causes are possible, the file takes the one that is named first."))

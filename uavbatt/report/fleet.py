@@ -39,14 +39,18 @@ def fleet_report(found: Overview, battery: str, remarks: Sequence[tuple[str, str
     `battery` names the file that all were flown with; `remarks` are names and values of the run.
     """
     ranked = _ranked(found.groups.values())
-    return page(
-        f"Fleet: {counted(found.flights, 'flight')} of {_whose(list(found.groups))}",
-        "uavbatt fleet",
-        _answer(found, ranked),
+    flown = [
         section("Packs over time", *_health(ranked)),
         section("Flights that need a look", *_look(found)),
-        *([section("Logs that could not be flown", _failed(found))] if found.failed else []),
         section("Forecasts against the truth", *_accuracy(found)),
+    ]
+    whose = f"{counted(found.flights, 'flight')} of {_whose(list(found.groups))}" if found.flights else "no flight"
+    return page(
+        f"Fleet: {whose}",
+        "uavbatt fleet",
+        _answer(found, ranked, battery),
+        *(flown if found.flights or not found.failed else []),
+        *([section("Logs that could not be flown", _failed(found))] if found.failed else []),
         section("The run", facts([("battery file", battery), *remarks])),
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
     )
@@ -74,7 +78,7 @@ def _is_grown(found: Change | None) -> bool:
     return found is not None and found.is_certain and found.difference > 0.0
 
 
-def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
+def _answer(found: Overview, ranked: Sequence[Ranked], battery: str) -> Html:
     failed = sum(found.failures.values())
     if failed and not found.flights:
         nothing = f"None of {counted(failed, 'log')} could be flown: this fleet is not known. The reasons are below."
@@ -93,8 +97,10 @@ def _answer(found: Overview, ranked: Sequence[Ranked]) -> Html:
                 f"in {inside} of them."
             )
         )
-    said.append(paragraph(*(badge(status) for status in sorted(found.certificates)), " battery file.", css="quiet"))
-    return element("div", *said, css="answer")
+    said.append(
+        paragraph(*(badge(status) for status in sorted(found.certificates)), f" battery file: {battery}.", css="quiet")
+    )
+    return element("div", *said, css="answer unsure" if failed else "answer")
 
 
 def _health_words(ranked: Sequence[Ranked]) -> str:
@@ -105,20 +111,24 @@ def _health_words(ranked: Sequence[Ranked]) -> str:
     rest = f"{steady} steady, of {untold} it cannot be told (see the table)."
     if grown:
         return f"Resistance has grown in: {', '.join(grown[:5])}{', …' if len(grown) > 5 else ''}; {rest}"
+    if not steady:
+        return "Ageing cannot be told of any of them (see the table)." if ranked else "Nothing was flown."
     return f"No ageing found: {rest}"
 
 
 def _health(ranked: Sequence[Ranked]) -> list[Html]:
     if not ranked:
         return [paragraph("No flight, no health.", css="quiet")]
-    shown = [one for one in ranked if one[0].flights >= 2][:MOST_DRAWN]
+    told = [one for one in ranked if one[0].flights >= 2 and one[0].is_identified]  # a folder has no history
+    shown = told[:MOST_DRAWN]
     drawn = [grid(scale_figure(g, "resistance"), scale_figure(g, "capacity")) for g, _, _ in shown]
-    hidden = len(ranked) - len(shown)
-    head = ("pack or aircraft", "flights", "hours", "Wh each", "first", "last", "resistance", "capacity", "verdict")
+    hidden = len(told) - len(shown)
+    head = ("pack or aircraft", "verdict", "flights", "hours", "Wh each", "first", "last", "resistance", "capacity")
     rows = [
         (
-            g.name, str(g.flights), number(g.flown_s / 3600.0, 1), number(g.energy_Wh / g.flights, 0), *_dates(g),
-            _changed(resistance, g.resistance), _changed(capacity, g.capacity), _verdict(g, resistance, capacity),
+            g.name, _verdict(g, resistance, capacity), str(g.flights), number(g.flown_s / 3600.0, 1),
+            number(g.energy_Wh / g.flights, 0), *_dates(g), _changed(resistance, g.resistance),
+            _changed(capacity, g.capacity),
         )
         for g, resistance, capacity in ranked
     ]  # fmt: skip
@@ -129,11 +139,11 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
         "shows first as resistance."
     )
     more = [paragraph(f"Drawn: the {len(shown)} that changed most; {hidden} more in the table.", css="quiet")]
-    return [paragraph(explained), *drawn, *(more if hidden and shown else []), _folded(head, rows)]
+    return [paragraph(explained), *drawn, *(more if hidden else []), _folded(head, rows)]
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    made = table(head, rows, text_columns=(0, 8))
+    made = table(head, rows, text_columns=(0, 1))
     return made if len(rows) <= 30 else details(f"All {len(rows)} packs and aircraft", made)
 
 
@@ -161,13 +171,13 @@ def _look(found: Overview) -> list[Html]:
     if not found.look:
         return [paragraph("None.", css="quiet")]
     rows = [
-        (PurePath(row.file).name, row.aircraft, row.start_utc[:10] or DASH, number(row.end_soc, 2), row.look)
+        (PurePath(row.file).name, row.look, row.aircraft, row.start_utc[:10] or DASH, _percent(row.end_soc))
         for row in found.look[:MOST_LISTED]
     ]
     more = found.looked - len(found.look)
     by_count = sorted(found.reasons.items(), key=lambda one: -one[1])
     said = [bullets(f"{counted(n, 'flight')}: {reason}" for reason, n in by_count[:MOST_REASONS])]
-    said.append(table(("log", "aircraft", "date", "charge at end", "why"), rows, text_columns=(0, 1, 2, 4)))
+    said.append(table(("log", "why", "aircraft", "date", "charge at end"), rows, text_columns=(0, 1, 2, 3)))
     if more > 0:
         words = f"The {len(found.look)} that ask for it most; {more} more in flights.csv, column `look`."
         said.append(paragraph(words, css="quiet"))
@@ -216,6 +226,10 @@ def _mean_and_error(values: NDArray[np.float64], *, sign: bool = False) -> str:
         return DASH
     error = float(np.std(values, ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.nan
     return f"{number(_mean(values), 0, sign=sign)} ± {number(error, 0)}"
+
+
+def _percent(share: float) -> str:
+    return number(100.0 * share, 0, "%")
 
 
 def _mean(values: NDArray[np.float64]) -> float:

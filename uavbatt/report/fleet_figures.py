@@ -46,7 +46,7 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
         axes.set_ylim(min(0.8, float(low)), max(1.2, float(high)))
 
     alt = f"{what.capitalize()} scale of {group.name} over its flights"
-    svg = plot.panel(draw, alt, x="date" if group.is_dated else "flight", y=f"{what} scale", height=190.0)
+    svg = plot.panel(draw, alt, x="date" if group.is_dated else "flight", y=f"{what} scale")
     return figure(svg, f"{plot.literal(group.name)}: {what}")
 
 
@@ -66,7 +66,7 @@ def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:
         axes.set_xticks(range(len(told)), [label for label, _ in told])
         axes.set_xlim(-0.6, len(told) - 0.4)
 
-    svg = plot.panel(draw, "Errors of the forecasts before the end of flight", x="", y="forecast − truth [s]")
+    svg = plot.responsive(draw, "Errors of the forecasts before the end of flight", x="", y="forecast − truth (s)")
     return figure(
         svg,
         "Errors of the forecasts",

@@ -1,18 +1,25 @@
-"""The flight page: what a replay found, in words first, then figures, then where every number came from."""
+"""The flight page: the answer, what limits it, the pilot's chart; then the rest, and where every number came from."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import PurePath
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePath
+
+import numpy as np
 
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
+from uavbatt.log_replay import Outcome, ReplayedRow
 from uavbatt.records import Flight, Status
 from uavbatt.report.flight_answer import first_answer
+from uavbatt.report.flight_axis import TimeAxis
+from uavbatt.report.flight_chart import save_time_left, time_left_chart
+from uavbatt.report.flight_cursor import cursor, cursor_script
+from uavbatt.report.flight_events import events
 from uavbatt.report.flight_figures import figures
+from uavbatt.report.flight_limits import limits_of
 from uavbatt.report.page import (
     DASH,
     UNKNOWN,
@@ -23,6 +30,7 @@ from uavbatt.report.page import (
     duration,
     element,
     facts,
+    grid,
     number,
     page,
     paragraph,
@@ -51,72 +59,66 @@ def flight_report(
 
     `steps` are the rows of the replay, `resolved` the pack's size and where it came from, `outcome` the figures.
     """
-    found = stretches(steps)
-    name = PurePath(flight.source).name or flight.source
+    found, name = stretches(steps), _name(flight)
+    shown = with_gaps(rows(steps))
+    axis = TimeAxis(shown, found, outcome.end_of_flight_s)
+    chart = time_left_chart(shown, axis, events(flight, steps, outcome, resolved.low_V))
+    engineers = details(
+        "For engineers: charge, voltage, innovation, current and temperature over the same time",
+        grid(*figures(shown, axis, outcome, resolved)),
+    )
     return page(
         f"{name}: battery {flight.instance}",
         "uavbatt replay",
-        _answer(flight, outcome, resolved, found),
-        section("Over the flight", *figures(with_gaps(rows(steps)), found, outcome, resolved), _stretches(found)),
+        _answer(outcome, resolved, found, steps),
+        section("Over the flight", chart, cursor(), engineers, _stretches(found)),
         *route_section(flight, steps),
         section("Forecast against the truth", _checkpoints(outcome)),
         section("Battery and certificate", *_battery(resolved, battery)),
         section("The log", *_log(flight, outcome, steps)),
         footer=f"uavbatt {__version__}. Advisory: this page commands nothing and replaces no reserve.",
+        script=cursor_script(shown),
     )
 
 
-def _answer(flight: Flight, outcome: Outcome, resolved: PackSize, found: Sequence[Stretch]) -> Html:
-    """The headline: what the pilot came for."""
+def save_charts(
+    paths: Iterable[Path], flight: Flight, steps: Sequence[ReplayedRow], resolved: PackSize, outcome: Outcome
+) -> bool:
+    """Write the page's main chart to files, PNG or SVG by their names, under the name of the log and the answer.
+
+    Returns False, with nothing written, for a flight without a forecast.
+    """
+    shown = with_gaps(rows(steps))
+    if not np.isfinite(shown.remaining_s).any():
+        return False
+    axis = TimeAxis(shown, stretches(steps), outcome.end_of_flight_s)
+    marks = events(flight, steps, outcome, resolved.low_V)
+    title = f"{_name(flight)}: {first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)}"
+    for path in paths:
+        save_time_left(path, shown, axis, marks, title)
+    return True
+
+
+def _name(flight: Flight) -> str:
+    return PurePath(flight.source).name or flight.source
+
+
+def _answer(outcome: Outcome, resolved: PackSize, found: Sequence[Stretch], steps: Sequence[ReplayedRow]) -> Html:
+    """What the pilot came for, then what limits that sentence."""
     first = first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
-    sentences = [paragraph(first), paragraph(_charge_words(outcome)), paragraph(_end_words(outcome, resolved))]
-    if outcome.checkpoints:
-        sentences.append(
-            paragraph("; ".join(_error_words(c) for c in (*outcome.checkpoints[:1], *_late(outcome))) + ".")
-        )
+    limits = [*limits_of(outcome, resolved, steps), _refused_words(outcome, found)]
+    status = element("span", badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}")
+    return element("div", paragraph(first), bullets([*filter(None, limits), status]), css="answer")
+
+
+def _refused_words(outcome: Outcome, found: Sequence[Stretch]) -> str:
     refused_s = sum(s.duration_s for s in found if s.status is Status.REFUSED)
-    if refused_s > 0.0:
-        air = outcome.refused_in_air
-        share = f"{air:.0%} of the rows" if air > 0.0 else "none of it"
-        flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
-        sentences.append(paragraph(f"No forecast was given for {duration(refused_s)} in all{flying}; see below why."))
-    sentences.append(paragraph(badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}", css="quiet"))
-    return element("div", *sentences, css="answer")
-
-
-def _charge_words(outcome: Outcome) -> str:
-    if not math.isfinite(outcome.end_soc):
-        return "No state of charge could be given for this log."
-    left, spread = 100.0 * outcome.end_soc, 200.0 * outcome.end_soc_sd
-    low, high = (number(min(max(left + s * spread, 0.0), 100.0), 0) for s in (-1.0, 1.0))
-    said = f"{number(left, 0)} % of the charge was left at the end of the log"
-    return f"{said} ({low} to {high} %, two standard deviations)."
-
-
-def _end_words(outcome: Outcome, resolved: PackSize) -> str:
-    cutoff = number(resolved.cutoff_V, 2, "V")
-    if math.isfinite(outcome.end_of_flight_s):
-        return (
-            f"The flight ended by its battery {duration(outcome.end_of_flight_s)} after the log's start: "
-            f"the voltage under load fell below {cutoff} ({resolved.cutoff_from})."
-        )
-    return (
-        f"The flight ended before its battery did (which ends below {cutoff} under load, {resolved.cutoff_from}), "
-        "so that the forecasts cannot be checked against the truth."
-    )
-
-
-def _late(outcome: Outcome) -> Sequence[Checkpoint]:
-    return [c for c in outcome.checkpoints[1:] if "120" in c.label] or outcome.checkpoints[-1:]
-
-
-def _error_words(c: Checkpoint) -> str:
-    when = "At half time" if c.label.startswith("half") else f"{c.label} the end"
-    if not math.isfinite(c.remaining_s):
-        return f"{when}: the forecast was refused"
-    way = "too long" if c.error_s > 0 else "too short"
-    where = "inside" if c.inside else "outside"
-    return f"{when}: the forecast was {duration(abs(c.error_s))} {way}, truth {where} its 90 % interval"
+    if refused_s <= 0.0:
+        return ""
+    air = outcome.refused_in_air
+    share = f"{air:.0%} of the rows" if air > 0.0 else "none of it"
+    flying = f", {share} in the air after the first minute" if math.isfinite(air) else ""
+    return f"No forecast was given for {duration(refused_s)} in all{flying}."
 
 
 def _stretches(found: Sequence[Stretch]) -> Html:
@@ -132,9 +134,8 @@ def _stretches(found: Sequence[Stretch]) -> Html:
         )
         for s in found
     ]
-    return table(
-        ("when", "what", "why", "rows"), body, "Where a number was refused or not yet settled", text_columns=(0, 1, 2)
-    )
+    made = table(("when", "what", "why", "rows"), body, text_columns=(0, 1, 2))
+    return details(f"Where a number was refused or not yet settled ({len(found)})", made)
 
 
 def _checkpoints(outcome: Outcome) -> Html:
@@ -186,8 +187,7 @@ def _battery(resolved: PackSize, battery: BatteryFile) -> list[Html]:
     else:
         why = "what it claimed was of other content" if resolved.status == "edited" else "nothing was put to a gate"
         parts.append(paragraph(f"The certificate makes no claim: {why}."))
-    remarks = bullets(battery.battery.remarks)
-    return [*parts, remarks]
+    return [*parts, *_notes("Remarks in the battery file", battery.battery.remarks)]
 
 
 def _log(flight: Flight, outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[Html]:

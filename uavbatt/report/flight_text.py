@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Landing, Outcome, ReplayedRow
+from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
+from uavbatt.report.page import duration
+
+JUST_S, NEAR_S = 30.0, 10.0
 
 
 def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
@@ -23,17 +27,15 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
         f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
         f"  forecast   {_given(found.refused_in_air)}",
     ]
-    warnings = dict.fromkeys(w for s in run for w in s.estimate.warnings)
-    lines += [f"  warning    {w}" for w in [*warnings, *flight.notes]]
-    if flight.skipped_bytes:
-        lines.append(f"  warning    {flight.skipped_bytes} bytes of the log were unreadable and skipped")
+    lines += _route_lines(_route_summary(run))
+    lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
     if math.isfinite(found.end_of_flight_s):
         lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
         for c in found.checkpoints:
             if math.isfinite(c.remaining_s):
                 verdict = "inside" if c.inside else "outside"
                 lines.append(
-                    f"    {c.label:>13}: said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
+                    f"    {c.label:>13}: {_instant(c)}said {c.remaining_s:4.0f} s [{c.lo_s:.0f}, {c.hi_s:.0f}], true "
                     f"{c.before_end_s:4.0f} s, error {round(c.error_s):+5d} s, {verdict} the 90 % interval"
                 )
             else:
@@ -41,6 +43,30 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
     else:
         lines.append("  the log does not reach the end of flight: no forecast of it can be checked")
     return lines
+
+
+def dated_warnings(run: list[ReplayedRow]) -> list[str]:
+    """Return every warning of a replay once, with its time where it did not stand from the beginning to the end."""
+    spans: dict[str, tuple[float, float]] = {}
+    for step in run:
+        for words in step.estimate.warnings:
+            spans[words] = (spans.get(words, (step.estimate.time_s,))[0], step.estimate.time_s)
+    first_s, last_s = run[0].estimate.time_s, run[-1].estimate.time_s
+    return [words + _when(since_s - first_s, until_s - first_s, last_s - first_s)
+            for words, (since_s, until_s) in spans.items()]  # fmt: skip
+
+
+def _when(since_s: float, until_s: float, length_s: float) -> str:
+    """Say when a warning stood, in times since the log's first row."""
+    if length_s - until_s > JUST_S:
+        return f" ({duration(since_s)} to {duration(until_s)})"
+    return f" (since {duration(since_s)})" if since_s > JUST_S else ""
+
+
+def _instant(c: Checkpoint) -> str:
+    """Say so where the log has no row at the instant that the label names."""
+    named_s = float(c.label.split()[0]) if c.label[0].isdigit() else c.before_end_s
+    return "nearest forecast " if abs(named_s - c.before_end_s) > NEAR_S else ""
 
 
 def _charge(found: Outcome) -> str:
@@ -87,7 +113,31 @@ def summary(
         **_landing_summary(found.landing),
         **{k: v for k, v in asdict(found).items() if k not in ("checkpoints", "landing")},
         "scores": scores,
+        **_route_summary(run),
     }
+
+
+def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
+    """How far the route was the load to come, and when "turn back now" was said; nulls without a route or home."""
+    said = [(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None]
+    reasons = Counter(route.reason for _, route in said if route.load != "route" and route.reason)
+    return {
+        "route_share": sum(route.load == "route" for _, route in said) / len(said) if said else None,
+        "route_reason": reasons.most_common(1)[0][0] if reasons else "",
+        "turn_back_now_s": next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), None),
+    }
+
+
+def _route_lines(known: dict[str, Any]) -> list[str]:
+    """The same for a person."""
+    share, turn_s = known["route_share"], known["turn_back_now_s"]
+    if share is None:
+        return []
+    why = f" (else: {known['route_reason']})" if known["route_reason"] else ""
+    found = [f"  route      the load to come in {share:.0%} of the forecasts{why}"]
+    if turn_s is not None:
+        found.append(f"  turn back  said first {duration(turn_s)} after the log's start")
+    return found
 
 
 def _landing_summary(landing: Landing | None) -> dict[str, Any]:

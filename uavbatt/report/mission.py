@@ -9,6 +9,7 @@ import numpy as np
 
 from uavbatt import __version__
 from uavbatt.plan_route import MissionPlan, RouteFit
+from uavbatt.prediction.route_forecast import IN_TIME
 from uavbatt.prediction.route_path import Point
 from uavbatt.report import plot
 from uavbatt.report.page import (
@@ -16,10 +17,12 @@ from uavbatt.report.page import (
     badge,
     bullets,
     celsius,
+    clock,
     duration,
     element,
     facts,
     figure,
+    grid,
     number,
     page,
     paragraph,
@@ -41,7 +44,7 @@ def mission_report(plan: MissionPlan, name: str) -> str:
         f"{name}: does it fit?",
         "uavbatt plan",
         _answer(plan),
-        section("The route", route_map(points, turning=plan.turning, note=note), _charge(plan)),
+        section("The route", grid(route_map(points, turning=plan.turning, note=note), _charge(plan))),
         section("Leg by leg", _legs(plan)),
         section("Over ambient temperature", _temperatures(plan)),
         section("What it rests on", facts(_basis(plan)), bullets(plan.warnings)),
@@ -52,18 +55,20 @@ def mission_report(plan: MissionPlan, name: str) -> str:
 def _answer(plan: MissionPlan) -> Html:
     here, route = plan.here, plan.here.route
     said = paragraph(
-        strong("It fits." if here.fits else "It does not fit."),
-        f" At {celsius(here.ambient_C)} the probability that the battery ends before touchdown is {route.risk:.0%}. "
-        f"Touchdown after {duration(route.left_s)} with {_share(route.soc)} of the charge (90 % interval "
-        f"{_share(route.soc_lo)} to {_share(route.soc_hi)}).",
+        f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
+        f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
+    )
+    end = paragraph(
+        f"Touchdown after {duration(route.left_s)} with {_share(route.soc)} of the charge, probably between "
+        f"{_share(route.soc_lo)} and {_share(route.soc_hi)} (9 in 10)."
     )
     spare = paragraph(f"Hover left at touchdown: {duration(here.spare_s)}, at worst (5 %) {duration(here.spare_lo_s)}.")
     turn = []
     if math.isfinite(route.turn_back_lo_s):
         words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
         turn = [paragraph(strong(words))]
-    quiet = paragraph(badge(plan.resolved.status), " battery file.", css="quiet")
-    return element("div", said, *turn, spare, quiet, css="answer")
+    quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
+    return element("div", said, *turn, end, spare, quiet, css="answer good" if here.fits else "answer bad")
 
 
 def _share(soc: float) -> str:
@@ -82,7 +87,7 @@ def _charge(plan: MissionPlan) -> Html:
         axes.set_ylim(bottom=0.0)
 
     alt = "Charge at each leg's end over time, median and 90 % interval"
-    svg = plot.panel(draw, alt, x="time [min]", y="charge [%]", legend_columns=2)
+    svg = plot.panel(draw, alt, x="time (min)", y="charge (%)", legend_columns=2)
     return figure(svg, "Charge along the way", "From take-off to touchdown, at each leg's end.")
 
 
@@ -90,7 +95,7 @@ def _legs(plan: MissionPlan) -> Html:
     rows = [
         (
             "home" if leg.item < 0 else str(leg.item),
-            duration(leg.end_s),
+            clock(leg.end_s),
             number(math.hypot(leg.place.north_m, leg.place.east_m), 0, "m"),
             number(leg.place.height_m, 0, "m"),
             _share(leg.soc),
@@ -99,19 +104,21 @@ def _legs(plan: MissionPlan) -> Html:
         )
         for leg in plan.legs
     ]
-    return table(("item", "after", "from home", "height", "charge", "5 %", "95 %"), rows, "Charge at each leg's end")
+    caption = "Charge at each leg's end; after: minutes:seconds"
+    return table(("item", "after", "from home", "height", "charge", "5 %", "95 %"), rows, caption)
 
 
 def _temperatures(plan: MissionPlan) -> Html:
-    head = ("ambient", "fits", "risk", "charge at touchdown", "hover left", "turn back by", "")
-    return table(head, [_row(fit) for fit in plan.rows], "The same mission", text_columns=(0, 1, 6))
+    head = ("ambient", "fits", "risk", "charge at touchdown", "hover left", "turn back by", "remark")
+    caption = "The same mission; times in minutes:seconds"
+    return table(head, [_row(fit) for fit in plan.rows], caption, text_columns=(0, 1, 6))
 
 
 def _row(fit: RouteFit) -> tuple[str, ...]:
     route = fit.route
-    risk, turn = f"{route.risk:.0%}", duration(route.turn_back_lo_s) if math.isfinite(route.turn_back_lo_s) else "–"
+    risk, turn = f"{route.risk:.0%}", clock(route.turn_back_lo_s)
     fits = "yes" if fit.fits else "no"
-    return (celsius(fit.ambient_C), fits, risk, _share(route.soc), duration(fit.spare_s), turn, fit.remark)
+    return (celsius(fit.ambient_C), fits, risk, _share(route.soc), clock(fit.spare_s), turn, fit.remark)
 
 
 def _basis(plan: MissionPlan) -> list[tuple[str, str]]:

@@ -13,13 +13,15 @@ from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT, SHARED_SD
 from uavbatt.packs.records import PackRow, Remembered
 from uavbatt.packs.words import retire_words, trend_words
 from uavbatt.report import plot
-from uavbatt.report.page import Html, bullets, figure, grid, number, page, paragraph, section, strong, table
+from uavbatt.report.page import Html, bullets, contents, element, figure, grid, number, page, paragraph, section, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_FIGURES = 40  # packs with figures of their own; the table holds all
 MOST_BARS = 40
+MOST_UNLISTED = 4  # packs that a page shows without a list of contents
+ROOM_FOR_NAMES, LETTERS_SHOWN = 130.0, 12
 OHM, CHARGE = 0, 1
 
 
@@ -30,6 +32,11 @@ def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[Pa
         f"Packs of {ledger}",
         "uavbatt packs",
         _headline(in_order),
+        *(
+            [contents("All packs", *(pack.name for pack, flights in drawn if flights))]
+            if len(drawn) > MOST_UNLISTED
+            else []
+        ),
         section("All packs", _side_by_side(in_order), _table(in_order)),
         *(_of_one(pack, flights) for pack, flights in drawn),
         footer=f"uavbatt {__version__}. Bands: 5 % to 95 %.",
@@ -38,16 +45,17 @@ def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[Pa
 
 def _headline(packs: Sequence[PackRow]) -> Html:
     if not packs:
-        return paragraph("No packs are remembered yet.")
+        return element("div", paragraph("No packs are remembered yet."), css="answer unsure")
     first = packs[0]
-    count = f"{len(packs)} pack{'s' * (len(packs) != 1)} remembered. "
+    count = f"{len(packs)} pack{'s' * (len(packs) != 1)} remembered."
     if not math.isfinite(first.outlook.retire_flights):
-        return paragraph(count, "No end in sight for any of them.")
-    return paragraph(count, strong(f"{first.name}: {retire_words(first.outlook)}."))
+        return element("div", paragraph("No end in sight for any of them."), paragraph(count), css="answer")
+    words = paragraph(f"First to retire: {first.name}, {retire_words(first.outlook)}.")
+    return element("div", words, paragraph(count), css="answer")
 
 
 def _table(packs: Sequence[PackRow]) -> Html:
-    head = ("pack", "charge", "of rated", "5 % to 95 %", "ohms of its type", "flights", "charge changes", "outlook")
+    head = ("pack", "outlook", "charge", "of rated", "5 % to 95 %", "ohms of its type", "flights", "charge changes")
     rows = []
     for pack in packs:
         seen = pack.outlook
@@ -55,16 +63,16 @@ def _table(packs: Sequence[PackRow]) -> Html:
         rows.append(
             (
                 pack.name,
+                "; ".join(words),
                 number(seen.capacity_Ah, 2, "Ah"),
                 f"{seen.capacity_Ah / pack.rated_Ah:.0%}",
                 f"{seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f} Ah",
                 f"{seen.resistance_ohm / pack.type_ohm:.0%}",
                 str(seen.flights),
                 trend_words(seen.capacity_trend, seen.capacity_trend_sd),
-                "; ".join(words),
             )
         )
-    return table(head, rows, text_columns=(0, 6, 7))
+    return table(head, rows, text_columns=(0, 1, 7))
 
 
 def _side_by_side(packs: Sequence[PackRow]) -> Html:
@@ -79,11 +87,11 @@ def _side_by_side(packs: Sequence[PackRow]) -> Html:
             seen, rated = pack.outlook, pack.rated_Ah
             axes.plot([seen.capacity_lo_Ah / rated, seen.capacity_hi_Ah / rated], [place, place], color=plot.BLUE)
             axes.plot([seen.capacity_Ah / rated], [place], "o", color=plot.BLUE, markersize=4.0)
-        axes.set_yticks(range(len(shown)), [plot.literal(pack.name)[:9] for pack in shown])
+        axes.set_yticks(range(len(shown)), [plot.literal(pack.name)[:LETTERS_SHOWN] for pack in shown])
         axes.set_ylim(-0.6, len(shown) - 0.4)
 
-    height = 80.0 + 17.0 * len(shown)
-    svg = plot.panel(draw, "Charge of all packs against their ratings", x="charge / rated", y="", height=height)
+    height, alt = 100.0 + 26.0 * len(shown), "Charge of all packs against their ratings"
+    svg = plot.panel(draw, alt, x="charge / rated", y="", height=height, left=ROOM_FOR_NAMES)
     return figure(svg, "Charge, pack by pack", "Dot: most likely; line: 5 % to 95 %.")
 
 
@@ -124,5 +132,5 @@ def _trend(flights: Sequence[Remembered], which: int, unit: float) -> Html:
         low, high = float(np.min(known / factor)), float(np.max(known * factor))
         axes.set_ylim(min(0.75 if which == CHARGE else 0.9, low, 0.98 * told.min()), max(1.1, high, 1.02 * told.max()))
 
-    svg = plot.panel(draw, f"{name} from flight to flight", x="flight", y=name, height=200.0)
+    svg = plot.panel(draw, f"{name} from flight to flight", x="flight", y=name)
     return figure(svg, "Charge" if which == CHARGE else "Ohms")

@@ -1,12 +1,16 @@
-"""A self-contained HTML page: opens offline, prints, follows the reader's light or dark setting, has no script.
+"""A self-contained HTML page: opens offline, prints, follows the reader's light or dark setting, works without script.
 
 Whatever is not `Html` already is text and gets escaped, so that a file name or a column of a log cannot become
-markup. The page's own security policy forbids scripts and anything fetched, as a second wall.
+markup. The page's own security policy forbids everything fetched and every script but the one that `page` is given, as
+a second wall.
 """
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import math
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
@@ -27,6 +31,10 @@ MOODS: dict[str, Mood] = {
 }  # fmt: skip
 SIGNS: dict[Mood, str] = {"good": "✓", "bad": "✗", "unsure": "?", "plain": "·"}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # data (`type="application/json"`) are no script
+_TAG = re.compile(r"<[^>]*>")
+LONG_WORDS = 24  # letters in a cell, from which its column is kept wide enough to be read
+_NO_ID = re.compile(r"[^a-z0-9]+")
 
 
 class Html(str):
@@ -74,8 +82,22 @@ def badge(verdict: str, words: str = "") -> Html:
 
 
 def section(title: str, *content: str, css: str = "") -> Html:
-    """A part of the page under its own heading."""
-    return element("section", element("h2", title), *content, css=css)
+    """A part of the page under its own heading, which `contents` can point to."""
+    heading = Html(f'<h2 id="{_anchor(title)}">{safe(title)}</h2>')
+    return element("section", heading, *content, css=css)
+
+
+def contents(*titles: str) -> Html:
+    """Links to the sections of a long page."""
+    links = (Html(f'<li><a href="#{_anchor(title)}">{safe(title)}</a></li>') for title in titles)
+    return Html(f'<nav aria-label="Contents"><ul class="contents">{together(links, "")}</ul></nav>')
+
+
+def _anchor(title: str) -> str:
+    """A heading as the name of its place in the page; alike letters of two headings do not make one place."""
+    return (
+        f"{_NO_ID.sub('-', title.lower()).strip('-')[:40]}-{hashlib.sha256(printable(title).encode()).hexdigest()[:4]}"
+    )
 
 
 def grid(*figures: str) -> Html:
@@ -97,16 +119,34 @@ def details(summary: str, *content: str) -> Html:
 def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "", *, text_columns: Sequence[int] = (0,)
 ) -> Html:
-    """A table that scrolls by itself on a narrow screen; columns other than `text_columns` hold numbers."""
+    """A table that scrolls by itself on a narrow screen, by keyboard too; columns not in `text_columns` hold numbers.
+
+    A table without a caption is announced by its first columns.
+    """
+    body = [tuple(cells) for cells in rows]
+    css = ["" if i in text_columns else "number" for i in range(len(head))]
+    for i in text_columns:
+        if i and any(len(_TAG.sub("", cells[i])) > LONG_WORDS for cells in body):
+            css[i] = "words"
 
     def row(cells: Sequence[str], tag: str) -> Html:
-        made = (element(tag, c, css="" if i in text_columns else "number") for i, c in enumerate(cells))
-        return element("tr", *made)
+        return element("tr", *(_cell(tag, c, kind) for c, kind in zip(cells, css, strict=True)))
 
-    body = element("tbody", *(row(cells, "td") for cells in rows))
     top = element("caption", caption) if caption else Html("")
-    css = "scroll wordy" if len(head) - 1 in text_columns else "scroll"
-    return element("div", element("table", top, element("thead", row(head, "th")), body), css=css)
+    lines = element("tbody", *(row(cells, "td") for cells in body))
+    made = element("table", top, element("thead", row(head, "th")), lines)
+    return scrolled(made, f"Table: {caption or ', '.join(name for name in head[:3] if name)}")
+
+
+def _cell(tag: str, content: str, css: str) -> Html:
+    made = element(tag, content, css=css)
+    return Html(made.replace("<th", '<th scope="col"', 1)) if tag == "th" else made
+
+
+def scrolled(content: Html, label: str, css: str = "scroll") -> Html:
+    """Content that scrolls sideways by itself, and that the keyboard reaches."""
+    named = f'role="region" aria-label="{safe(label)}" tabindex="0"'
+    return Html(f'<div class="{escape(css)}" {named}>{content}</div>')
 
 
 def figure(svg: Html, title: str, caption: str = "") -> Html:
@@ -132,13 +172,25 @@ def duration(seconds: float) -> str:
     return f"{sign}{minutes} min {rest:02d} s" if minutes else f"{sign}{rest} s"
 
 
+def clock(seconds: float) -> str:
+    """Write seconds as minutes and seconds, `12:05`; a dash when not known."""
+    if not math.isfinite(seconds):
+        return DASH if not math.isinf(seconds) else "unbounded"
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    sign = "\u2212" if seconds < 0 and (minutes or rest) else ""
+    return f"{sign}{minutes}:{rest:02d}"
+
+
 def celsius(temp_C: float) -> str:
     """Write an ambient temperature with its sign: `+25 °C`, `0 °C`, `−20 °C`."""
     return f"{number(temp_C, 0 if temp_C == round(temp_C) else 1, '°C', sign=temp_C > 0)}"
 
 
-def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
-    """Return the whole document: HTML that is well-formed XML too, so that a test can read it strictly."""
+def page(title: str, kicker: str, *content: str, footer: str = "", script: str = "") -> str:
+    """Return the whole document: HTML that is well-formed XML too, so that a test can read it strictly.
+
+    script : markup of the page's own script, the only one that its policy lets run
+    """
     css = (resources.files("uavbatt.report") / "page.css").read_text("utf-8")
     return "\n".join(
         (
@@ -147,19 +199,28 @@ def page(title: str, kicker: str, *content: str, footer: str = "") -> str:
             "<head>",
             '<meta charset="utf-8"/>',
             '<meta name="viewport" content="width=device-width, initial-scale=1"/>',
-            f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}"/>',
+            f'<meta http-equiv="Content-Security-Policy" content="{escape(_policy(script))}"/>',
             '<meta name="color-scheme" content="light dark"/>',
             f"<title>{safe(title)}</title>",
             f"<style>\n{css}</style>",
             "</head>",
             "<body>",
+            '<a class="skip" href="#main">Skip to the answer</a>',
             element("header", paragraph(kicker, css="kicker"), element("h1", title)),
-            element("main", *content),
+            Html(f'<main id="main">{together(content, "")}</main>'),
             element("footer", footer),
+            script,
             "</body>",
             "</html>\n",
         )
     )
+
+
+def _policy(script: str) -> str:
+    """Return the security policy: this script by its hash and inline styles, and nothing else."""
+    digests = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in _SCRIPT.findall(script))
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return f"{POLICY}; script-src {allowed}" if allowed else POLICY
 
 
 def write_page(path: str | Path, html: str) -> None:

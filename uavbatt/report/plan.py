@@ -15,6 +15,7 @@ from uavbatt.report.page import (
     badge,
     bullets,
     celsius,
+    clock,
     duration,
     element,
     facts,
@@ -23,7 +24,6 @@ from uavbatt.report.page import (
     page,
     paragraph,
     section,
-    strong,
     table,
 )
 
@@ -45,23 +45,20 @@ def plan_report(plan: Plan) -> str:
 
 def _answer(plan: Plan) -> Html:
     here = plan.here
-    status = paragraph(badge(plan.resolved.status), " battery file.", css="quiet")
+    status = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
     if not math.isfinite(here.median_s):
         words = f"The endurance at {celsius(here.ambient_C)} is {here.remark or 'not known'}."
         return element("div", paragraph(words), status, css="answer unsure")
     said = paragraph(
-        strong(duration(here.median_s)),
-        f" at {celsius(here.ambient_C)}, with 90 % probability between {duration(here.lo_s)} and "
-        f"{duration(here.hi_s)}, until the pack is below {number(plan.resolved.cutoff_V, 1, 'V')} under load. "
-        f"Load: {plan.load}. Charge at take-off: {number(100.0 * plan.start_soc, 0, '%')}.",
+        f"{duration(here.median_s)} at {celsius(here.ambient_C)}, probably between {duration(here.lo_s)} and "
+        f"{duration(here.hi_s)} (9 in 10)."
     )
-    return element(
-        "div",
-        said,
-        *([paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []),
-        status,
-        css="answer",
+    terms = paragraph(
+        f"Until the pack is below {number(plan.resolved.cutoff_V, 1, 'V')} under load. Load: {plan.load}. Charge at "
+        f"take-off: {number(100.0 * plan.start_soc, 0, '%')}."
     )
+    remark = [paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []
+    return element("div", said, terms, *remark, status, css="answer")
 
 
 def _figure(plan: Plan) -> Html:
@@ -86,19 +83,19 @@ def _figure(plan: Plan) -> Html:
         axes.set_ylim(bottom=0.0)
 
     alt = "Endurance in minutes over ambient temperature, median and 90 % interval"
-    svg = plot.panel(draw, alt, x="ambient temperature [°C]", y="endurance [min]", legend_columns=2)
+    svg = plot.responsive(draw, alt, x="ambient temperature (°C)", y="endurance (min)")
     return figure(svg, "Endurance over ambient temperature", "The pack rested, and as warm as the air, at take-off.")
 
 
 def _table(plan: Plan) -> Html:
     rows = [_row(e) for e in plan.rows]
-    head = ("ambient", "median", "5 %", "95 %", "low-voltage warning", "")
-    return table(head, rows, "Time from take-off", text_columns=(0, 5))
+    head = ("ambient", "median", "5 %", "95 %", "to low voltage", "remark")
+    return table(head, rows, "Time from take-off (minutes:seconds)", text_columns=(0, 5))
 
 
 def _row(e: Endurance) -> tuple[Html, ...]:
     """One temperature; grey where the file vouches for nothing."""
-    times = (duration(t) for t in (e.median_s, e.lo_s, e.hi_s, e.to_low_s))
+    times = (clock(t) for t in (e.median_s, e.lo_s, e.hi_s, e.to_low_s))
     css = "quiet" if e.remark else ""
     return tuple(element("span", text, css=css) for text in (celsius(e.ambient_C), *times, e.remark))
 

@@ -1,21 +1,24 @@
 """Drawings by matplotlib as inline SVG: colours from the page's own palette, text as text, no ids that collide.
 
 A drawing uses the light palette's values as marks; `svg` puts the page's variables in their place, so that a figure
-follows the light or dark setting. Drawn 440 units wide with 11-unit letters: readable on a phone and not shouting on
-a screen. matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
+follows the light or dark setting. Drawn 440 units wide with letters of 15.5 units: 12 px on the narrowest phone (345 px
+of page), 17 px where two stand side by side on a desktop. `responsive` draws a second time for the whole width of one.
+matplotlib loads when the first figure is drawn; figures live outside pyplot and leave nothing open.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from io import StringIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavbatt.errors import printable
-from uavbatt.report.page import Html
+from uavbatt.files import atomic_write
+from uavbatt.report.page import Html, element, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,9 +35,12 @@ VARIABLES = {
     PINK: "pink", AMBER: "amber", SKY: "sky", **{value: f"t{i}" for i, value in enumerate(RAMP)},
 }  # fmt: skip
 
-WIDTH, HEIGHT = 440.0, 240.0
-LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 58.0, 10.0, 38.0, 10.0, 17.0
-LETTERS = 11.0
+WIDTH, HEIGHT = 440.0, 280.0
+WIDE, WIDE_HEIGHT = 1100.0, 400.0
+TITLE_ROW, MOST_LETTERS, PRINTED_DPI = 30.0, 120, 144
+LEFT, RIGHT, BOTTOM, TOP, LEGEND_ROW = 76.0, 14.0, 52.0, 14.0, 23.0
+LETTERS = 15.5
+LETTER_WIDTH, SIGN_WIDTH = 0.54 * LETTERS, 3.3 * LETTERS  # of a letter of a legend, of the sign before it
 SETTINGS: dict[str, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "uavbatt", "figure.facecolor": "none", "axes.facecolor": "none",
     "savefig.facecolor": "none", "font.size": LETTERS, "axes.labelsize": LETTERS, "legend.fontsize": LETTERS,
@@ -70,23 +76,99 @@ def drawing(draw: Callable[[Figure], None], alt: str, height: float = HEIGHT, wi
 
 
 def panel(
-    draw: Callable[[Axes], None], alt: str, *, x: str, y: str, height: float = HEIGHT, legend_columns: int = 3
+    draw: Callable[[Axes], None],
+    alt: str,
+    *,
+    x: str,
+    y: str,
+    height: float = HEIGHT,
+    width: float = WIDTH,
+    left: float = LEFT,
+    right: float = RIGHT,
+    legend_columns: int = 3,
+    unit_s: float = 0.0,
 ) -> Html:
-    """One pair of axes with its labels and its legend above; the left edges of all panels line up."""
+    """Draw one pair of axes with its labels and its legend above; the left edges of all panels line up.
+
+    left, right : room beside the axes, for the labels there
+    unit_s : seconds of a unit of the x axis; with it the page's cursor finds its place in the drawing
+    """
+    frames: list[str] = []
 
     def whole(figure: Figure) -> None:
-        axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-        draw(axes)
-        axes.set_xlabel(x)
-        axes.set_ylabel(y)
-        names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
-        rows = -(-len(names) // legend_columns)
-        top = TOP + rows * LEGEND_ROW
-        axes.set_position((LEFT / WIDTH, BOTTOM / height, 1 - (LEFT + RIGHT) / WIDTH, 1 - (BOTTOM + top) / height))
-        if names:
-            legend_above(axes, legend_columns)
+        axes = _drawn(figure, draw, x, y)
+        top = _placed(axes, (width, height), (left, right), legend_columns)
+        if unit_s > 0.0:
+            first, last = (unit_s * limit for limit in axes.get_xlim())
+            box = f"{left} {width - right} {top} {height - BOTTOM}"
+            frames.append(f' data-seconds="{first:.3f} {last:.3f}" data-box="{box}"')
 
-    return drawing(whole, alt, height)
+    drawn = drawing(whole, alt, height, width)
+    return Html(drawn.replace("<svg", f"<svg{frames[0]}", 1)) if frames else drawn
+
+
+def _drawn(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes:
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    draw(axes)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    return axes
+
+
+def _placed(
+    axes: Axes, size: tuple[float, float], beside: tuple[float, float], legend_columns: int, above: float = 0.0
+) -> float:
+    """Put the axes in a figure of `size` with room `beside` and `above` them; returns the room over them."""
+    (width, height), (left, right) = size, beside
+    names = [n for n in axes.get_legend_handles_labels()[1] if not n.startswith("_")]
+    columns = _columns(names, legend_columns, width - left)
+    top = TOP + -(-len(names) // columns) * LEGEND_ROW + above
+    axes.set_position((left / width, BOTTOM / height, 1 - (left + right) / width, 1 - (BOTTOM + top) / height))
+    if names:
+        legend_above(axes, columns)
+    return top
+
+
+def save_picture(path: Path, draw: Callable[[Axes], None], title: str, *, x: str, y: str, right: float = RIGHT) -> None:
+    """Write one wide panel on white paper under its title: as SVG where the name ends so, else as PNG."""
+    from matplotlib import style
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height = WIDE_HEIGHT + TITLE_ROW
+    kind = "svg" if path.suffix.lower() == ".svg" else "png"
+    with style.context(["default", SETTINGS]), atomic_write(path, "wb") as stream:
+        figure = Figure(figsize=(WIDE / 72.0, height / 72.0), dpi=72)
+        FigureCanvasAgg(figure)
+        _placed(_drawn(figure, draw, x, y), (WIDE, height), (LEFT, right), legend_columns=6, above=TITLE_ROW)
+        figure.text(0.5 * TOP / WIDE, 1.0 - 0.5 * TOP / height, _wrapped(title), va="top")
+        metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
+        figure.savefig(stream, format=kind, dpi=PRINTED_DPI, facecolor=PAPER, metadata=metadata)
+        figure.clear()
+
+
+def _wrapped(title: str) -> str:
+    clean = printable(title).replace("\n", " ").replace("$", r"\$")
+    return clean if len(clean) <= MOST_LETTERS else clean[: MOST_LETTERS - 1] + "…"
+
+
+def _columns(names: Sequence[str], most: int, room: float) -> int:
+    """Return how many columns of names fit beside one another in a legend of `room` units."""
+    for columns in range(min(most, len(names)), 1, -1):
+        rows = -(-len(names) // columns)
+        widest = (max(map(len, names[i : i + rows])) for i in range(0, len(names), rows))
+        if sum(LETTER_WIDTH * letters + SIGN_WIDTH for letters in widest) <= room:
+            return columns
+    return 1
+
+
+def responsive(
+    draw: Callable[[Axes], None], alt: str, *, x: str, y: str, right: float = RIGHT, unit_s: float = 0.0
+) -> Html:
+    """Draw a panel for a narrow screen and one for a wide screen; the page shows the one that fits."""
+    narrow = panel(draw, alt, x=x, y=y, height=340.0, right=right, legend_columns=2, unit_s=unit_s)
+    wide = panel(draw, alt, x=x, y=y, height=WIDE_HEIGHT, width=WIDE, right=right, legend_columns=6, unit_s=unit_s)
+    return together((element("div", narrow, css="narrow"), element("div", wide, css="wide")))
 
 
 def legend_above(axes: Axes, columns: int) -> None:
@@ -104,7 +186,7 @@ def _inline(text: str, alt: str) -> Html:
     text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
     for value, name in VARIABLES.items():
         text = text.replace(value, f"var(--{name})")
-    text = _own_ids(text.replace("xlink:href", "href"))
+    text = _own_ids(text.replace("xlink:href", "href"), alt)
     box = re.search(r'viewBox="[^"]+"', text)
     inner = text[text.index(">") + 1 :]
     described = escape(printable(alt), quote=True)
@@ -115,9 +197,9 @@ def _inline(text: str, alt: str) -> Html:
 _AN_ID = re.compile(r'\sid="([^"]*)"')
 
 
-def _own_ids(text: str) -> str:
-    """Drop the ids that nothing points to; make the rest differ from figure to figure."""
-    mark = hashlib.sha256(text.encode()).hexdigest()[:8]
+def _own_ids(text: str, alt: str) -> str:
+    """Drop the ids that nothing points to; make the rest differ from figure to figure, alike as two may be drawn."""
+    mark = hashlib.sha256((alt + text).encode("utf-8", "replace")).hexdigest()[:8]
     used = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
     text = _AN_ID.sub(lambda m: f' id="{mark}{m[1]}"' if m[1] in used else "", text)
     return re.sub(r'(url\(#|href="#)', rf"\g<1>{mark}", text)

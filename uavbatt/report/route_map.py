@@ -30,5 +30,7 @@ def route_map(
             axes.plot([turning.east_m], [turning.north_m], "o", color=plot.RED, label="turn back")
         axes.set_aspect("equal", adjustable="datalim")
 
-    svg = plot.panel(draw, "Map of the route in metres around home", x="east [m]", y="north [m]", legend_columns=4)
+    svg = plot.panel(
+        draw, "Map of the route in metres around home", x="east (m)", y="north (m)", height=340.0, legend_columns=4
+    )
     return figure(svg, "The route from above", note)

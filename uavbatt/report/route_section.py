@@ -21,8 +21,9 @@ def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
     turn_s = next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), math.nan)
     note = "The red point is where “turn back now” was said first." if math.isfinite(turn_s) else ""
     flown = [found for known in flight.navigation if (found := _place(known.time_s, flight)) is not None]
-    drawn = route_map(_planned(flight), flown, _place(turn_s, flight), note)
-    return [section("The route", paragraph(_words(said, turn_s)), drawn, paragraph(_loads(said), css="quiet"))]
+    planned = _planned(flight)
+    drawn = [route_map(planned, flown, _place(turn_s, flight), note)] if planned or flown else []
+    return [section("The route", paragraph(_words(said, turn_s)), *drawn, paragraph(_loads(said), css="quiet"))]
 
 
 def _place(time_s: float, flight: Flight) -> Point | None:
@@ -49,7 +50,8 @@ def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
         charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
         words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
     if not words:
-        words.append(f"Nothing was known of the way home: {last.reason or 'no position'}.")
+        reasons = Counter(route.reason for _, route in said if route.reason).most_common(1)
+        words.append(f"Nothing was known of the way home: {reasons[0][0] if reasons else 'no position'}.")
     return " ".join(words)
 
 

@@ -6,7 +6,20 @@ from collections.abc import Sequence
 
 from uavbatt import __version__
 from uavbatt.report import corridor_figures as curves
-from uavbatt.report.page import Html, badge, bullets, celsius, details, element, facts, grid, page, paragraph, section
+from uavbatt.report.page import (
+    Html,
+    badge,
+    bullets,
+    celsius,
+    contents,
+    details,
+    element,
+    facts,
+    grid,
+    page,
+    paragraph,
+    section,
+)
 from uavbatt.report.validation_figures import equivalence, judged, mandel, over_ambient
 from uavbatt.report.validation_page import ErrorChange, ValidationPage, page_of
 from uavbatt.report.validation_tables import (
@@ -35,23 +48,27 @@ def validation_report(
     model (default: the gains of the loop over ambient temperature, where it was run).
     """
     v = page_of(found, paper, changes)
+    sections = [
+        ("Claims", [claims_table(_at_home(v))]),
+        ("Bias against the limits", _equivalence(v)),
+        ("What the tests say about themselves", [findings_list(v.found.findings)]),
+        ("Curves and corridors", _corridors(v)),
+        ("Over ambient temperature", _ambient(v)),
+        *([("Before and after", _changes(v))] if v.changes or _conclusions(v) else []),
+        ("Precision", _precision(v)),
+        ("Uncertainty budget", _budgets(v)),
+        *([("Agreement with the study's printed tables", _agreement(v.paper))]
+          if v.paper is not None and v.is_study else []),
+        ("Data", data_overview(v.found.dataset)),
+    ]  # fmt: skip
     return page(
         f"{v.found.dataset.name}: may its model fly?",
         f"uavbatt validate, method {v.found.method}",
         _answer(v),
-        section("Claims", claims_table(_at_home(v))),
-        section("Bias against the limits", *_equivalence(v)),
-        section("What the tests say about themselves", findings_list(v.found.findings)),
-        section("Curves and corridors", *_corridors(v)),
-        section("Over ambient temperature", *_ambient(v)),
-        *([section("Before and after", *_changes(v))] if v.changes or _conclusions(v) else []),
-        section("Precision", *_precision(v)),
-        section("Uncertainty budget", *_budgets(v)),
-        *([section("Agreement with the study's printed tables", *_agreement(v.paper))]
-          if v.paper is not None and v.is_study else []),
-        section("Data", *data_overview(v.found.dataset)),
+        contents(*(title for title, _ in sections)),
+        *(section(title, *content) for title, content in sections),
         footer=f"uavbatt {__version__}. A certificate holds for the range it names and for packs of the same make.",
-    )  # fmt: skip
+    )
 
 
 def _at_home(v: ValidationPage) -> list[Claim]:

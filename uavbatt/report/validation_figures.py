@@ -86,10 +86,10 @@ def over_ambient(claims: Sequence[Claim]) -> Html:
 
 def _single(claims: Sequence[Claim]) -> Html:
     """Claims with one bias each, as bars of the allowed range: 1 is the limit."""
-    height = 78.0 + 34.0 * len(claims)
+    height = 90.0 + 52.0 * len(claims)
 
     def draw(figure_: Figure) -> None:
-        axes = figure_.add_axes((0.37, 42.0 / height, 0.6, 1.0 - 54.0 / height))
+        axes = figure_.add_axes((0.37, 56.0 / height, 0.6, 1.0 - 68.0 / height))
         axes.axvspan(-1.0, 1.0, facecolor=plot.SHADE, linewidth=0)
         axes.axvline(0.0, color=plot.INK, linewidth=0.7)
         for i, c in enumerate(claims):
@@ -97,12 +97,12 @@ def _single(claims: Sequence[Claim]) -> Html:
             half = float(np.nan_to_num(c.half_width[0])) / c.limit
             bias = float(c.bias[0]) / c.limit
             axes.errorbar([bias], [i], xerr=[half], fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
-        axes.set_yticks(range(len(claims)), [plot.literal(f"{c.claim} (±{c.limit:g} {c.unit})") for c in claims])
+        axes.set_yticks(range(len(claims)), [f"{plot.literal(c.claim)}\n(±{c.limit:g} {c.unit})" for c in claims])
         axes.set_ylim(len(claims) - 0.4, -0.6)
         widest = max(abs(float(c.bias[0])) + float(np.nan_to_num(c.half_width[0])) for c in claims)
         reach = 1.2 * max(1.0, widest / min(c.limit for c in claims))
         axes.set_xlim(-reach, reach)
-        axes.set_xlabel("bias with its interval, in parts of the limit")
+        axes.set_xlabel("bias in parts of the limit")
         axes.grid(False, axis="y")
 
     words = "; ".join(

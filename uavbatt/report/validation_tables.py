@@ -32,6 +32,8 @@ from uavbatt.validation.study.paper import Agreement
 from uavbatt.validation.validate import LevelPrecision
 
 PASSED = re.compile(r"the interval of the bias is inside ±(?P<limit>\S+) at all (?P<count>\d+)")
+KNOWN = re.compile(r"known to ±(?P<is>\d+%)(?: only)? \(declared: ±(?P<most>\d+%)\)")
+FIGURE = re.compile(r"bias [-+]\S+( ± \S+)? (?=beyond)| \(largest [^)]*\)")
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
@@ -40,8 +42,8 @@ SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 def claims_table(claims: Sequence[Claim]) -> Html:
     """Make one row a claim: the verdict, the bias that decides, and why."""
-    head = ("claim", "verdict", "decides", "bias nearest the limit", "its interval", "limit", "why")
-    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 6))
+    head = ("claim", "verdict", "why", "decides", "bias nearest the limit", "its interval", "limit")
+    return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 3))
 
 
 def nearest(claim: Claim) -> int:
@@ -64,7 +66,11 @@ def plain_reason(claim: Claim) -> str:
     The certificate keeps the words of the statistics ("the interval of the bias is inside"); what is shown to people
     names the error, the unit and what was counted.
     """
-    return PASSED.sub(partial(_within, claim), claim.reason)
+    return KNOWN.sub(_known, PASSED.sub(partial(_within, claim), claim.reason))
+
+
+def _known(found: re.Match[str]) -> str:
+    return f"uncertain by {found['is']} of itself (at most {found['most']} was declared)"
 
 
 def _within(claim: Claim, found: re.Match[str]) -> str:
@@ -74,9 +80,9 @@ def _within(claim: Claim, found: re.Match[str]) -> str:
 
 
 def _claim_row(c: Claim) -> tuple[str, ...]:
-    told = f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict), "yes" if c.gates else "informs"
+    told, gates = (f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict)), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
-        return *told, DASH, DASH, DASH, plain_reason(c)
+        return *told, plain_reason(c), gates, DASH, DASH, DASH
     scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
@@ -84,7 +90,8 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     if math.isfinite(half) and math.isfinite(c.limit):
         interval = f"{number(bias - half, decimals, sign=True)} to {number(bias + half, decimals, unit, sign=True)}"
     limit = f"±{number(c.limit * scale, decimals, unit)}" if math.isfinite(c.limit) else "±C"
-    return *told, number(bias, decimals, unit, sign=True), interval, limit, plain_reason(c)
+    why = FIGURE.sub("", plain_reason(c))  # of another instant, perhaps: the row speaks of the one nearest the limit
+    return *told, why, gates, number(bias, decimals, unit, sign=True), interval, limit
 
 
 def elsewhere(claims: Sequence[Claim]) -> list[Html]:

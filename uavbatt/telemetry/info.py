@@ -11,6 +11,7 @@ from statistics import median
 
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
+from uavbatt.telemetry.drawn import drawn
 from uavbatt.telemetry.plausibility import sag_correlation, temperature_verdict
 from uavbatt.telemetry.trust import Findings, verdict
 
@@ -56,7 +57,8 @@ def describe(flight: Flight) -> LogInfo:
     step_s = median_step_s(samples)
     limit_s = gap_limit_s(step_s)
     gaps = tuple((a.time_s, b.time_s - a.time_s) for a, b in _pairs(samples) if b.time_s - a.time_s > limit_s)
-    drawn_Ah, counter_Ah = charges_Ah(samples, limit_s)
+    total = drawn(samples, limit_s)
+    drawn_Ah, counter_Ah = total.charge_Ah, total.counter_Ah
     facts = flight.facts_at(math.inf)
     temperature = temperature_verdict(samples)
     trust, reasons = verdict(
@@ -111,25 +113,6 @@ def gap_limit_s(step_s: float) -> float:
     The floor keeps a log with a row every 12 s from being all gaps.
     """
     return max(2 * step_s, min(5 * step_s, 10.0))
-
-
-def charges_Ah(samples: Sequence[Sample], limit_s: float) -> tuple[float, float]:
-    """(integral of the current, the autopilot's counter) over all steps that are no gap [Ah].
-
-    A counter that falls was reset (reboot, new pack): that step is left out.
-    """
-    drawn_As, counter_Ah = NAN, NAN
-    for a, b in _pairs(samples):
-        step_s = b.time_s - a.time_s
-        if step_s > limit_s:
-            continue
-        charge_As = 0.5 * (a.current_A + b.current_A) * step_s
-        if math.isfinite(charge_As):
-            drawn_As = charge_As + (0.0 if math.isnan(drawn_As) else drawn_As)
-        counted_Ah = b.consumed_Ah - a.consumed_Ah
-        if counted_Ah >= 0:
-            counter_Ah = counted_Ah + (0.0 if math.isnan(counter_Ah) else counter_Ah)
-    return drawn_As / 3600, counter_Ah
 
 
 def missing(samples: Sequence[Sample]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ Rows are those of the first battery, each with the others' latest, so that a row
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from itertools import pairwise
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from uavbatt.errors import UsageError
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.telemetry.read import read_log
+from uavbatt.telemetry.read import Content, read_bytes, read_log
 
 PAIRED_S, PAIRED_ROWS = 2.0, 1.5  # a reading of another battery older than both is none
 ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
@@ -28,12 +28,21 @@ class Wiring(StrEnum):
     SERIES = "series"
 
 
-def read_joined(path: str | Path, wiring: Wiring) -> Flight:
+def read_joined(path: str | Path, wiring: Wiring, system: int | None = None) -> Flight:
     """All batteries of a log as one pack. Raises UsageError for a log of one battery, else as `read_log`."""
-    first = read_log(path)
+    return _all_joined(lambda instance: read_log(path, instance, system), wiring)
+
+
+def bytes_joined(source: str, data: Content, wiring: Wiring) -> Flight:
+    """The same of a log that is in memory; `source` is its name."""
+    return _all_joined(lambda instance: read_bytes(source, data, instance), wiring)
+
+
+def _all_joined(read: Callable[[int | None], Flight], wiring: Wiring) -> Flight:
+    first = read(None)
     if len(first.instances) < 2:
-        raise UsageError(f"{path}: one battery: there is nothing to join in {wiring}")
-    return joined([read_log(path, instance) for instance in first.instances], wiring)
+        raise UsageError(f"{first.source}: one battery: there is nothing to join in {wiring}")
+    return joined([read(instance) for instance in first.instances], wiring)
 
 
 def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:

@@ -26,26 +26,29 @@ KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .
 STANDARD_INPUT = "-"
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
+_ADDRESS = re.compile(r"[a-z]{3,6}:/", re.IGNORECASE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
 _ULOG = b"ULog\x01\x12\x35"
 _DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFlash log
 _ODD_IN_TEXT = bytes(byte for byte in range(32) if not 9 <= byte <= 13)
 
 
-def read_log(path: str | Path, instance: int | None = None) -> Flight:
+def read_log(path: str | Path, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log of any supported kind.
 
     instance: the battery to read (ArduPilot's instances, MAVLink's ids: from 0). By default the
     first in the log that reports a current; if none does, the first with a voltage.
+    system: MAVLink's number of the vehicle in a `.tlog` that holds several. By default the first that speaks of a
+    battery.
     path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
-    Raises BadInput for a file that is no readable flight log, UsageError for an absent instance.
+    Raises BadInput for a file that is no readable flight log, UsageError for an absent instance or system.
     """
-    return read_bytes(*_content(Path(path)), instance)
+    return read_bytes(*_content(Path(path)), instance, system)
 
 
-def read_bytes(source: str, data: Content, instance: int | None = None) -> Flight:
+def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
     """Read a flight log that is in memory; `source` is its name, an address perhaps. Otherwise as `read_log`."""
-    kind, log = _read(source, data)
+    kind, log = _read(source, data, system)
     chosen = _chosen(source, log, instance)
     return Flight(
         source=source,
@@ -84,7 +87,8 @@ def _content(path: Path) -> tuple[str, Content]:
                 return unpacked(str(path), file.read())
             return str(path), file.read() if _is_text(head) else _binary(file)
     except FileNotFoundError:
-        raise BadInput(path, "", f"{KNOWN_KINDS}, found no such file") from None
+        found = "an address: download the log first" if _ADDRESS.match(str(path)) else "no such file"
+        raise BadInput(path, "", f"{KNOWN_KINDS}, found {found}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise BadInput(path, "", f"{KNOWN_KINDS}, cannot be read: {reason}") from None
@@ -138,19 +142,21 @@ def _is_table(head: bytes) -> bool:
     return bool(re.search("[,;\t]", first)) and any(n.startswith(("time", "volt")) for n in names)
 
 
-def _read(source: str, data: Content) -> tuple[str, LogBuilder]:
+def _read(source: str, data: Content, system: int | None = None) -> tuple[str, LogBuilder]:
     """The kind of a log, and its rows; BadInput if it is none or has none."""
     if not data or (bytes(data[:_HEAD_BYTES]).isspace() and bytes(data).isspace()):
         raise BadInput(source, "", f"{KNOWN_KINDS}, found an empty file")
     kind = _kind(source, data)
-    log = _reader(kind)(source, data)
+    if system is not None and kind != "tlog":
+        raise UsageError(f"{source}: system {system}: only a .tlog holds several vehicles, this is a log of one")
+    log = _reader(kind, system)(source, data)
     if not (log.rows or log.columns):
         dropped = "; ".join(log.all_notes())
         raise BadInput(source, "", "battery messages with a voltage, found none" + (f" ({dropped})" if dropped else ""))
     return kind, log
 
 
-def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
+def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilder]:
     """Return the reader of logs of a kind; only that is imported."""
     if kind == "dataflash-binary":
         from uavbatt.telemetry.formats.dataflash_binary import read_dataflash as read_binary
@@ -159,7 +165,7 @@ def _reader(kind: str) -> Callable[[str, Content], LogBuilder]:
     if kind == "tlog":
         from uavbatt.telemetry.formats.tlog import read_tlog as read_tlog
 
-        return lambda _, data: read_tlog(data)
+        return lambda source, data: read_tlog(source, data, system)
     if kind == "dataflash-text":
         from uavbatt.telemetry.formats.dataflash_text import read_dataflash_text
 

@@ -128,7 +128,8 @@ def _columns(source: str, header: Sequence[str], log: LogBuilder) -> list[str]:
             continue
         meant = _close(name, absent)
         if meant:
-            raise BadInput(source, f"column `{name}`", f"the known column `{meant}` (spelt so), or another name")
+            known = ", ".join((*REQUIRED, *OPTIONAL))
+            raise BadInput(source, f"column `{name}`", f"a known column (did you mean `{meant}`?): {known}")
         log.notes.append(f"column `{name}` is not known, ignored")
     for name in REQUIRED:
         if name not in header:

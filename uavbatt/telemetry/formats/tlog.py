@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from uavbatt.errors import UsageError
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
 from uavbatt.telemetry.builder import LEAP_S, LogBuilder, finite_or_nan
@@ -41,32 +42,35 @@ class _Beats(NamedTuple):
     is_px4: Mask
 
 
-def read_tlog(data: bytes | memoryview) -> LogBuilder:
-    """All batteries' rows and the parameters of the first autopilot in a tlog."""
+def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) -> LogBuilder:
+    """All batteries' rows and the parameters of one autopilot in a tlog: of `system`, else of the first.
+
+    Raises UsageError when no autopilot of that system speaks of a battery in the log named `source`.
+    """
     log = LogBuilder(longest_step_s=math.inf if is_recording(data) else LEAP_S)
     found = frames(data)
     log.skipped_bytes = found.skipped_bytes
     if math.isnan(found.first_s):
         return log
-    source = _autopilot(found, log)
-    of_source = found.at(found.source == source)
+    chosen = _autopilot(source, found, log, system)
+    of_source = found.at(found.source == chosen)
     # the clock goes by the frames of the battery: one more message that is read shall move no row
     own = of_source.at(~np.isin(of_source.message_id, list(LAYOUTS.keys() - {fields.HEARTBEAT})))
-    if source != _NOBODY:
-        log.identity = _identity(own, source, found.first_s)
+    if chosen != _NOBODY:
+        log.identity = _identity(own, chosen, found.first_s)
     # time counts from the first frame of any kind, and lasts until the last
     time_s = times_s(log, np.concatenate(([found.first_s], own.time_s, [found.last_s])))[1:-1]
     beats = _beats(own)
     _add_parameters(own, time_s, beats, log)
     _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
-    if source != _NOBODY:
+    if chosen != _NOBODY:
         clock = Clock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
-        log.navigation = navigation(found, of_source, source, clock, log.parameters)
+        log.navigation = navigation(found, of_source, chosen, clock, log.parameters)
     return log
 
 
-def _autopilot(found: FrameTable, log: LogBuilder) -> int:
+def _autopilot(name: str, found: FrameTable, log: LogBuilder, system: int | None) -> int:
     """The source whose battery messages are read, _NOBODY if there is none; component 1 goes before all others."""
     beating = found.of(fields.HEARTBEAT)
     is_autopilot = tlog_payloads.heartbeats(beating.payloads(tlog_payloads.HEARTBEAT.itemsize), fields.is_autopilot)
@@ -75,6 +79,8 @@ def _autopilot(found: FrameTable, log: LogBuilder) -> int:
     candidates = [s for s in in_order if s in autopilots]
     # A short or cut log may hold no heartbeat: then component 1 is believed to be the autopilot.
     candidates = candidates or [s for s in in_order if s not in beaters and s & 0xFF == _AUTOPILOT_COMPONENT]
+    if system is not None:
+        candidates = _of_system(name, candidates, system)
     if not candidates:
         return _NOBODY
     chosen: int = min(candidates, key=lambda s: s & 0xFF != _AUTOPILOT_COMPONENT)
@@ -85,6 +91,15 @@ def _autopilot(found: FrameTable, log: LogBuilder) -> int:
     if fields.BATTERY_STATUS not in of_chosen and fields.SYS_STATUS in of_chosen:
         log.notes.append("no BATTERY_STATUS in the log: SYS_STATUS read instead")
     return chosen
+
+
+def _of_system(name: str, candidates: list[int], system: int) -> list[int]:
+    """The candidates of a system; UsageError, with those that there are, when it has none."""
+    own = [source for source in candidates if source >> 8 == system]
+    if not own:
+        there = ", ".join(str(number) for number in sorted({source >> 8 for source in candidates})) or "none"
+        raise UsageError(f"{name}: no battery messages of system {system}; systems that have some: {there}")
+    return own
 
 
 def _named(source: int) -> str:

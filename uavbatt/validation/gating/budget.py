@@ -5,8 +5,10 @@
 u_A is the scatter of the occasions (type A, n-1 degrees of freedom). u_B is what that scatter cannot show (type B, its
 degrees of freedom taken as infinite): calibration, resolution, the instant of reading, and a drift over the runs, of
 which nobody knows at which end the next flight stands. t is one-sided at 5 %, shared out over the instants
-(Bonferroni). With few occasions t(ν)·u has a fault: a little u_B lets ν grow so fast that t falls by more than u rises,
-and doubt would buy a pass. So the half width is never less than that of the scatter alone, t(n-1)·u_A. The guard band for the instruments, as if it stood alone, is 1.645·u_B.
+(Bonferroni). The guard band for the instruments, as if it stood alone, is 1.645·u_B.
+
+With few occasions t(ν)·u has a fault: a little u_B lets ν grow so fast that t falls by more than u rises, and doubt
+would buy a pass. So the half width is never less than that of the scatter alone, t(n-1)·u_A.
 
 Rows that the data set does not state are assumed, never left at zero, and say so. A hand that reads at the whole
 minute is late or early by up to `reading_time_s`: rectangular, u = a/√3. All readings may be late together, so that

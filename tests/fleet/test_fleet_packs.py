@@ -1,0 +1,140 @@
+"""A fleet with a pack ledger: the rows and the ledger are those of replaying the logs one by one in order of time."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command import Done, called
+from factories import generic_pack
+
+pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
+
+from uavbatt.battery.scaling import Pack
+from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.telemetry.formats.tlog_writer import write_tlog
+
+FIRST_US, DAY_US = 1_790_000_000_000_000, 86_400_000_000
+WHOLE = 5.0
+LATER = "a_4.tlog"
+# name of the log, serial, day: the names are not in the order of time
+LOGS = (("a_3.tlog", 7, 1), ("a_1.tlog", 7, 4), ("a_2.tlog", 7, 7), ("b_1.tlog", 8, 2), ("other.tlog", 8, 5))
+
+
+def pack(name: str) -> Pack:
+    """A pack in service; that of the last log has three cells, under the label of one with four."""
+    cells = 3 if name.startswith("other") else 4
+    made = generic_pack(cells, WHOLE, 3.3 * cells, 3.5 * cells)
+    return with_effects(made, {"capacity_fade": 0.2}) if name.startswith("a") else made
+
+
+def write(folder: Path, name: str, serial: int, day: int) -> None:
+    flown = simulate_flight(pack(name), Mission(power_W=500.0, rate_Hz=0.5, seed=day))
+    parameters = {"BATT_CAPACITY": 1000.0 * WHOLE, "BATT_CRT_VOLT": pack(name).cutoff_V, "BATT_SERIAL_NUM": serial}
+    write_tlog(folder / name, flown, parameters, epoch_us=FIRST_US + day * DAY_US)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of five logs of two labels."""
+    folder = tmp_path_factory.mktemp("packs")
+    (folder / "logs").mkdir()
+    for name, serial, day in LOGS:
+        write(folder / "logs", name, serial, day)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def one_by_one(logs: Path) -> dict[str, dict[str, Any]]:
+    """Each log's summary and what was said of it, replayed one by one in order of time."""
+    found = {}
+    for name, _, _ in sorted(LOGS, key=lambda log: log[2]):
+        done = called("replay", f"logs/{name}", "--packs", "replay.sqlite", "--json", f"{name}.json", folder=logs)
+        assert done.returncode == 0, done.stderr
+        found[name] = {**json.loads((logs / f"{name}.json").read_text("utf-8")), "said": done.stdout}
+    return found
+
+
+def fleet(folder: Path, output: str, workers: int, ledger: str = "") -> Done:
+    words = ("fleet", "logs", "-o", output, "--workers", str(workers), "--packs", ledger or f"{output}.sqlite")
+    done = called(*words, folder=folder)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def table(folder: Path, output: str) -> dict[str, dict[str, str]]:
+    with (folder / output / "flights.csv").open(newline="", encoding="utf-8") as stream:
+        return {Path(row["file"]).name: row for row in csv.DictReader(stream)}
+
+
+def remembered(path: Path) -> list[tuple[object, ...]]:
+    """The ledger's rows, but for their numbers."""
+    with sqlite3.connect(path) as ledger:
+        query = "SELECT name, key, told_log_Ah, told_log_ohm, known_log_Ah, known_log_ohm, known_covariance, flights"
+        found = ledger.execute(f"{query}.findings FROM flights JOIN packs ON packs.id = pack ORDER BY name, key")
+        return list(found)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_rows_and_ledger_are_those_of_replay_in_order_of_time(
+    workers: int, logs: Path, one_by_one: dict[str, dict[str, Any]]
+) -> None:
+    output = f"out{workers}"
+    fleet(logs, output, workers)
+    rows = table(logs, output)
+    assert set(rows) == set(one_by_one)
+    for name, summary in one_by_one.items():
+        half = next(score for score in summary["scores"] if score["label"] == "half time")
+        assert float(rows[name]["error_half_s"]) == pytest.approx(half["error_s"], abs=1e-6), name
+        assert float(rows[name]["end_soc"]) == pytest.approx(summary["end_soc"], abs=1e-9), name
+    assert remembered(logs / f"{output}.sqlite") == remembered(logs / "replay.sqlite")
+
+
+def test_the_flights_before_make_the_next_forecast_better(one_by_one: dict[str, dict[str, Any]]) -> None:
+    first, last = (abs(one_by_one[name]["scores"][0]["error_s"]) for name in ("a_3.tlog", "a_2.tlog"))
+    assert last < first
+
+
+def test_a_pack_of_other_cells_under_a_label_is_named_and_not_taken_in(
+    logs: Path, one_by_one: dict[str, dict[str, Any]]
+) -> None:
+    words = "expected flights of 4 cells as before, found 3: another pack under this name?"
+    done = fleet(logs, "out1", 1)
+    assert words in done.stderr
+    assert words in table(logs, "out1")["other.tlog"]["look"]
+    assert words in one_by_one["other.tlog"]["said"]
+    assert one_by_one["other.tlog"]["pack_findings"] == ["another_pack"]
+
+
+def test_a_run_goes_on_where_it_was_and_a_flight_in_between_changes_those_after_it(logs: Path) -> None:
+    assert "5 logs (5 done now)" in fleet(logs, "again", 1).stdout
+    assert "5 logs (0 done now)" in fleet(logs, "again", 1).stdout
+    journal = logs / "again/flights.jsonl"
+    lines = journal.read_text("utf-8").splitlines(keepends=True)
+    journal.write_text("".join(lines[:2]) + lines[2][:40], "utf-8")  # interrupted while it wrote the third
+    (logs / "again/lessons.jsonl").unlink()
+    assert "5 logs (3 done now)" in fleet(logs, "again", 1).stdout
+    assert remembered(logs / "again.sqlite") == remembered(logs / "replay.sqlite")
+
+    write(logs / "logs", LATER, 7, 6)  # between the second and the third flight of its pack
+    try:
+        assert "6 logs (2 done now)" in fleet(logs, "again", 1).stdout
+    finally:
+        (logs / "logs" / LATER).unlink()
+
+
+def test_damage_is_among_what_a_person_should_look_at(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    for day in range(4):
+        made = with_effects(pack("b.tlog"), {"resistance_growth": 0.0 if day < 3 else 0.9})
+        flown = simulate_flight(made, Mission(power_W=500.0, rate_Hz=0.5, seed=day))
+        parameters = {"BATT_CAPACITY": 1000.0 * WHOLE, "BATT_CRT_VOLT": 13.2, "BATT_SERIAL_NUM": 9}
+        write_tlog(tmp_path / f"logs/{day}.tlog", flown, parameters, epoch_us=FIRST_US + day * DAY_US)
+    fleet(tmp_path, "out", 1)
+    rows = table(tmp_path, "out")
+    assert "more ohms at once: damaged?" in rows["3.tlog"]["look"]
+    assert not any("pack 9" in rows[f"{day}.tlog"]["look"] for day in range(3))

@@ -1,0 +1,205 @@
+"""Every page as a browser shows it, on a phone and on a desktop, light and dark: nobody is shut out of one.
+
+No sideways scroll of the document, contrast of at least 4.5:1, letters of at least 12 px in drawings too, every table
+within reach of the keyboard, `scope` on every heading of a table, a skip link, contents on long pages. What is asked
+stands in `page_audit.js`; one Chromium serves all tests.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+import pytest
+from browser import Browser, program
+from command import called
+from daemon_bench import Bench
+from live_rig import ROOT, free_port
+from packs.made import flight as pack_flight
+from report.test_report_validation import made as validated
+from test_plan_mission import planned, to
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.sections import EffectEntry
+from uavbatt.diagnosis.blocks import Block
+from uavbatt.diagnosis.classes import EffectClass, Interval
+from uavbatt.diagnosis.close import Closed, Error
+from uavbatt.diagnosis.diagnosis import Diagnosis
+from uavbatt.diagnosis.residual import Residual
+from uavbatt.fleet.row import FlightRow
+from uavbatt.live.config import HttpSection
+from uavbatt.live.web import serve
+from uavbatt.packs.ledger import Ledger
+from uavbatt.records import Sample
+from uavbatt.report.diagnosis import diagnosis_report
+from uavbatt.report.fleet import fleet_report
+from uavbatt.report.fleet_groups import gathered
+from uavbatt.report.mission import mission_report
+from uavbatt.report.validation import validation_report
+
+AUDIT = Path(__file__).with_name("page_audit.js").read_text("utf-8")
+ROUTE = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t47.0\t8.0\t420\t1
+1\t0\t3\t22\t0\t0\t0\t0\t0\t0\t20\t1
+2\t0\t3\t16\t0\t0\t0\t0\t47.001\t8.0\t20\t1
+"""
+PACK = ("--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    path = program()
+    if path is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    running = Browser(path, tmp_path_factory.mktemp("chromium"))
+    yield running
+    running.close()
+
+
+def by_command(folder: Path, *call: str | Path) -> str:
+    done = called(*call, "--report", "page.html", folder=folder)
+    assert (folder / "page.html").exists(), done.stderr
+    return (folder / "page.html").read_text("utf-8")
+
+
+def flight(folder: Path) -> str:
+    return by_command(folder, "replay", ROOT / "logs" / "quad_4s.tlog")
+
+
+def route(folder: Path) -> str:
+    (folder / "a.waypoints").write_text(ROUTE)
+    called("simulate", "-o", "f.tlog", "--mission", "a.waypoints", "--wind", "4@0", folder=folder)
+    return by_command(folder, "replay", "f.tlog")
+
+
+def plan(folder: Path) -> str:
+    return by_command(folder, "plan", *PACK, "--power-w", "180")
+
+
+def mission(folder: Path) -> str:
+    return mission_report(planned(to(1, 0.0, 6000.0, 40.0)), "far.waypoints")
+
+
+def fleet(folder: Path) -> str:
+    """Two packs, one that ages, flights with all that the list of those to look at knows, and logs that failed."""
+    flown = [
+        FlightRow(
+            file=f"/logs/{serial}/0000{n}.BIN", aircraft=serial, battery_serial=serial, cells=4, capacity_Ah=5.0,
+            certificate="generic", start_utc=f"2026-03-{n + 1:02d}T10:00:00Z", duration_s=900.0, energy_Wh=60.0,
+            end_soc=0.3, resistance_scale=1.0 + growth * n, resistance_scale_sd=0.05, capacity_scale=1.0,
+            capacity_scale_sd=0.04, error_120_s=4.0 * n, inside_120=True, look="landed nearly empty: 2 %" * (n > 7),
+        )
+        for serial, growth in (("ALPHA-000001", 0.05), ("BRAVO-000002", 0.0))
+        for n in range(10)
+    ]  # fmt: skip
+    return fleet_report(gathered([*flown, FlightRow(file="x.BIN", status="bad", reason="no battery in it")]), "lipo")
+
+
+def validation(folder: Path) -> str:
+    return validation_report(validated())
+
+
+def diagnosis(folder: Path) -> str:
+    """A finding that two effects share, made up: a real one takes seconds of fitting."""
+    old = battery_file.read_battery("lipo-generic")
+    new = msgspec.structs.replace(
+        old, effects=(*old.effects, EffectEntry(name="capacity_fade", parameters={"fade": 0.13}))
+    )
+    minutes, wave = np.arange(0.0, 900.0, 5.0), np.sin(np.arange(180.0) / 9.0)
+
+    def residuals(volts: float) -> list[Residual]:
+        rest = np.zeros(180, dtype=bool)
+        columns = (minutes, volts * wave, 0.5 * wave, wave, wave, wave, wave, rest)
+        return [Residual(f"/logs/a_rather_long_name_{k}.BIN", *columns) for k in range(4)]
+
+    values = {"fade": Interval(0.13, 0.11, 0.16, "1"), "harness_ohm": Interval(0.012, 0.008, 0.016, "ohm")}
+    blocks = tuple(Block(name, 90, saved) for name, saved in (("take-off", 40.0), ("last third", -3.0)))
+    measured = SimpleNamespace(evidence=SimpleNamespace(has_temperature=False))
+    unused: Any = None
+    found = Diagnosis(
+        "effect_found", (EffectClass(("capacity_fade", "harness_resistance"), 0.8, values, "a bench test"),),
+        ("the flights are short",), cast(Any, measured), unused, unused, residuals(0.08), residuals(0.01), 0.02, unused,
+        blocks=blocks,
+    )  # fmt: skip
+    closed = Closed(Error(0.08, 0.7, 60.0, 0.4), Error(0.01, 0.7, 20.0, 0.9), ("a.BIN", "b.BIN"))
+    return diagnosis_report(found, closed, old, new)
+
+
+def packs(folder: Path) -> str:
+    with Ledger(folder / "packs.sqlite") as ledger:
+        for name, fade in (("UAVB-000001", 0.02), ("UAVB-000002", 0.0)):
+            for k in range(6):
+                ledger.save(name, pack_flight(k, 1.0 + fade * k, 1.0 - fade * k))
+    return by_command(folder, "packs", "packs.sqlite")
+
+
+PAGES = {page.__name__: page for page in (flight, route, plan, mission, fleet, validation, diagnosis, packs)}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """The address of a page, which is made when it is first asked for."""
+    made: dict[str, Path] = {}
+
+    def address(name: str) -> str:
+        if name not in made:
+            made[name] = tmp_path_factory.mktemp(name) / "audited.html"
+            made[name].write_text(PAGES[name](made[name].parent), "utf-8")
+        return made[name].as_uri()
+
+    return address
+
+
+def complaints(browser: Browser, url: str, width: int) -> dict[str, Any]:
+    found = {}
+    for scheme in ("light", "dark"):
+        browser.open(url, width, scheme)
+        found[scheme] = browser.evaluate(AUDIT.replace("(WIDTH)", f"({width})"))
+    return found
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_shuts_nobody_out(browser: Browser, written: Callable[[str], str], name: str, width: int) -> None:
+    assert complaints(browser, written(name), width) == {"light": [], "dark": []}
+
+
+@pytest.mark.parametrize("state", ["waiting", "flying", "lost"])
+def test_the_live_page_shuts_nobody_out(browser: Browser, state: str) -> None:
+    pytest.importorskip("uvicorn")
+    bench, port = Bench(), free_port()
+    rest = Sample(0.0, 16.7, 0.1, 25.0, 0.0, armed=False)
+    air = [replace(rest, time_s=k / 2, voltage_V=16.0, current_A=12.0, armed=True) for k in range(10, 40)]
+    bench.play([replace(rest, time_s=k / 2) for k in range(10)] + (air if state != "waiting" else []))
+    bench.now_s += 10.0 if state == "lost" else 0.1
+    serve(HttpSection(listen=f"127.0.0.1:{port}"), lambda: bench.daemon.board, lambda: bench.now_s)
+    for width in (390, 1280):
+        assert complaints(browser, f"http://127.0.0.1:{port}/", width) == {"light": [], "dark": []}
+
+
+def test_the_cursor_moves_in_all_drawings_and_says_what_was_known_there(
+    browser: Browser, written: Callable[[str], str]
+) -> None:
+    browser.open(written("flight"), 1280, "light")
+    told = browser.evaluate(
+        """(() => {
+          document.querySelectorAll("details").forEach(d => { d.open = true; });
+          const svg = document.querySelector(".wide svg"), box = svg.getBoundingClientRect();
+          const at = share => { svg.dispatchEvent(new PointerEvent("pointermove",
+            { clientX: box.left + share * box.width, clientY: box.top + 50, bubbles: true }));
+            return document.querySelector("#instant output").textContent; };
+          const said = [at(0.05), at(0.5)], lines = [...document.querySelectorAll("svg .cursor")];
+          return JSON.stringify({ said, lines: lines.length, places: lines.map(l => l.getAttribute("x1")) });
+        })()"""
+    )
+    seen = json.loads(told)
+    ground, middle = seen["said"]
+    assert ground.startswith("At 0:0") and "no forecast" in ground
+    assert "left (" in middle and "% charge" in middle and "V" in middle
+    assert seen["lines"] == 7 and len(set(seen["places"])) == 3  # the two sizes of one chart, and five alike

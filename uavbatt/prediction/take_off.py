@@ -1,0 +1,115 @@
+"""A flight that has not begun, or hardly: its load is that of past flights, else of a middling multirotor.
+
+The first seconds of load tell little: motors spool up, and the sag of a pack of which nobody knows the resistance says
+as little of its capacity. So the ends that were expected at take-off count among those of a forecast, less and less:
+
+    end = share x (end as of take-off) + (1 - share) x (end as of now), rank by rank,    share = (1 - t/FORGOTTEN_S)²
+
+They widen and never comfort: the lower end stays that of the flight itself where it is the lower one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.typical_power import typical_power_W
+from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
+from uavbatt.prediction.load_library import (
+    FEW_SPREAD,
+    GRID_S,
+    LEVELS,
+    LearnedLoad,
+    UnknownAircraft,
+)
+from uavbatt.prediction.time_to_end import EndTimes
+
+LOWEST_POWER_W = 1.0
+SETTLED_S = 60.0
+FORGOTTEN_S = 240.0
+NEAR_S = 120.0  # a pack that is this near its end shows it
+LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
+SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
+TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
+
+
+@dataclass(frozen=True, slots=True)
+class FromTakeOff:
+    """Past flights flown again from their take-off, each as it was, at levels around it."""
+
+    library: LearnedLoad
+
+    def typical_W(self, now: Now) -> float:
+        """Median of the flights' mean powers, or less where one began so gently that the horizon would cut it off."""
+        begun = self.library.mean_W[:, int(SETTLED_S / GRID_S) :]
+        return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * begun.min()))
+
+    def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
+        """Every flight from its first second, whatever the charge: the pack may start part-used.
+
+        However many there are, nobody has seen the payload and the wind of this one.
+        """
+        flown_W = self.library.power_W
+        grid_s = GRID_S * np.arange(flown_W.shape[1])
+        ahead_s = dt_s * (np.arange(steps) + 0.5)
+        traces_W = np.stack([np.interp(ahead_s, grid_s, watts) for watts in flown_W], axis=1)
+        levels = equal_levels(FEW_SPREAD, LEVELS)
+        power_W = np.maximum((traces_W[:, :, None] * levels).reshape(steps, -1), LOWEST_POWER_W)
+        return Scenarios(power_W, np.full(power_W.shape[1], 1.0 / power_W.shape[1]), np.full(steps, dt_s))
+
+
+def is_open(load: Load) -> bool:
+    """Return True if nobody says what the load to come is: the flight has to show it."""
+    return isinstance(load, LearnedLoad | UnknownAircraft)
+
+
+def before_take_off(load: Load, pack: Pack) -> Load:
+    """Return the load as it is known on the ground: a stated power, past flights, else one by the pack's size."""
+    if isinstance(load, ConstantLoad):
+        return load
+    if isinstance(load, LearnedLoad):
+        return FromTakeOff(load)
+    installation = pack.installation
+    typical_W = typical_power_W(int(installation.cells), float(installation.present_capacity_Ah))
+    return ConstantLoad(typical_W, TYPICAL_SPREAD)
+
+
+class AtTakeOff(NamedTuple):
+    """The end of the flight as it was expected at take-off: ends and low-voltage warnings of draws [s since then]."""
+
+    take_off_s: float
+    end_s: Array  # sorted
+    low_s: Array  # sorted
+
+    def share(self, time_s: float) -> float:
+        """Return how much it still counts, 0 to 1: the flight itself tells more and more."""
+        return max(1.0 - (time_s - self.take_off_s) / FORGOTTEN_S, 0.0) ** 2
+
+    def joined(self, time_s: float, fresh: EndTimes) -> EndTimes:
+        """Return the draws of a forecast [s from now, sorted] joined with those of take-off by their share."""
+        share, age_s = self.share(time_s), time_s - self.take_off_s
+        if not share > 0.0:
+            return fresh
+        return EndTimes(
+            _joined(fresh.end_s, self.end_s - age_s, share),
+            _joined(fresh.low_s, self.low_s - age_s, share),
+        )
+
+
+def _joined(fresh_s: Array, expected_s: Array, share: float) -> Array:
+    """Both joined rank by rank. What would have shown itself by now is not expected any more.
+
+    The lower ranks, by which alarms go, are never later than those of the flight itself; nor is the middle where the
+    flight looks short: a weak pack must not be talked well.
+    """
+    expected_s = expected_s[expected_s > NEAR_S]
+    if not expected_s.size:
+        return fresh_s
+    ranks = (np.arange(fresh_s.size) + 0.5) / fresh_s.size
+    joined_s = share * np.quantile(expected_s, ranks) + (1.0 - share) * fresh_s
+    careful = ranks < (SHORT_RANKS if np.median(fresh_s) < SHORT_S else LOW_RANKS)
+    return np.where(careful, np.minimum(fresh_s, joined_s), joined_s)

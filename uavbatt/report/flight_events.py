@@ -1,0 +1,94 @@
+"""The instants of a flight that a pilot looks for on its chart: take-off, modes, warnings, landing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.log_replay import Outcome, ReplayedRow
+from uavbatt.navigation import Mode
+from uavbatt.prediction.forecaster import NOT_FLYING
+from uavbatt.prediction.pending import ALARM_S
+from uavbatt.records import Flight, Status
+from uavbatt.scoring.end_of_flight import end_of_flight
+
+MODES = {
+    Mode.MISSION: "mission", Mode.RETURN: "return", Mode.RETURN_BY_TRACK: "return", Mode.LAND: "land",
+    Mode.TAKEOFF: "take-off mode", Mode.HOLD: "hold", Mode.MANUAL: "manual",
+}  # fmt: skip
+MOST_MODES = 12  # a flight that changes more often shows none
+
+
+class Event(NamedTuple):
+    """Something that happened `time_s` [s] after the log's start; `tells_danger` for what a pilot must act on."""
+
+    time_s: float
+    words: str
+    tells_danger: bool = False
+
+
+def events(flight: Flight, steps: Sequence[ReplayedRow], outcome: Outcome, low_V: float) -> list[Event]:
+    """Return what happened in the flight, in order of time.
+
+    low_V : the voltage of the vehicle's low-voltage warning [V]; NaN where nobody states one
+    """
+    found = [*_air(steps, outcome), *_modes(flight), *_warnings(steps, low_V)]
+    if math.isfinite(outcome.end_of_flight_s):
+        found.append(Event(outcome.end_of_flight_s, "battery at its end", True))
+    return sorted(found)
+
+
+def _air(steps: Sequence[ReplayedRow], outcome: Outcome) -> Iterator[Event]:
+    """Take-off and landing, where the log holds the ground before and after them."""
+    on_ground = [s.remaining.reason == NOT_FLYING for s in steps]
+    if True in on_ground and False in on_ground[on_ground.index(True) :]:
+        k = on_ground.index(False, on_ground.index(True))
+        yield Event(steps[k].estimate.time_s, "take-off")
+    if outcome.landing is not None and not outcome.landing.is_cut:
+        after = (s.estimate.time_s for s, rests in zip(steps, on_ground, strict=True) if rests)
+        landed_s = next((t for t in after if t >= outcome.landing.time_s), outcome.landing.time_s)
+        yield Event(landed_s, "landed")
+
+
+def _modes(flight: Flight) -> list[Event]:
+    """The changes of the way in which the autopilot flies."""
+    known = [n for n in flight.navigation if n.mode in MODES and math.isfinite(n.mode_since_s)]
+    changed = [after for before, after in pairwise(known) if after.mode is not before.mode]
+    return [Event(n.mode_since_s, MODES[n.mode]) for n in changed] if len(changed) <= MOST_MODES else []
+
+
+def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
+    """The first low voltage, the first alarm, and the first “turn back now”."""
+    time_s, volts, amps = (
+        np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V", "current_A")
+    )
+    if math.isfinite(low_V) and np.isfinite(volts).any():
+        has_current = bool(np.isfinite(amps).any())
+        loaded_A = float(np.nanpercentile(amps, 90)) / 3.0 if has_current else -math.inf
+        low_s = end_of_flight(time_s, volts, amps if has_current else None, cutoff_V=low_V, min_current_A=loaded_A)
+        if math.isfinite(low_s):
+            yield Event(low_s, "low voltage", True)
+    said = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
+    alarm_s = next((r.time_s for r in said if r.remaining_alarm_s <= ALARM_S), math.nan)
+    if math.isfinite(alarm_s):
+        yield Event(alarm_s, "alarm", True)
+    turn_s = next((r.time_s for r in said if r.route is not None and r.route.turn_back_lo_s <= 0.0), math.nan)
+    if math.isfinite(turn_s):
+        yield Event(turn_s, "turn back now", True)
+
+
+def apart(found: Sequence[Event], least_s: float) -> list[Event]:
+    """Join the words of events that lie less than `least_s` [s] behind the one before."""
+    out: list[Event] = []
+    for event in found:
+        if out and event.time_s - out[-1].time_s < least_s:
+            last = out[-1]
+            words = last.words if event.words in last.words.split(", ") else f"{last.words}, {event.words}"
+            out[-1] = Event(last.time_s, words, last.tells_danger or event.tells_danger)
+        else:
+            out.append(event)
+    return out

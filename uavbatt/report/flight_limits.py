@@ -1,0 +1,76 @@
+"""What limits the first answer of a flight page: the charge, the check against the truth, the alarm, the doubts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uavbatt.battery.sizing import PackSize
+from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
+from uavbatt.prediction.pending import ALARM, ALARM_S, TURN_BACK
+from uavbatt.records import ALARM_RISK, Status
+from uavbatt.report.page import duration, number
+
+SD_90 = 1.64
+OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on the page in other words
+
+
+def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
+    """Return the sentences that stand under the first answer, the weightiest first."""
+    return [*_alarm(outcome, steps), _charge_words(outcome), *_doubts(outcome, steps), _checked(outcome, resolved)]
+
+
+def _charge_words(outcome: Outcome) -> str:
+    if not math.isfinite(outcome.end_soc):
+        return "No state of charge could be given for this log."
+    low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-SD_90, SD_90))
+    left, low_said, high_said = (number(100.0 * soc, 0) for soc in (outcome.end_soc, low, high))
+    return f"{left} % charge left at the end of the log ({low_said} to {high_said} %)."
+
+
+def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
+    """The warnings that stood beside the forecast of which the answer speaks."""
+    if outcome.landing is None:
+        return []
+    said = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
+    found = () if said is None else said.estimate.warnings
+    return [f"{w[:1].upper()}{w[1:]}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
+
+
+def _alarm(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
+    """The alarm with the time since which it stood until the end."""
+    known = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
+    since_s = math.nan
+    for said in known:
+        alarmed = said.remaining_alarm_s <= ALARM_S
+        since_s = (since_s if math.isfinite(since_s) else said.time_s) if alarmed else math.nan
+    if not math.isfinite(since_s):
+        return []
+    chance = f"about 1 in {round(1.0 / ALARM_RISK)} chance"
+    return [f"The alarm stood from {duration(since_s)} on: {chance} that less than 2 minutes were left."]
+
+
+def _checked(outcome: Outcome, resolved: PackSize) -> str:
+    """How good the forecasts were, where the log shows the end of flight."""
+    if outcome.checkpoints:
+        return "; ".join(_error_words(c) for c in (*outcome.checkpoints[:1], *_late(outcome))) + "."
+    if math.isfinite(outcome.end_of_flight_s):
+        return "Too short before its end to check a forecast."
+    cutoff = number(resolved.cutoff_V, 2, "V")
+    return (
+        "Not checked against the truth: the flight ended before its battery did, which ends below "
+        f"{cutoff} under load ({resolved.cutoff_from})."
+    )
+
+
+def _late(outcome: Outcome) -> Sequence[Checkpoint]:
+    return [c for c in outcome.checkpoints[1:] if "120" in c.label] or outcome.checkpoints[-1:]
+
+
+def _error_words(c: Checkpoint) -> str:
+    when = "At half time" if c.label.startswith("half") else f"{c.label} the end"
+    if not math.isfinite(c.remaining_s):
+        return f"{when}: the forecast was refused"
+    way = "too long" if c.error_s > 0 else "too short"
+    where = "inside" if c.inside else "outside"
+    return f"{when}: the forecast was {duration(abs(c.error_s))} {way}, truth {where} its 90 % interval"

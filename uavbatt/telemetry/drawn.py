@@ -1,0 +1,60 @@
+"""Charge and energy that a flight drew, and which of its rows are under load: the one place that integrates."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.records import NAN, Sample
+
+LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
+
+
+class Drawn(NamedTuple):
+    """Charge [Ah] and energy [Wh] by trapezoids over the steps that are no gap, and the time of those with both [s].
+
+    counter_Ah : what the autopilot's counter rose by in the same steps. NaN where no step tells.
+    """
+
+    charge_Ah: float = NAN
+    energy_Wh: float = NAN
+    time_s: float = 0.0
+    counter_Ah: float = NAN
+
+
+def drawn(samples: Iterable[Sample], limit_s: float) -> Drawn:
+    """Return what was drawn; a step longer than `limit_s` [s] is a gap.
+
+    A counter that falls was reset (reboot, new pack): that step is left out.
+    """
+    charge_As, energy_J, counter_Ah = list[float](), list[float](), list[float]()
+    time_s = 0.0
+    for a, b in itertools.pairwise(samples):
+        step_s = b.time_s - a.time_s
+        if step_s > limit_s:
+            continue
+        charge_As.append(0.5 * (a.current_A + b.current_A) * step_s)
+        energy_J.append(0.5 * (a.voltage_V * a.current_A + b.voltage_V * b.current_A) * step_s)
+        counter_Ah.append(b.consumed_Ah - a.consumed_Ah)
+        time_s += step_s if math.isfinite(energy_J[-1]) else 0.0
+    return Drawn(
+        _sum(charge_As) / 3600.0, _sum(energy_J) / 3600.0, time_s, _sum(step for step in counter_Ah if step >= 0.0)
+    )
+
+
+def _sum(values: Iterable[float]) -> float:
+    """Return the sum of what is known; NaN where nothing is."""
+    known = [value for value in values if math.isfinite(value)]
+    return sum(known) if known else NAN
+
+
+def loaded_A(current_A: NDArray[np.float64]) -> float:
+    """Return the current [A] above which a row is under load: a third of the upper one; infinite without any."""
+    if not np.isfinite(current_A).any():
+        return math.inf
+    return LOADED_SHARE * float(np.nanpercentile(current_A, 90))

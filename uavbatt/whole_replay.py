@@ -1,0 +1,187 @@
+"""The function `uavbatt.replay`: a whole flight log in one call, with the files that the command takes as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from uavbatt import output
+from uavbatt.battery import battery_file, vehicle_file
+from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.vehicle_file import VehicleFile
+from uavbatt.errors import MissingExtra, UsageError
+from uavbatt.limits import Names
+from uavbatt.log_replay import (
+    Outcome,
+    ReplayedRow,
+    estimator_for,
+    outcome,
+    recorded_period_s,
+    size_of_replayed,
+    steps,
+    with_mission,
+)
+from uavbatt.packs.ledger import Ledger
+from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.load_options import stated_load
+from uavbatt.records import NAN, Flight
+from uavbatt.remembering import name_of, recalled, taught
+from uavbatt.telemetry import read_log
+from uavbatt.telemetry.formats.mission_file import read_mission
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A replayed flight: iterate over it for a `ReplayedRow` each, or take `rows` or `to_frame()` for a table.
+
+    flight: the log as it was read.
+    pack: cells, capacity [Ah], cut-off [V] and where each came from.
+    steps: the estimate and the forecast after each row.
+    outcome: the flight in figures, and the error of the forecasts where the log reaches the end of flight.
+    """
+
+    flight: Flight
+    pack: PackSize
+    steps: tuple[ReplayedRow, ...]
+    outcome: Outcome
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __iter__(self) -> Iterator[ReplayedRow]:
+        return iter(self.steps)
+
+    def __repr__(self) -> str:
+        """Return one line: the steps are thousands."""
+        return f"<Replay of {self.flight.source} on {self.pack.battery}: {len(self)} steps, {self.pack.words}>"
+
+    @property
+    def rows(self) -> list[output.Line]:
+        """The lines that `uavbatt replay --jsonl` writes, one a step; None is what is not known."""
+        return [output.line(step.estimate, step.remaining) for step in self.steps]
+
+    def to_frame(self) -> DataFrame:
+        """Return the rows as a pandas DataFrame, NaN for what is not known.
+
+        Its columns are `output.COLUMNS`, and `output.ROUTE_COLUMNS` where a route or home is known. Raises MissingExtra
+        without pandas.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtra("pandas", "to_frame()") from None
+        rows = self.rows
+        has_route = any("load" in row for row in rows)
+        columns = {**output.COLUMNS, **(output.ROUTE_COLUMNS if has_route else {})}
+        table = pandas.DataFrame(rows, columns=list(columns))
+        return table.astype({key: float for key, digits in columns.items() if digits is not None})
+
+
+def replay(
+    log: str | Path | Flight,
+    battery: str | Path | BatteryFile = "lipo-generic",
+    *,
+    cells: int | None = None,
+    capacity_Ah: float = NAN,
+    cutoff_V: float = NAN,
+    reserve_soc: float = 0.0,
+    instance: int | None = None,
+    vehicle: str | Path | VehicleFile | None = None,
+    load: str | float = "learned",
+    mission: str | Path | None = None,
+    packs: str | Path | None = None,
+    pack: str = "",
+    forecast_period_s: float | None = None,
+    allow_uncertified: bool = False,
+) -> Replay:
+    """Replay a flight log: state of charge and remaining time at every row, as `uavbatt replay` works them out.
+
+    Args:
+        log: path of a DataFlash, `.tlog`, `.ulg` or CSV log, or a `Flight` that was read before.
+        battery: name of a packaged battery, a battery file by path, or its content.
+        cells: cells in series. What is not stated of the pack comes from the vehicle, the voltage, the battery file.
+        capacity_Ah: capacity of the pack [Ah].
+        cutoff_V: voltage of the pack that ends the flight [V].
+        reserve_soc: state of charge (0 to 0.99) that ends the flight, too; 0 is off.
+        instance: battery of the log; by default the first that reports a current.
+        vehicle: vehicle file by path, or its content: how this aircraft flew before.
+        load: `learned`, `recent`, `log`, or the power to come [W].
+        mission: what the autopilot was to fly, a `.waypoints` or `.plan` file; it wins over what the log says.
+        packs: pack ledger, made when missing: the flight begins with what is remembered of its pack, and is remembered.
+        pack: name of the pack in the ledger; by default its serial number in the log.
+        forecast_period_s: time between two forecasts [s]; between them the last one counts down. By default 5 s, and
+            for a recording of `uavbatt live` what it was made with.
+        allow_uncertified: read a battery file whose hash or verdict is broken.
+
+    Returns:
+        Every row and what came of it.
+
+    Raises:
+        BadInput: a file cannot be used; the message names it, the place and what was expected.
+        UsageError: an argument cannot be; the message names it and its bounds.
+    """
+    if pack and packs is None:
+        raise UsageError(f"pack={pack!r}: expected packs= as well, the ledger that remembers it")
+    flight = _flight(log, instance)
+    if mission is not None:
+        flight = with_mission(flight, read_mission(mission))
+    content = _read(battery, allow_uncertified)
+    flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read_vehicle(vehicle)
+    options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
+    to_come = stated_load(str(load), flight, flown, content, name="load=")
+    settings = ForecastSettings(to_come, reserve_soc, _period_s(log, forecast_period_s))
+    estimator = estimator_for(flight, content, options, settings, _recalled(packs, pack, flight, content))
+    run = list(steps(flight, estimator))
+    size = size_of_replayed(estimator, flight)
+    if packs is not None:
+        _remember(packs, pack, flight, content, options)
+    return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V))
+
+
+def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile) -> PackHealth | None:
+    """Return what the ledger knows of the flight's pack by the flights before it."""
+    if packs is None:
+        return None
+    with Ledger(packs) as ledger:
+        return recalled(ledger, name_of(flight, pack), flight, content)
+
+
+def _remember(packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions) -> None:
+    """Save in the ledger what the flight taught of its pack, where it has a name."""
+    name = name_of(flight, pack)
+    found = taught(content, options, flight).record if name else None
+    if found is not None:
+        with Ledger(packs) as ledger:
+            ledger.save(name, found)
+
+
+def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> BatteryFile:
+    """Return the content of a battery file that is named, or as it is given."""
+    if isinstance(battery, BatteryFile):
+        return battery
+    return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
+
+
+def _period_s(log: str | Path | Flight, stated_s: object) -> float:
+    """Return the time between forecasts [s]: as stated, else a recording's own, else the usual one."""
+    if stated_s is None:
+        return ForecastSettings().forecast_period_s if isinstance(log, Flight) else recorded_period_s(log)
+    if isinstance(stated_s, int | float) and stated_s >= 0.0:
+        return float(stated_s)
+    raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")
+
+
+def _flight(log: str | Path | Flight, instance: int | None) -> Flight:
+    """Return the flight that is asked for, read if it is not yet."""
+    if not isinstance(log, Flight):
+        return read_log(log, instance)
+    if instance is not None and instance != log.instance:
+        raise UsageError(f"instance={instance}: the flight was read with battery {log.instance}; give the log's path")
+    return log
