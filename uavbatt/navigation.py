@@ -167,5 +167,10 @@ class Navigation:
     landed: bool | None = None  # EXTENDED_SYS_STATE
     transferring: bool = False  # a mission is passing and is not whole yet
 
+    @property
+    def has_way(self) -> bool:
+        """True if a mission or a home is known: without either there is no way to speak of."""
+        return self.mission is not None or self.home is not None
+
 
 NOWHERE = Navigation()

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V
-from scoring.m100 import FITTED_AH, RATED_AH
+from scoring.m100 import RATED_AH
 from scoring.routes import TRUTH_AH, TRUTH_CELLS, TRUTH_CUTOFF_V
 from scoring.shared import STATED
 from uavbatt import dataset
@@ -24,19 +24,19 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import ReplayedRow, engine_for, outcome, steps
+from uavbatt.log_replay import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight, Remaining
+from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry import read_log
 
 AFTER_S = (0.0, 5.0, 15.0, 30.0)  # since the first interval that is shown
 EARLY_S = 90.0
 LOADED_A = 2.0
 TRUTH_PACK = PackOptions(cells=TRUTH_CELLS, capacity_Ah=TRUTH_AH, cutoff_V=TRUTH_CUTOFF_V)
-M100_PACK = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
-M100_RATED = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
+M100_PACK = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +73,8 @@ def generic(data: Path) -> Iterator[Set]:
     packs, missions = _pack_ends_s(data), _mission_ends_s(data)
     for name, places, pack, ends_s in (
         ("real logs", ("flights/ardupilot/*", "flights/px4/hexa*.ulg"), PackOptions(), {}),
-        ("M100", ("flights/m100/m100_*.csv",), M100_RATED, {}),
-        ("M100 with routes", ("flights/m100_routes/*.tlog",), M100_RATED, {}),
+        ("M100", ("flights/m100/m100_*.csv",), M100_PACK, {}),
+        ("M100 with routes", ("flights/m100_routes/*.tlog",), M100_PACK, {}),
         ("missions", ("missions/learn/*.tlog", "missions/practice/*.tlog"), PackOptions(), missions),
         ("truth", ("truth/*/*/flight_*.tlog",), PackOptions(), {}),
         ("packs", ("packs/practice/*/flight_*.tlog",), PackOptions(), packs),
@@ -87,7 +87,7 @@ def fitted(data: Path) -> Iterator[Set]:
     logs = {path: read_log(path) for path in _paths(data, ("flights/m100_routes/*.tlog",))}
     for aircraft in sorted({path.stem[-3:] for path in logs}):
         others = [flight for path, flight in logs.items() if not path.stem.endswith(aircraft)]
-        battery = fit_battery(Size("without", M100_CELLS, FITTED_AH, M100_CUTOFF_V), [], others).file
+        battery = fit_battery(Size("without", M100_CELLS, RATED_AH, M100_CUTOFF_V), [], others).file
         load = learned_load(vehicle_file("without", others, battery, M100_PACK))
         own = tuple(path for path in logs if path.stem.endswith(aircraft))
         tables = tuple(data / "flights/m100" / f"{path.stem}.csv" for path in own)
@@ -121,9 +121,11 @@ def _first(flown: Set, path: Path) -> First | None:
     flight = read_log(path)
     begin_s = next((s.time_s for s in flight.samples if s.current_A > LOADED_A), math.nan)
     pack = STATED.get(path.name, flown.pack)
+    run, cutoff_V = _flown(_cut(flight, begin_s + EARLY_S + max(AFTER_S)), flown, pack)
     end_s = flown.ends_s.get(_key(path), math.nan)
-    early = _cut(flight, begin_s + EARLY_S + max(AFTER_S)) if math.isfinite(end_s) else flight
-    run, cutoff_V = _flown(early, flown, pack)
+    end_s = end_s if math.isfinite(end_s) else _end_s(flight, cutoff_V)
+    if not math.isfinite(end_s):
+        run, _ = _flown(flight, flown, pack)
     said = [step.remaining for step in run if math.isfinite(step.remaining.remaining_s)]
     if not said:
         return None
@@ -131,15 +133,18 @@ def _first(flown: Set, path: Path) -> First | None:
     name = f"{path.parent.name}/{path.stem}"
     if math.isfinite(end_s):
         return First(flown.name, name, shown, (end_s, end_s), True)
-    found = outcome(run, cutoff_V)
-    if math.isfinite(found.end_of_flight_s):
-        return First(flown.name, name, shown, (found.end_of_flight_s,) * 2, True)
-    last = said[-1]
-    return First(flown.name, name, shown, _ends(last), False)
+    return First(flown.name, name, shown, _ends(said[-1]), False)
+
+
+def _end_s(flight: Flight, cutoff_V: float) -> float:
+    """When the log itself reaches the cut-off under load [s]; NaN if it does not."""
+    columns = ([s.time_s for s in flight.samples], [s.voltage_V for s in flight.samples])
+    amps = [s.current_A for s in flight.samples]
+    return end_of_flight(*columns, amps, cutoff_V=cutoff_V, min_current_A=LOADED_A)
 
 
 def _flown(flight: Flight, flown: Set, pack: PackOptions) -> tuple[list[ReplayedRow], float]:
-    estimator = Estimator(flown.battery, pack, ForecastSettings(flown.load), engine_for(is_long=True))
+    estimator = Estimator(flown.battery, pack, ForecastSettings(flown.load))
     run = list(steps(flight, estimator))
     return run, estimator.pack_size.cutoff_V if estimator.pack_size is not None else math.nan
 

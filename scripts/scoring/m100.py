@@ -23,10 +23,10 @@ from uavbatt.prediction.load import Load, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft, learned_load
 from uavbatt.scoring.scores import FlightScore
 
-FITTED_AH, RATED_AH = 5.45, 5.7
+RATED_AH = 5.7
 LOG, LEARNED, UNKNOWN, RECENT = "ours, log", "ours, learned", "ours, unknown aircraft", "ours, recent"
 PX4_SET = px4.Parameters(r_internal=0.005)  # the kinder reading where rows are seconds apart, see peers.px4
-OPTIONS = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
+OPTIONS = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Result:
 def fold(flights: list[M100], aircraft: str) -> Fold:
     """Battery, vehicle and calibration from every flight of the other aircraft."""
     others = [f for f in flights if f.aircraft != aircraft]
-    size = Size(f"m100-without-{aircraft}", M100_CELLS, FITTED_AH, M100_CUTOFF_V)
+    size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
     battery = fit_battery(size, [], [f.flight for f in others]).file
     learned = learned_load(vehicle_file(size.name, [f.flight for f in others], battery, OPTIONS))
     peers = calibrated(M100_CELLS, RATED_AH, [(f.flight, f.end_s) for f in ended(others)], PX4_SET)

@@ -2,7 +2,8 @@
 
 The Matrice 100 flights are left out one aircraft at a time, battery and vehicle learned from the two others; positions
 were never logged. The simulated missions fly on a battery from `truth/lab` and `truth/reference` and a vehicle learned
-from `missions/learn`; p01 to p06 were looked at while this was built, p07 to p12 were not.
+from `missions/learn`. p07 to p12 were not looked at while routes were built; the rules of the turn, the gusts and the
+fit at high airspeed were chosen on l03 to l05 and p04 to p06, with p09 to p12 printed beside them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V, M100_LOADED_A
 from scoring.lines import Lines, logged, ours
-from scoring.m100 import FITTED_AH, PX4_SET, RATED_AH
+from scoring.m100 import PX4_SET, RATED_AH
 from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from scoring.peer_turns import turn_lines
 from scoring.table import Table, figure, grid
@@ -60,7 +61,6 @@ class Mission:
 
     name: str
     answer: dict[str, Any]
-    flight: Flight
     run: list[ReplayedRow]
     peers: dict[str, Lines]  # seconds until one must turn back
 
@@ -98,11 +98,11 @@ def _scored(
 def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]]:
     logs = {path.stem: read_log(path) for path in sorted((data / "flights" / "m100_routes").glob("*.tlog"))}
     found: dict[str, list[FlightScore]] = {}
-    pack = PackOptions(cells=M100_CELLS, capacity_Ah=FITTED_AH, cutoff_V=M100_CUTOFF_V)
+    pack = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
     for aircraft in sorted({name[-3:] for name in logs}):
         say(f"routes: learning from the aircraft other than {aircraft}")
         others = [flight for name, flight in logs.items() if not name.endswith(aircraft)]
-        size = Size(f"m100-without-{aircraft}", M100_CELLS, FITTED_AH, M100_CUTOFF_V)
+        size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
         battery = fit_battery(size, [], others).file
         emptied = [(flight, end_s) for flight in others if math.isfinite(end_s := _m100_span_s(flight)[1])]
         peers = calibrated(M100_CELLS, RATED_AH, emptied, PX4_SET)
@@ -146,7 +146,7 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
         say(f"routes: {path.stem}")
         flight, answer = read_log(path), _answer(answers, path.stem)
         run = _run(flight, known, known.library)
-        missions.append(Mission(path.stem, answer, flight, run, turn_lines(known.peers, flight)))
+        missions.append(Mission(path.stem, answer, run, turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
         start_s, _ = _span_s(flight, TRUTH_CUTOFF_V, 2.0)

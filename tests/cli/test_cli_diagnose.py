@@ -142,7 +142,6 @@ def test_followed_flights_are_taken_in_order_and_their_course_is_in_json_and_pag
     ("arguments", "said"),
     [
         (["--follow", "--gate", "."], "--follow: expected neither --gate nor -o"),
-        (["--packs", "p.sqlite"], "--packs: expected --follow as well"),
         (["--follow", "--packs", "p.sqlite"], "--packs: expected --pack NAME as well"),
         (["--follow", "--pack", "A1"], "expected --packs FILE as well"),
     ],

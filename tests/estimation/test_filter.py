@@ -235,7 +235,7 @@ def test_start_under_load_is_wide_and_comes_right() -> None:
     loaded = samples[200:]
     _, estimates = run(loaded)
     assert estimates[0].status is Status.CONVERGING and estimates[0].soc_sd > 0.06
-    assert "state of charge" in estimates[0].reason
+    assert "charge known to" in estimates[0].reason
     assert estimates[-1].status is Status.OK
     for sample, estimate in list(zip(loaded, estimates, strict=True))[::50]:
         assert abs(estimate.soc - true_soc(sample)) < 3.0 * estimate.soc_sd + 0.01

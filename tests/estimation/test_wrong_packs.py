@@ -81,20 +81,20 @@ def test_the_flights_are_the_same_every_time() -> None:
 # --- the table of the issue --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ah", [5.0, 4.5])
+@pytest.mark.parametrize("ah", ISSUE_AH)
 def test_generic_the_lower_end_is_not_too_long(ah: float) -> None:
     """In the last two minutes, at every row."""
     assert judged(GENERIC, ah).lo_excess_s <= GENERIC_LONG_S
 
 
-@pytest.mark.parametrize("ah", [5.0, 4.5, 4.0])
+@pytest.mark.parametrize("ah", ISSUE_AH)
 @pytest.mark.parametrize("left_s", [120.0, 60.0])
 def test_fitted_the_lower_end_is_not_too_long(ah: float, left_s: float) -> None:
     said = judged(FITTED, ah).before[left_s]
     assert said.lo_s - said.true_s <= FITTED_LONG_S
 
 
-@pytest.mark.parametrize("ah", [5.0, 4.5, 4.0])
+@pytest.mark.parametrize("ah", ISSUE_AH)
 @pytest.mark.parametrize("battery", [GENERIC, FITTED])
 def test_the_alarm_is_in_time(battery: str, ah: float) -> None:
     assert judged(battery, ah).alarm_s >= IN_TIME_S[battery]

@@ -132,6 +132,20 @@ def test_the_prior_is_physical() -> None:
     assert (wild[:, positive] > 0.0).all()
 
 
+@pytest.mark.parametrize("rested_V", [np.nan, 4.10, 4.20, 4.24])
+def test_ordinary_cells_have_the_ordinary_prior(rested_V: float) -> None:
+    assert prior.ocv_knots(rested_V) is prior.OCV_V
+
+
+@pytest.mark.parametrize("rested_V", [4.30, 4.35])
+def test_cells_that_charge_higher_go_on_where_the_others_stop(rested_V: float) -> None:
+    """Full they rest where they were seen to; a charge below is the ordinary cell's at a higher one."""
+    ocv_V = prior.ocv_knots(rested_V)
+    assert ocv_V[-1] == pytest.approx(rested_V) and ocv_V[0] == prior.OCV_V[0]
+    assert (np.diff(ocv_V) > 0.0).all() and (ocv_V >= prior.OCV_V).all()
+    assert np.interp(0.5, prior.OCV_SOC, ocv_V) - np.interp(0.5, prior.OCV_SOC, prior.OCV_V) < 0.04
+
+
 def test_the_generic_file_is_the_prior() -> None:
     made = generic_lipo()
     assert made.parameters.ocv_V == pytest.approx(list(prior.OCV_V)) and made.status == "generic"

@@ -90,6 +90,22 @@ def test_what_a_flight_taught_is_known_when_the_pack_is_met_again(tmp_path, rows
     second.close(0.0)
 
 
+def test_a_pack_that_is_not_what_its_label_says_is_named_and_not_averaged(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    other = [replace(row, voltage_V=row.voltage_V * 4.0 / 3.0) for row in rows]  # one cell more
+    flown(keeper(path), rows).close(rows[-1].time_s)
+    second = PackKeeper(path, "", BATTERY, PackOptions(cutoff_V=13.2), lambda now_s: UTC_S + 86_400.0 + now_s)
+    for row in other:
+        second.meet(0, "A", None, row.time_s)
+        second.step(0, row, row.time_s, 4, 5.0)
+        second.look_after(row.time_s)
+    second.close(other[-1].time_s)
+    assert "another pack under this name?" in second.note
+    with Ledger(path) as ledger:
+        assert ledger.pack("A").outlook.flights == 1
+        assert airborne.left_over(ledger) == []
+
+
 def test_a_pack_without_a_name_is_not_remembered(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     kept = keeper(path)

@@ -68,7 +68,14 @@ def test_damage_that_one_flight_leaves_open_is_named_after_the_second():
     found = ageing.history(flights)
     assert kinds(found[5]) == []
     assert kinds(found[6]) == ["sudden_ohms"]
+    assert "damaged, or ageing fast?" in found[6].findings[0].words
     assert ohms(found[6]) == pytest.approx(1.155, abs=0.03)
+
+
+def test_fast_ageing_that_looked_like_damage_is_followed_all_the_same():
+    found = ageing.history([flight(k, 1.05**k, 0.98**k, ohm_sd=0.06, charge_sd=0.05) for k in range(8)])
+    assert charge(found[-1]) == pytest.approx(0.98**7, abs=0.03)
+    assert not any(kinds(f) for f in found)
 
 
 def test_a_cell_that_died_is_a_sudden_loss_of_charge():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import random
 import signal
@@ -16,7 +17,7 @@ from packs.made import flight
 
 from uavbatt.errors import BadInput
 from uavbatt.packs import schema
-from uavbatt.packs.ledger import Ledger
+from uavbatt.packs.ledger import AnotherSize, Ledger
 
 FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k) for k in range(4)]
 
@@ -77,6 +78,25 @@ def test_the_prior_of_a_flight_knows_nothing_of_later_ones_nor_of_itself(tmp_pat
         assert ledger.before("B", FLIGHTS[2].start_utc_s, FLIGHTS[2].key) is None
 
 
+def test_flights_without_a_clock_keep_their_places_and_are_before_none_that_has_one(tmp_path):
+    clockless = [replace(one, start_utc_s=math.nan) for one in FLIGHTS[:3]]
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save_all("A", clockless)
+        ledger.save("A", clockless[0])  # replayed again
+        assert [found.flight.key for found in ledger.flights("A")] == [one.key for one in clockless]
+        assert ledger.before("A", math.nan, clockless[0].key) is None
+        assert ledger.before("A", math.nan, clockless[2].key).flight.key == clockless[1].key
+        assert ledger.before("A", FLIGHTS[3].start_utc_s, FLIGHTS[3].key) is None
+        assert ledger.last("A").flight.key == clockless[2].key
+
+
+def test_a_log_that_began_in_the_middle_of_another_flight_does_not_know_it(tmp_path):
+    whole = FLIGHTS[1]
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save_all("A", FLIGHTS[:2])
+        assert ledger.before("A", whole.start_utc_s + 0.7 * whole.duration_s, "cut").flight.key == FLIGHTS[0].key
+
+
 def test_forgetting_a_pack_leaves_the_others(tmp_path):
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         ledger.save("A", FLIGHTS[0])
@@ -90,8 +110,9 @@ def test_forgetting_a_pack_leaves_the_others(tmp_path):
 def test_a_pack_of_another_size_is_another_pack(tmp_path):
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         ledger.save("A", FLIGHTS[0])
-        with pytest.raises(BadInput, match="pack A: expected flights of 4 cells as before, found 6"):
-            ledger.save("A", replace(FLIGHTS[1], cells=6))
+        with pytest.raises(AnotherSize, match="pack A: expected flights of 4 cells as before, found 6") as caught:
+            ledger.save_all("A", [FLIGHTS[1], replace(FLIGHTS[2], cells=6)])
+        assert caught.value.index == 1
         assert ledger.pack("A").outlook.flights == 1
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from uavbatt import remembering
 from uavbatt.battery import battery_file
-from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike
+from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike, wear_of
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
@@ -52,7 +52,8 @@ def test_a_flight_to_the_end_tells_capacity_and_ohms(record):
 
 def test_a_part_of_a_flight_tells_less_of_the_capacity(record):
     part = remembering.taught(BATTERY, OPTIONS, flight(1, share=0.5)).record
-    assert part.told.variance_Ah > 2.0 * record.told.variance_Ah
+    assert part.told.variance_Ah > 4.0 * record.told.variance_Ah
+    assert abs(part.told.log_Ah - math.log(5.0 * FADED)) < 2.0 * math.sqrt(part.told.variance_Ah)
     assert part.key == record.key
 
 
@@ -133,3 +134,15 @@ def test_a_pack_that_is_not_the_one_remembered_is_noticed_by_its_ohms():
     assert unlike(PACK, health, wear=0.05, wear_sd=0.02) == ""
     assert "50% more ohms than remembered" in unlike(PACK, health, wear=0.5, wear_sd=0.02)
     assert "fewer ohms" in unlike(PACK, health, wear=-0.4, wear_sd=0.02)
+    assert "6 remembered of this pack" in unlike(PACK, health._replace(cells=6), wear=0.05, wear_sd=0.02)
+
+
+def test_what_is_remembered_as_effects_of_the_battery_file_is_the_same_pack(record):
+    health = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
+    effects, (fade_sd, growth_sd) = wear_of(PACK, health)
+    worn = with_effects(PACK, {"capacity_fade": effects["capacity_fade"]["fade"]}).installation
+    assert worn.present_capacity_Ah == pytest.approx(math.exp(health.log_Ah))
+    assert fade_sd == pytest.approx(math.sqrt(health.covariance[1, 1]) * FADED, rel=0.05)
+    assert 0.0 < effects["resistance_growth"]["growth"] < math.exp(health.log_ohm) / type_ohm(PACK) - 1.0
+    assert effects["charge_transfer"]["transfer_V"] > PACK.cell.transfer_V  # the other part of the ohms
+    assert growth_sd > 0.0

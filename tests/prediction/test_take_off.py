@@ -19,7 +19,7 @@ EXPECTED_S = np.linspace(300.0, 1800.0, 64)
 
 
 def joined(fresh_s: np.ndarray, at_s: float) -> np.ndarray:
-    return AtTakeOff(100.0, EXPECTED_S, EXPECTED_S).joined(at_s, EndTimes(fresh_s, fresh_s)).end_s
+    return AtTakeOff(100.0, 250.0, EXPECTED_S, EXPECTED_S).joined(at_s, EndTimes(fresh_s, fresh_s)).end_s
 
 
 def test_at_take_off_the_upper_end_is_what_was_expected() -> None:
@@ -46,6 +46,13 @@ def test_a_flight_that_looks_long_is_taken_down_to_what_was_expected() -> None:
     """Motors that idle on the ground promise hours."""
     ends_s = joined(np.linspace(4000.0, 9000.0, 128), 100.0)
     assert ends_s[6] < 500.0 and ends_s[-1] < 2000.0
+
+
+def test_the_power_that_is_flown_takes_over_from_the_one_that_was_expected() -> None:
+    expected = AtTakeOff(100.0, 250.0, EXPECTED_S, EXPECTED_S)
+    at_first, later = (expected.at_power(time_s, 500.0).end_s for time_s in (100.0, 200.0))
+    np.testing.assert_array_equal(at_first, EXPECTED_S)
+    np.testing.assert_allclose(later, EXPECTED_S / 2.0, rtol=0.01)
 
 
 def test_only_a_load_that_nobody_states_is_expected() -> None:

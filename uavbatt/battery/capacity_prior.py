@@ -4,6 +4,10 @@ A season takes 10 to 25 % of a pack's capacity, and nobody writes it down: a pac
 0.7 and 1.05 of what is printed on it. Rarely it is quite another pack than stated, or the current sensor reads low or
 high, which looks the same. A Gaussian around 1 cannot say that, and a filter linearised at one capacity does not see
 the knee of a smaller one. So the belief is a sum of Gaussians, one every tenth of the capacity.
+
+Of a known make all of them begin with its ohm times Ah, which fading leaves as it is. Of an unknown one they begin with
+the same ohms, so that the scale of ohm·Ah is that of capacity: else a pack of few ohms, which is a matter of its make,
+would speak against every small capacity.
 """
 
 from __future__ import annotations
@@ -27,13 +31,13 @@ ABSURD, ABSURD_SD, ABSURD_WEIGHT = (math.log(0.11), math.log(0.21)), 0.25, 0.004
 # Shares, means and sds of ln(capacity / stated) beside what the file's own packs are spread by: packs as good as new,
 # packs in service, and those of which something stated is wrong.
 PRIOR = ((0.68, 0.0, 0.0), (0.25, -0.14, 0.09), (0.07, -0.30, 0.35))
-UNKNOWN_MAKE_PRIOR = ((0.60, 0.0, 0.03), (0.32, -0.14, 0.09), (0.08, -0.30, 0.35))
+UNKNOWN_MAKE_PRIOR = ((0.53, 0.0, 0.03), (0.35, -0.14, 0.09), (0.12, -0.30, 0.35))
 
 
 class Capacities(NamedTuple):
     """Members of the prior, [members] each: ln of the capacity scale, its sd within the member, its weight.
 
-    And ln of the resistance scale with its sd, which are the same in all members of a pack that nobody met before.
+    And ln of the resistance scale (of ohm times Ah) with its sd.
     """
 
     log_scale: Array
@@ -57,12 +61,13 @@ def capacities(pack: Pack) -> Capacities:
         weight += share * np.exp(-0.5 * ((scale - mean) / sd) ** 2) / (above + sd.max())
     weight *= (1.0 - len(ABSURD) * ABSURD_WEIGHT) / weight.sum()
     member_sd = np.full(MEMBERS, overlap * float(scale[1] - scale[0]))
+    every = np.concatenate([ABSURD, scale])
     return Capacities(
-        np.concatenate([ABSURD, scale]),
+        every,
         np.concatenate([np.full(len(ABSURD), ABSURD_SD), member_sd]),
         np.concatenate([np.full(len(ABSURD), ABSURD_WEIGHT), weight]),
-        np.zeros(len(ABSURD) + MEMBERS),
-        np.full(len(ABSURD) + MEMBERS, pack.resistance_scale_sd),
+        np.zeros(every.size) if is_known else every,
+        np.full(every.size, pack.resistance_scale_sd),
     )
 
 

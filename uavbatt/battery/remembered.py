@@ -89,16 +89,39 @@ def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
     """
     if health is None or not health.may_be(pack):
         return pack
-    more = math.expm1(float(scales_of(pack, health).mean[0]))
-    drop_V = REACTION_SHARE * more * HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
-    return pack._replace(cell=pack.cell._replace(transfer_V=pack.cell.transfer_V + max(drop_V, 0.0)))
+    return pack._replace(cell=pack.cell._replace(transfer_V=_reacting_V(pack, float(scales_of(pack, health).mean[0]))))
+
+
+def _reacting_V(pack: Pack, log_resistance: float) -> float:
+    """The drop of the reaction [V] in a pack of so much resistance, as ln of the battery file's."""
+    own_V = HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
+    return float(pack.cell.transfer_V) + max(REACTION_SHARE * math.expm1(log_resistance) * own_V, 0.0)
+
+
+def _without_reaction(log_resistance: float) -> float:
+    """Return what is left to the resistance once the reaction has its share, as ln of the battery file's."""
+    if log_resistance <= 0.0:
+        return log_resistance
+    return math.log1p((1.0 - REACTION_SHARE) * math.expm1(log_resistance))
+
+
+def wear_of(pack: Pack, health: PackHealth) -> tuple[dict[str, dict[str, float]], tuple[float, float]]:
+    """Return what is remembered as effects of the battery file, and the sd of the fade and of the growth."""
+    (log_resistance, log_capacity), covariance = scales_of(pack, health)
+    growth = max(math.expm1(_without_reaction(float(log_resistance))), 0.0)  # packs age in one direction
+    effects = {
+        "capacity_fade": {"fade": max(-math.expm1(float(log_capacity)), 0.0)},
+        "resistance_growth": {"growth": growth},
+        "charge_transfer": {"transfer_V": _reacting_V(pack, float(log_resistance))},
+    }
+    resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()
+    return effects, (capacity_sd * math.exp(float(log_capacity)), resistance_sd * (1.0 + growth))
 
 
 def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
     """The members of a pack that was met before: around what is remembered, and the doubt about it."""
     (log_resistance, log_capacity), covariance = scales_of(pack, health)
-    if log_resistance > 0.0:
-        log_resistance = math.log1p((1.0 - REACTION_SHARE) * math.expm1(log_resistance))
+    log_resistance = _without_reaction(log_resistance)
     resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()
     told_by_capacity = float(covariance[0, 1]) / capacity_sd  # ln of the resistance per sd of the capacity
     count = max(FEWEST, math.ceil(2.0 * REACH * capacity_sd / LARGEST_STEP) + 1)
@@ -142,5 +165,6 @@ def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     sd = math.hypot(wear_sd / (1.0 + wear), math.sqrt(health.covariance[0, 0]))
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
         return ""
-    direction = "more" if apart > 0.0 else "fewer"
-    return f"{abs(math.expm1(apart)):.0%} {direction} ohms than remembered of this pack: {CAUSES}"
+    tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that it is not said anew at every per cent
+    direction, causes = ("more", CAUSES) if apart > 0.0 else ("fewer", ANOTHER)
+    return f"about {tens}% {direction} ohms than remembered of this pack: {causes}"

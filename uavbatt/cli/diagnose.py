@@ -32,6 +32,7 @@ from uavbatt.records import Flight
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
+    from uavbatt.cli.diagnose_worn import BasePack
     from uavbatt.dataset import DataSet
     from uavbatt.diagnosis.close import Closed
     from uavbatt.diagnosis.diagnosis import Diagnosis
@@ -59,8 +60,11 @@ def diagnose(
 ) -> None:
     """Trace what the battery file explains badly to the effect that it lacks; error before and after.
 
+    With --packs the pack is taken to be as worn as the flights before the first one have shown.
     With --follow: flights of one pack, or a folder of them, in order of time; with --packs those of --pack alone.
     Exit code 4 when the records cannot tell (the reason is in the JSON, too).
+
+    Example: uavbatt diagnose flight.BIN --battery mypack.battery.toml --report why.html
     """
     from uavbatt import dataset as data
     from uavbatt.battery import battery_file
@@ -69,7 +73,7 @@ def diagnose(
     from uavbatt.telemetry import read_log
 
     check_named(output)
-    check_writable(json_file, report, output, reads=sources)
+    check_writable(json_file, report, output, reads=[*sources, packs])
     unknown = [name for name in without or [] if name not in EFFECTS]
     if unknown:
         raise UsageError(f"--without {unknown[0]}: expected one of {', '.join(EFFECTS)}")
@@ -84,21 +88,20 @@ def diagnose(
             )
         followed(sources, content, stated, Asked(instance, tuple(without or ()), packs, pack), json_file, report)
         return
-    if packs is not None or pack:
-        raise UsageError("--packs: expected --follow as well, which goes by the ledger's order")
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = distinct([read_log(p, instance) for p in sources if not p.is_dir()])
     try:
-        found, closed, new = _run(content, datasets, flights, stated, tuple(without or ()), gate)
+        found, closed, new, base = _run(content, datasets, flights, stated, tuple(without or ()), gate, (packs, pack))
     except NotEnoughData as error:
         if json_file is not None:
             write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
         raise
     path = str(battery_file.write_battery(new, output)) if output is not None else None
-    for line in _lines(found, closed):
+    for line in [*_lines(found, closed), *([f"  {base.words}"] if base.words else [])]:
         say(line, json_file, report)
     if json_file is not None:
-        write_json(json_file, _as_json(found, closed, content.status, path))
+        wear = {"pack": base.words} if base.words else {}
+        write_json(json_file, {**_as_json(found, closed, content.status, path), **wear})
     if report is not None:
         from uavbatt.report.diagnosis import diagnosis_report
         from uavbatt.report.page import write_page
@@ -116,9 +119,11 @@ def _run(
     stated: PackOptions,
     without: tuple[str, ...],
     gate: Path | None,
-) -> tuple[Diagnosis, Closed, BatteryFile]:
+    remembered: tuple[Path | None, str],
+) -> tuple[Diagnosis, Closed, BatteryFile, BasePack]:
     from uavbatt import dataset as data
     from uavbatt.battery.sizing import PackOptions, pack_from
+    from uavbatt.cli.diagnose_worn import base_pack
     from uavbatt.diagnosis import close
     from uavbatt.diagnosis.diagnosis import diagnose as find
     from uavbatt.diagnosis.gate import verdicts
@@ -131,16 +136,16 @@ def _run(
     records: list[Observed] = [r for d in datasets for r in observed.from_dataset(d, capacity_Ah)]
     records += [observed_of(f, series, capacity_Ah) for f in flights]
     options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
-    pack = pack_from(content, options)
+    base = base_pack(*remembered, flights, content, pack_from(content, options))
     with Progress() as tell:
         engine = engine_for(is_long=True)
-        found = find(records, content, pack, without, tell, engine)
-        closed = close.judge(found, content, flights, options, tell, engine)
+        found = find(records, content, base.pack, without, tell, engine, base.wear_sd)
+        closed = close.judge(found, base.file, flights, options, tell, engine)
     new = close.extended(content, found)
     if tests is not None:
         remark(f"gating with {gate} ...")
         new = close.gated(new, found, verdicts(tests, new))
-    return found, closed, new
+    return found, closed, new, base
 
 
 def _lines(found: Diagnosis, closed: Closed) -> list[str]:

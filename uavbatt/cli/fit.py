@@ -42,7 +42,10 @@ def fit(
     join: JoinOption = "",
     system: SystemOption = None,
 ) -> None:
-    """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted."""
+    """Fit a battery file (-o), a vehicle file (--vehicle) or both. With --battery only the vehicle file is fitted.
+
+    Example: uavbatt fit day1.BIN day2.BIN --cells 4 --capacity-ah 5 --vehicle quad.vehicle.toml
+    """
     from uavbatt import dataset
     from uavbatt.battery import battery_file
     from uavbatt.battery.statements import check_statements, check_whole

@@ -76,6 +76,8 @@ def fleet(
     options all are flown again.
     With --packs each flight of a pack with a serial is forecast with what the flights before it taught, and is
     remembered itself.
+
+    Example: uavbatt fleet logs/ -o fleet --by hardware
     """
     from uavbatt.battery import vehicle_file
     from uavbatt.fleet.run import check_extra

@@ -16,7 +16,10 @@ def info(
     instance: InstanceOption = None,
     system: SystemOption = None,
 ) -> None:
-    """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted."""
+    """Battery instances, rates, gaps, what is missing, and whether a replay can be trusted.
+
+    Example: uavbatt info flight.BIN
+    """
     from uavbatt.telemetry import read_log
     from uavbatt.telemetry.info import describe, lines
 

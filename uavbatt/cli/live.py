@@ -50,7 +50,10 @@ def live(
     component: Annotated[int | None, typer.Option("--component", min=1, max=255, help="Only this part of it.")] = None,
     config: Annotated[Path | None, typer.Option("--config", help="uavbatt.toml; options override it.")] = None,
 ) -> None:
-    """Estimate in flight: telemetry in, time left out (scripts/uavbatt.toml says more)."""
+    """Estimate in flight: telemetry in, time left out (scripts/uavbatt.toml says more).
+
+    Example: uavbatt live udpin:127.0.0.1:14551 --http 127.0.0.1:8080
+    """
     from uavbatt.live.config import checked, read_config
 
     given: dict[str, dict[str, Any]] = {

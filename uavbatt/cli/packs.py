@@ -24,7 +24,10 @@ def packs(
     export: Annotated[Path | None, typer.Option("--export", help="Write the pack of --pack to this file.")] = None,
     take_in: Annotated[Path | None, typer.Option("--import", help="Add the pack of such a file.")] = None,
 ) -> None:
-    """Packs and their outlook: capacity, resistance, trend, and when to retire each."""
+    """Packs and their outlook: capacity, resistance, trend, and when to retire each.
+
+    Example: uavbatt packs packs.sqlite --report packs.html
+    """
     from uavbatt.packs.ledger import Ledger
 
     check_writable(summary, report, export, reads=(ledger, take_in))

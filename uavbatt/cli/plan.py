@@ -65,7 +65,10 @@ def plan(
     report: ReportOption = None,
     summary: Annotated[Path | None, typer.Option("--json", help="Summary as JSON.")] = None,
 ) -> None:
-    """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature."""
+    """Endurance before take-off with its interval, or whether a mission fits; with a table over ambient temperature.
+
+    Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
+    """
     from uavbatt import plan as planning
     from uavbatt.telemetry import read_log
 

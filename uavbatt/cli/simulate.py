@@ -51,7 +51,10 @@ def simulate(
     cutoff_voltage: CutoffOption = None,
     allow_uncertified: UncertifiedOption = False,
 ) -> None:
-    """Simulate a flight of a battery file's own model until the pack is empty or a mission is flown, as a log."""
+    """Simulate a flight of a battery file's own model until the pack is empty or a mission is flown, as a log.
+
+    Example: uavbatt simulate -o flight.tlog --power-w 250 --effect weak_cell=0.1
+    """
     from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
     from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log

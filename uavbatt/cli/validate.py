@@ -46,6 +46,8 @@ def validate(
     """Judge the tests by ISO 5725, build the corridor of permissible dispersion, and gate the battery model.
 
     Exit code 0: pass, 1: fail, 4: not enough data.
+
+    Example: uavbatt validate mypack/ --ship . --report mypack.html
     """
     from uavbatt import dataset as data
 

@@ -10,6 +10,7 @@ one as long as the battery file lacks it, but for the sensor's lag, which a file
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,16 +114,21 @@ STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
 LEAST_ACTIVATION_SD_K = 300.0
 
 
-def nuisances(file: BatteryFile, least_activation_sd_K: float = LEAST_ACTIVATION_SD_K) -> tuple[Freed, ...]:
-    """Errors of the battery file that all records share, in u with sd 1; with a least error of 0, as it states them."""
+def nuisances(
+    file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0), least_activation_sd_K: float = LEAST_ACTIVATION_SD_K
+) -> tuple[Freed, ...]:
+    """Errors of the battery file that all records share, in u with sd 1; with a least error of 0, as it states them.
+
+    wear_sd : how well fade and growth of the pack are known, where it was met before.
+    """
     table = file.parameters
     capacity_sd = CAPACITY_SHARE * table.capacity_scale_sd
     resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
     if file.is_measured and table.c_rate is None:
         capacity_sd, resistance_sd = min(capacity_sd, CAPACITY_SD), min(resistance_sd, RESISTANCE_SD)
     return (
-        _nuisance("fade", capacity_sd),
-        _nuisance("growth", resistance_sd),
+        _nuisance("fade", math.hypot(capacity_sd, wear_sd[0])),
+        _nuisance("growth", math.hypot(resistance_sd, wear_sd[1])),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
         *(
             _nuisance(name, sd)

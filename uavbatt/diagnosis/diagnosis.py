@@ -57,14 +57,18 @@ class Diagnosis:
 
 
 def problem_of(
-    records: list[Observed], file: BatteryFile, pack: Pack, states: openloop.States = openloop.states
+    records: list[Observed],
+    file: BatteryFile,
+    pack: Pack,
+    states: openloop.States = openloop.states,
+    wear_sd: tuple[float, float] = (0.0, 0.0),
 ) -> Problem:
     """Make records and battery file ready for refits; `states` simulates. Raises NotEnoughData with the reason."""
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
-    stated = nuisances(file, least_activation_sd_K=0.0)
-    return Problem(pack, evidence, base, nuisances(file), table_errors(file), states, stated)
+    believed, stated = nuisances(file, wear_sd), nuisances(file, wear_sd, least_activation_sd_K=0.0)
+    return Problem(pack, evidence, base, believed, table_errors(file), states, stated)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -82,15 +86,17 @@ def diagnose(
     without: tuple[str, ...] = (),
     progress: Callable[[str], None] | None = None,
     engine: Engine = PLAIN,
+    wear_sd: tuple[float, float] = (0.0, 0.0),
 ) -> Diagnosis:
     """Diagnose records of one pack.
 
     without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` is some three times faster). Raises NotEnoughData with the reason.
+    (`compiled.engine()` is some three times faster); wear_sd : how well the fade and the growth that `pack` has are
+    known, where it was met before. Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)
     tell("open-loop simulation")
-    problem = problem_of(records, file, pack, engine.states)
+    problem = problem_of(records, file, pack, engine.states, wear_sd)
     searched = _searched(problem, file, without, tell)
     if problem.evidence.charged_in_part.any():  # or is the voltage wrong? what the rest of the flight needs tells
         full = replace(problem, evidence=problem.evidence.believed_full)

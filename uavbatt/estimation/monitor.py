@@ -30,13 +30,17 @@ from uavbatt.records import Estimate, Sample, Status
 FAR_SDS, LOST_SDS = 3.0, 5.0
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
 SMALL_PACK, FAR_SMALLER, SURE_SDS = 0.9, 0.7, 1.5  # shares of what is stated, surely so
+FAR_MORE_OHMS = 3.5  # times those of a new pack of the stated size: packs that fly have up to three
+SETTLED_SHARE = 0.2  # of the capacity believed: known to less, the time left is known to a factor of two at best
 
 STUCK_VOLTAGE = "the voltage has not moved under load for half a minute: a stuck sensor?"
-STUCK_CURRENT = "the current has not moved for half a minute while the voltage does: a stuck sensor?"
+STUCK_CURRENT = "the current has not moved for half a minute, as it does in flight: a stuck sensor?"
 DEAD_CURRENT = "the current fell to nothing while the voltage did not recover: a dead current sensor?"
 UNFITTING = "voltage and current have not fitted this battery for a minute"
 FAR_OFF = "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted"
 SMALL = "this pack holds less than stated: aged or smaller, or a current sensor that reads low"
+
+MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad contact"
 
 
 class Innovations(NamedTuple):
@@ -67,6 +71,7 @@ class Monitor(NamedTuple):
     load: Load = Load()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
+    is_settled: bool = False  # the knee has shown how much a pack holds that is not what is stated
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -83,7 +88,7 @@ class Monitor(NamedTuple):
         innovations = self.innovations.after(time_s, estimate.nis)
         still = (
             (STUCK_VOLTAGE, readings.stuck_voltage_s(cells, capacity_Ah)),
-            (STUCK_CURRENT, readings.stuck_current_s()),
+            (STUCK_CURRENT, readings.stuck_current_s(capacity_Ah)),
         )
         doubts = [words for words, for_s in still if for_s >= STUCK_S]
         refusals = [words for words, for_s in still if for_s >= REFUSED_STUCK_S]
@@ -98,9 +103,15 @@ class Monitor(NamedTuple):
             refusals.append(FAR_OFF)
         most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd
         remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
-        if most < FAR_SMALLER:  # no wear: something that is stated is wrong
-            doubts.append(SMALL)
-        return Monitor(readings, load, innovations, off_sds, tuple(doubts), remarks, refusals[0] if refusals else "")
+        misstated = _misstated(estimate, most)
+        is_settled = bool(misstated) and (
+            self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
+        )
+        doubts += misstated
+        if not is_settled:  # and nothing has said by how much
+            refusals += misstated
+        refusal = refusals[0] if refusals else ""
+        return Monitor(readings, load, innovations, off_sds, is_settled, tuple(doubts), remarks, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """The estimate with what the monitor has against it: refused, or converging, and the words."""
@@ -114,6 +125,12 @@ class Monitor(NamedTuple):
         refusals = (self.refusal,) if self.refusal and self.refusal not in self.doubts else ()
         warnings = (*estimate.warnings, *refusals, *self.doubts, *self.remarks)
         return replace(estimate, status=status, reason=reason, warnings=warnings)
+
+
+def _misstated(estimate: Estimate, most: float) -> list[str]:
+    """What no wear explains, so that something that is stated is wrong; `most` is the capacity that it may have."""
+    least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)
+    return [words for words, is_so in ((SMALL, most < FAR_SMALLER), (MANY_OHMS, least_ohms > FAR_MORE_OHMS)) if is_so]
 
 
 def discrepancy_sds(belief: Belief, pack: Pack) -> float:

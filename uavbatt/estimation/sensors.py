@@ -12,23 +12,38 @@ LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
 COARSEST_STEP_V = 0.1  # of a voltmeter that has not shown its smallest step yet
 # A cell's voltage that goes down and up by so much, again and again, does it because of a current.
 TURN_CELL_V, TURNS = 0.012, 6
+# A current that moved in every second row, and by that should have moved so many times since it last did, is stuck;
+# on the ground, below a tenth of 1 C, it may well stand still. Its habit is that of its last hundred rows.
+MISSED_MOVES, STILL_C_RATE, HABIT_KEPT = 15.0, 0.1, 0.99
 LOADED_C_RATE = 0.4
 DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35, 0.02, 3.0, 10.0
 
 
 class Still(NamedTuple):
-    """A reading since it last moved: its value, since when [s], and the smallest step that it ever made."""
+    """A reading since it last moved: its value, since when [s] and for how many rows; and how it used to move.
+
+    step : the smallest that it ever made; habit : the share of rows in which it moved.
+    """
 
     value: float = math.nan
     since_s: float = math.nan
     step: float = math.inf
+    rows: int = 0
+    habit: float = 0.0
 
     def after(self, time_s: float, value: float) -> Still:
         """The same with one more reading."""
         if value == self.value:
-            return self
+            return self._replace(rows=self.rows + 1)
         change = abs(value - self.value)
-        return Still(value, time_s, min(self.step, change) if math.isfinite(change) else self.step)
+        step = min(self.step, change) if math.isfinite(change) else self.step
+        habit = HABIT_KEPT ** (self.rows + 1) * self.habit + (1.0 - HABIT_KEPT)
+        return Still(value, time_s, step, 0, habit)
+
+    @property
+    def missed_moves(self) -> float:
+        """How many times it should have moved since it last did, by its habit."""
+        return self.rows * self.habit
 
     def age_s(self, time_s: float) -> float:
         """For how long the reading has not moved [s]; 0 before the first one."""
@@ -50,8 +65,8 @@ class Readings(NamedTuple):
         """The same with one more row."""
         dt_s = max(time_s - self.time_s, 0.0) if math.isfinite(self.time_s) else 0.0
         voltage, current = self.voltage.after(time_s, voltage_V), self.current.after(time_s, current_A)
-        drawn_Ah = self.drawn_Ah + max(current_A, 0.0) * dt_s / 3600.0 if voltage is self.voltage else 0.0
-        turn_V, is_rising, turns = self.turn_V, self.is_rising, self.turns if current is self.current else 0
+        drawn_Ah = self.drawn_Ah + max(current_A, 0.0) * dt_s / 3600.0 if voltage.rows else 0.0
+        turn_V, is_rising, turns = self.turn_V, self.is_rising, self.turns if current.rows else 0
         step_V = voltage_V - turn_V if math.isfinite(turn_V) else 0.0
         if (step_V > 0.0) is is_rising:
             turn_V = voltage_V
@@ -65,9 +80,11 @@ class Readings(NamedTuple):
         must_V = LEAST_FALL_V * cells * self.drawn_Ah / capacity_Ah
         return self.voltage.age_s(self.time_s) if must_V > max(STUCK_STEPS * step_V, STUCK_V) else 0.0
 
-    def stuck_current_s(self) -> float:
-        """For how long the current has stood still while the voltage went down and up [s]; 0 when it is sound."""
-        return self.current.age_s(self.time_s) if self.turns >= TURNS else 0.0
+    def stuck_current_s(self, capacity_Ah: float) -> float:
+        """For how long the current has stood still against its habit or the voltage's turns [s]; 0 when it is sound."""
+        is_loaded = self.current.value > STILL_C_RATE * capacity_Ah
+        is_stuck = self.turns >= TURNS or (is_loaded and self.current.missed_moves >= MISSED_MOVES)
+        return self.current.age_s(self.time_s) if is_stuck else 0.0
 
 
 class Load(NamedTuple):

@@ -49,9 +49,15 @@ class BatteryFit(Posterior):
     cost: float
 
 
+def fullest_V(stack: Stack) -> float:
+    """The highest voltage of a cell at which a record begins at rest [V]; NaN where none does."""
+    first_V = (stack.voltage_V[0] / stack.cells)[stack.rested]
+    return float(np.max(first_V)) if first_V.size else float("nan")
+
+
 def start_guess(stack: Stack) -> Array:
     """Starting charge from the prior OCV at the first voltage (under load: plus a typical drop)."""
-    table = dense(prior.OCV_SOC, prior.OCV_V)
+    table = dense(prior.OCV_SOC, prior.ocv_knots(fullest_V(stack)))
     drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 1.5 * prior.RESISTANCE_OHMAH)
     guess: Array = np.interp(stack.voltage_V[0] / stack.cells + drop_V, table, SOC_GRID)
     return np.clip(guess, 0.05, 1.0)
@@ -93,7 +99,7 @@ def fit_battery(
 
     own_prior : one for all records, or each record's own.
     """
-    slots = prior.cell_slots(effects)
+    slots = prior.cell_slots(effects, fullest_V(stack))
     given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
     own_mean = np.column_stack([start_guess(stack), np.zeros((len(stack.names), 2))])
     own_sd = np.array(

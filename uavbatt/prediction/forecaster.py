@@ -213,9 +213,9 @@ class Forecaster:
             dt_s=scenarios.dt_s,
             reserve_soc=self.settings.reserve_soc,
             by_rows=by_rows,
-            at_take_off=self._at_take_off,
+            at_take_off=self._at_take_off and self._at_take_off.at_power(time_s, now.flight_W),
         )
-        if navigation is NOWHERE:
+        if not navigation.has_way:
             return question
         flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
         route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
@@ -233,12 +233,15 @@ class Forecaster:
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
             self._at_take_off = self._expected(self._rested or belief, self._flying_since_s)
 
-    def _expected(self, belief: Belief, take_off_s: float) -> AtTakeOff:
+    def _expected(self, belief: Belief, take_off_s: float) -> AtTakeOff | None:
+        """The end of a flight that begins with this belief; None where none is in sight."""
         load = before_take_off(self.settings.load, self.pack)
         question = Forecaster(self._weakest(), replace(self.settings, load=load)).question(belief, take_off_s)
         if question is None:
-            return AtTakeOff(take_off_s, np.empty(0), np.empty(0))
-        return AtTakeOff(take_off_s, *(np.sort(np.minimum(s, question.horizon_s)) for s in end_times(question)))
+            return None
+        power_W = load.typical_W(self._now(belief, take_off_s, NOWHERE))
+        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question))
+        return AtTakeOff(take_off_s, power_W, *ends)
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""

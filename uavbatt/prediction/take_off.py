@@ -5,11 +5,13 @@ as little of its capacity. So the ends that were expected at take-off count amon
 
     end = share x (end as of take-off) + (1 - share) x (end as of now), rank by rank,    share = (1 - t/FORGOTTEN_S)²
 
-They widen and never comfort: the lower end stays that of the flight itself where it is the lower one.
+The end as of take-off is that of the same charge at the power which is flown, as soon as it has shown itself. It never
+comforts: the lower end stays that of the flight itself where that is the lower one.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,6 +35,7 @@ SETTLED_S = 60.0
 FORGOTTEN_S = 240.0
 NEAR_S = 120.0  # a pack that is this near its end shows it
 LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
+SHOWN_TAU_S, MOST_CHANGE = 20.0, 4.0
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
 
@@ -82,8 +85,15 @@ class AtTakeOff(NamedTuple):
     """The end of the flight as it was expected at take-off: ends and low-voltage warnings of draws [s since then]."""
 
     take_off_s: float
+    power_W: float  # that was expected
     end_s: Array  # sorted
     low_s: Array  # sorted
+
+    def at_power(self, time_s: float, flight_W: float) -> AtTakeOff:
+        """Return the same charge at the mean power that the flight has shown so far [W], as far as it is believed."""
+        trust = 1.0 - math.exp(-max(time_s - self.take_off_s, 0.0) / SHOWN_TAU_S)
+        longer = min(max(self.power_W / flight_W, 1.0 / MOST_CHANGE), MOST_CHANGE) ** trust
+        return self._replace(end_s=longer * self.end_s, low_s=longer * self.low_s)
 
     def share(self, time_s: float) -> float:
         """Return how much it still counts, 0 to 1: the flight itself tells more and more."""

@@ -62,5 +62,6 @@ def line(axes: Axes, axis: TimeAxis, time_s: Array, values: Array, colour: str, 
 
 
 def band(axes: Axes, axis: TimeAxis, time_s: Array, low: Array, high: Array, colour: str, name: str) -> None:
+    """A band thinned to its outer edges, never narrower than it was."""
     t, lo, hi = outer(time_s, low, high)
     axes.fill_between(axis.at(t), lo, hi, color=colour, alpha=0.25, linewidth=0, label=name)

@@ -15,6 +15,7 @@ from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import Flight, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
+from uavbatt.telemetry.drawn import loaded_A
 
 MODES = {
     Mode.MISSION: "mission", Mode.RETURN: "return", Mode.RETURN_BY_TRACK: "return", Mode.LAND: "land",
@@ -67,9 +68,8 @@ def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
         np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V", "current_A")
     )
     if math.isfinite(low_V) and np.isfinite(volts).any():
-        has_current = bool(np.isfinite(amps).any())
-        loaded_A = float(np.nanpercentile(amps, 90)) / 3.0 if has_current else -math.inf
-        low_s = end_of_flight(time_s, volts, amps if has_current else None, cutoff_V=low_V, min_current_A=loaded_A)
+        current_A, least_A = (amps, loaded_A(amps)) if np.isfinite(amps).any() else (None, -math.inf)
+        low_s = end_of_flight(time_s, volts, current_A, cutoff_V=low_V, min_current_A=least_A)
         if math.isfinite(low_s):
             yield Event(low_s, "low voltage", True)
     said = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
