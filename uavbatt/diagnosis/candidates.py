@@ -114,8 +114,10 @@ STATED = ("sensor_lag_s", "activation_K", "diffusion_activation_K")
 LEAST_ACTIVATION_SD_K = 300.0
 
 
-def nuisances(file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0)) -> tuple[Freed, ...]:
-    """Errors of the battery file that all records share, in u with sd 1.
+def nuisances(
+    file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0), least_activation_sd_K: float = LEAST_ACTIVATION_SD_K
+) -> tuple[Freed, ...]:
+    """Errors of the battery file that all records share, in u with sd 1; with a least error of 0, as it states them.
 
     wear_sd : how well fade and growth of the pack are known, where it was met before.
     """
@@ -132,16 +134,16 @@ def nuisances(file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0)) -> t
             _nuisance(name, sd)
             for entry in file.effects
             for name in STATED
-            if (sd := _stated_sd(file, entry, name)) > 0.0
+            if (sd := _believed_sd(file, entry, name, least_activation_sd_K)) > 0.0
         ),
     )
 
 
-def _stated_sd(file: BatteryFile, entry: EffectEntry, name: str) -> float:
-    """The error that the file states of a quantity, 0 where it states none."""
+def _believed_sd(file: BatteryFile, entry: EffectEntry, name: str, least_activation_sd_K: float) -> float:
+    """The error that is believed of a quantity, 0 where the file states none."""
     stated = entry.standard_error.get(name, 0.0)
     reacts = name == "activation_K" and any(e.name == "charge_transfer" for e in file.effects)
-    return max(stated, LEAST_ACTIVATION_SD_K) if reacts and stated > 0.0 else stated
+    return max(stated, least_activation_sd_K) if reacts and stated > 0.0 else stated
 
 
 def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:

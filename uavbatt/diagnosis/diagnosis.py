@@ -67,7 +67,8 @@ def problem_of(
     ocv_V = np.maximum.accumulate(open_circuit_voltage(pack.cell, SOC_GRID) + 1e-6 * SOC_GRID)
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
-    return Problem(pack, evidence, base, nuisances(file, wear_sd), table_errors(file), states)
+    believed, stated = nuisances(file, wear_sd), nuisances(file, wear_sd, least_activation_sd_K=0.0)
+    return Problem(pack, evidence, base, believed, table_errors(file), states, stated)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -170,6 +171,7 @@ def left_per_number(problem: Problem, best: Refit) -> Left:
 
     What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
     """
+    problem = replace(problem, nuisances=problem.stated or problem.nuisances)
     fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
     left = per_number(problem, fit)
     numbers = sum(v.rows.size for v in problem.evidence.volts)

@@ -59,6 +59,7 @@ class Problem:
     nuisances: tuple[Freed, ...] = ()
     tables: TableErrors | None = None
     states: openloop.States = openloop.states  # simulates them; compiled, where the command hands that in
+    stated: tuple[Freed, ...] = ()  # the nuisances, no larger than the file states: what may explain a residual away
 
 
 @dataclass(frozen=True, slots=True)
