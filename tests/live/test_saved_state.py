@@ -60,26 +60,24 @@ def battery(content: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def put(*path: Any, value: Any) -> Callable[[dict[str, Any]], None]:
-    """An edit of the content: one place of it set."""
+def changed(*path: Any, change: Callable[[Any], Any]) -> Callable[[dict[str, Any]], None]:
+    """An edit of the content: one place of it changed."""
 
     def edit(content: dict[str, Any]) -> None:
         inner: Any = content
         for key in path[:-1]:
             inner = inner[key]
-        inner[path[-1]] = value
+        inner[path[-1]] = change(inner.get(path[-1]) if isinstance(inner, dict) else inner[path[-1]])
 
     return edit
+
+
+def put(*path: Any, value: Any) -> Callable[[dict[str, Any]], None]:
+    return changed(*path, change=lambda _: value)
 
 
 def scaled(*path: Any, by: float) -> Callable[[dict[str, Any]], None]:
-    def edit(content: dict[str, Any]) -> None:
-        inner: Any = content
-        for key in path[:-1]:
-            inner = inner[key]
-        inner[path[-1]] *= by
-
-    return edit
+    return changed(*path, change=lambda was: was * by)
 
 
 def of_battery(*path: Any, value: Any) -> Callable[[dict[str, Any]], None]:
@@ -106,7 +104,8 @@ def certain() -> Callable[[dict[str, Any]], None]:
     return edit
 
 
-LOAD = ("batteries", "0", "past", 0, 0)  # of the memory of the forecaster: time_s, mean_W, window_W, variance, ...
+# Of the memory of the forecaster: the recent load (time_s, mean_W, window_W, variance, ...), energy, lessons of the route.
+LOAD, FLOWN_J, LESSONS = ("past", 0, 0, 0), ("past", 0, 0, 8), ("past", 0, 1)
 DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "batteries null": put("batteries", value=None),
     "batteries a list": put("batteries", value=[]),
@@ -150,14 +149,14 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "consumed 1e300": of_battery("consumed_Ah", value=1e300),
     "past empty": of_battery("past", value={}),
     "past of another shape": of_battery("past", value=[[1], 2]),
-    "load x 1e308": scaled(*LOAD, 1, by=1e308),
-    "load x 1000": scaled(*LOAD, 1, by=1000.0),
-    "load variance negative": of_battery("past", 0, 0, 3, value=-1.0),
-    "load time 1e12": of_battery("past", 0, 0, 0, value=1e12),
-    "flown 1e12 J": of_battery("past", 0, 8, value=1e12),
-    "timing of legs that knows nothing": of_battery("past", 0, 9, 0, value=[0.0] * 5),
-    "timing of legs nan": of_battery("past", 0, 9, 1, 0, value=math.nan),
-    "power level of negative seconds": of_battery("past", 0, 9, 4, value=-1.0),
+    "load x 1e308": scaled("batteries", "0", *LOAD, 1, by=1e308),
+    "load x 1000": scaled("batteries", "0", *LOAD, 1, by=1000.0),
+    "load variance negative": of_battery(*LOAD, 3, value=-1.0),
+    "load time 1e12": of_battery(*LOAD, 0, value=1e12),
+    "flown 1e12 J": of_battery(*FLOWN_J, value=1e12),
+    "timing of legs that knows nothing": of_battery(*LESSONS, 0, value=[0.0] * 5),
+    "timing of legs nan": of_battery(*LESSONS, 1, 0, value=math.nan),
+    "power level of negative seconds": of_battery(*LESSONS, 4, value=-1.0),
     "another version": put("version", value=2),
     "of another file": put("battery_sha256", value="0" * 64),
 }  # fmt: skip

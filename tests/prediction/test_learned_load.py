@@ -10,6 +10,7 @@ from factories import generic_pack
 
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
+from uavbatt.prediction.flown import Flown
 from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
 from uavbatt.prediction.load import (
     GUST_MEMORY_S,
@@ -193,8 +194,8 @@ def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     mean[X.SOC], mean[X.CORE], mean[X.SENSOR], sd[X.SOC] = 0.7, 25.0, 25.0, 0.01
     pack = generic_pack()
     forecaster = Forecaster(pack, ForecastSettings(load))
-    forecaster._load, forecaster._flown_s, forecaster._flown_J = recent, 200.0, 56000.0
-    forecaster._took_off_s = -200.0
+    flown = Flown(recent, took_off_s=-200.0, flown_s=200.0, flown_J=56000.0)
+    forecaster.recall(forecaster.memory._replace(flown=flown))
     found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)
     assert found is not None and math.isfinite(found.median_s)
     return found

@@ -120,13 +120,12 @@ def _implausible_memory(was: SavedBattery) -> str:
             largest = min(largest, largest_W)
         if not (math.isnan(number) or abs(number) <= largest):
             return f"a memory of {name.strip('_')} {number:g}"
-    flown_s, flown_J = was.past.forecaster.flown_s, was.past.forecaster.flown_J
-    if flown_s < 0.0 or abs(flown_J) > largest_W * flown_s:
-        return f"a memory of {flown_J:g} J in {flown_s:g} s"
+    flown = was.past.forecaster.flown
+    if flown.flown_s < 0.0 or abs(flown.flown_J) > largest_W * flown.flown_s:
+        return f"a memory of {flown.flown_J:g} J in {flown.flown_s:g} s"
     if not was.past.forecaster.route.is_possible:
         return "a memory of a route that no flight teaches"
-    load = was.past.forecaster.load
-    if load.variance < 0.0 or load.gust_variance < 0.0:
+    if flown.load.variance < 0.0 or flown.load.gust_variance < 0.0:
         return "a memory of a load with a negative variance"
     return ""
 

@@ -1,7 +1,7 @@
 """The forecaster: belief and load to come -> seconds until the end of flight, or a refusal with its reason.
 
-It keeps what a forecast needs from the past (the recent load, whether the aircraft flies) and the last forecast,
-which counts down between two.
+It keeps what a forecast needs from the past (`flown`: the recent load, whether the aircraft flies) and the last
+forecast, which counts down between two.
 """
 
 from __future__ import annotations
@@ -21,21 +21,18 @@ from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
-from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now, RecentLoad
+from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import Flying
 from uavbatt.prediction.route_progress import FlightLessons, Progress
-from uavbatt.prediction.take_off import SPOOL_UP_S, SPOOLED_UP, AtTakeOff, before_take_off, is_open
+from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Sample, Status
 
-FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
-FLYING_TAU_S = 3.0
 NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
 SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
-LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
-LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 # Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power the longer steps
 # move the end by less than 0.3 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
@@ -82,26 +79,12 @@ class Forecast(NamedTuple):
 class Memory(NamedTuple):
     """The past as a forecaster knows it, as a value: saved with the belief, so that a restart goes on."""
 
-    load: RecentLoad
-    rate_c: float
-    flying_since_s: float
-    loaded_s: float
-    time_s: float
-    row_s: float
-    took_off_s: float
-    flown_s: float
-    flown_J: float
+    flown: Flown
     route: FlightLessons
 
     def moved(self, shift_s: float) -> Memory:
         """The same past on a clock that shows `shift_s` more."""
-        return self._replace(
-            load=self.load._replace(time_s=self.load.time_s + shift_s),
-            flying_since_s=self.flying_since_s + shift_s,
-            loaded_s=self.loaded_s + shift_s,
-            time_s=self.time_s + shift_s,
-            took_off_s=self.took_off_s + shift_s,
-        )
+        return self._replace(flown=self.flown.moved(shift_s))
 
 
 class Forecaster:
@@ -111,11 +94,7 @@ class Forecaster:
         self.pack = pack
         self.settings = settings or ForecastSettings()
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
-        self._load = RecentLoad()
-        self._rate_c = 0.0
-        self._flying_since_s = self._loaded_s = NAN
-        self._time_s = self._row_s = NAN
-        self._took_off_s, self._flown_s, self._flown_J = NAN, 0.0, 0.0
+        self._flown = Flown()
         self._asked_s = NAN
         self._last: Forecast | None = None
         self._progress = Progress()  # on the route
@@ -125,25 +104,11 @@ class Forecaster:
     @property
     def memory(self) -> Memory:
         """The past as far as forecasts need it."""
-        return Memory(
-            self._load,
-            self._rate_c,
-            self._flying_since_s,
-            self._loaded_s,
-            self._time_s,
-            self._row_s,
-            self._took_off_s,
-            self._flown_s,
-            self._flown_J,
-            self._progress.lessons,
-        )
+        return Memory(self._flown, self._progress.lessons)
 
     def recall(self, memory: Memory) -> None:
         """Go on from a past that was saved."""
-        self._load, self._rate_c = memory.load, memory.rate_c
-        self._flying_since_s, self._loaded_s = memory.flying_since_s, memory.loaded_s
-        self._time_s, self._row_s, self._took_off_s = memory.time_s, memory.row_s, memory.took_off_s
-        self._flown_s, self._flown_J = memory.flown_s, memory.flown_J
+        self._flown = memory.flown
         self._progress = self._progress.recall(memory.route)
 
     def step(
@@ -198,8 +163,8 @@ class Forecaster:
         horizon_s = LONGEST_SHARE * typical_s
         if not horizon_s < LONGEST_HORIZON_S:
             return None
-        by_rows = self._row_s > SLOW_ROW_S
-        dt_s = self._row_s if by_rows else _step_s(load, typical_s)
+        by_rows = self._flown.row_s > SLOW_ROW_S
+        dt_s = self._flown.row_s if by_rows else _step_s(load, typical_s)
         steps = min(math.ceil(horizon_s / dt_s - 1e-6) + 2, sampling.LONGEST)
         scenarios = load.scenarios(now, dt_s, steps)
         scenario = sampling.assigned(scenarios.weight)
@@ -228,10 +193,10 @@ class Forecaster:
 
     def _expect(self, sample: Sample, belief: Belief | None) -> None:
         """At take-off, work out what is expected of the flight, from what was believed of the pack at rest."""
-        if not math.isfinite(self._flying_since_s):
+        if not self._flown.is_flying:
             self._rested, self._at_take_off = belief, None
         elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
-            self._at_take_off = self._expected(self._rested or belief, self._flying_since_s)
+            self._at_take_off = self._expected(self._rested or belief, self._flown.flying_since_s)
 
     def _expected(self, belief: Belief, take_off_s: float) -> AtTakeOff | None:
         """The end of a flight that begins with this belief; None where none is in sight."""
@@ -288,9 +253,9 @@ class Forecaster:
         return self.pack._replace(cutoff_V=self.cutoff_V, low_V=self.pack.low_V + raised_V)
 
     def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
-        since_s = time_s - self._took_off_s if math.isfinite(self._took_off_s) else 0.0
-        flight_W = self._flown_J / self._flown_s if self._flown_s > 0.0 else max(self._load.mean_W, 1.0)
-        return Now(time_s, since_s, float(belief.mean[X.SOC]), max(flight_W, 1.0), self._load, navigation)
+        flown = self._flown
+        since_s = time_s - flown.took_off_s if math.isfinite(flown.took_off_s) else 0.0
+        return Now(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
         """A generous guess of what is left: charge above zero at 4 V a cell."""
@@ -304,49 +269,22 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        rate = float(c_rate(installation, current_A))
-        dt_s = sample.time_s - self._time_s if math.isfinite(self._time_s) else 0.0
-        self._time_s = sample.time_s
-        if 0.0 < dt_s <= LONGEST_ROW_S:
-            self._row_s = dt_s + (self._row_s - dt_s) * ROW_MEMORY if math.isfinite(self._row_s) else dt_s
-        self._rate_c = rate + (self._rate_c - rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else rate
-        if self._rate_c >= FLYING_C:
-            self._loaded_s = sample.time_s
-            if not math.isfinite(self._flying_since_s):
-                self._flying_since_s = sample.time_s
-        elif sample.armed is False or not sample.time_s - self._loaded_s < LANDED_AFTER_S:
-            self._flying_since_s = NAN
-        power_W = sample.voltage_V * current_A
+        power_W, before = sample.voltage_V * current_A, self._flown
+        self._flown = before.after(sample, power_W, float(c_rate(installation, current_A)))
+        if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # that was the spool-up
+            self._at_take_off = self._at_take_off._replace(take_off_s=self._flown.took_off_s)
         if navigation is not NOWHERE:
             powers = route_forecast.powers_of(self.settings.load)
             self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)
-        if not math.isfinite(self._flying_since_s):
-            return
-        self._load = self._load.after(sample.time_s, power_W)
-        if not math.isfinite(self._took_off_s):
-            self._took_off_s = sample.time_s
-        else:
-            self._flown_s += max(dt_s, 0.0)
-            self._flown_J += max(dt_s, 0.0) * power_W
-            self._spool_up(sample.time_s, power_W)
-
-    def _spool_up(self, time_s: float, power_W: float) -> None:
-        """All before was the motors' spool-up if the power has risen by half: the flight begins here."""
-        if time_s - self._took_off_s > SPOOL_UP_S or not self._load.gust_W * self._flown_s > SPOOLED_UP * self._flown_J:
-            return
-        self._load = RecentLoad().after(time_s, power_W)
-        self._took_off_s, self._flown_s, self._flown_J = time_s, 0.0, 0.0
-        if self._at_take_off is not None:
-            self._at_take_off = self._at_take_off._replace(take_off_s=time_s)
 
     def _refusal(self, sample: Sample, estimate: Estimate) -> str:
         if estimate.status is Status.REFUSED:
             return estimate.reason
         if isinstance(self.settings.load, ConstantLoad):
             return ""
-        if not math.isfinite(self._flying_since_s):
+        if not self._flown.is_flying:
             return NOT_FLYING
-        if sample.time_s - self._flying_since_s < SETTLED_S:
+        if sample.time_s - self._flown.flying_since_s < SETTLED_S:
             return "the load has just come"
         return ""
 

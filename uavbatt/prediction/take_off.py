@@ -36,7 +36,6 @@ FORGOTTEN_S = 240.0
 NEAR_S = 120.0  # a pack that is this near its end shows it
 LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
 SHOWN_TAU_S, MOST_CHANGE = 20.0, 4.0
-SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
 
 

@@ -1,0 +1,92 @@
+"""The past of a flight as far as a forecast needs it: recent load, energy drawn, whether the aircraft flies."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from uavbatt.prediction.load import RecentLoad
+from uavbatt.records import NAN, Sample
+
+FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
+FLYING_TAU_S = 3.0
+LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
+LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
+SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
+
+
+class Flown(NamedTuple):
+    """The past at `time_s` [s], NaN before the first row; a value, replaced by `after`.
+
+    rate_c : smoothed C-rate; loaded_s : last row under a load that carries the aircraft; flying_since_s : NaN on the
+    ground; took_off_s : begin of the flight whose energy `flown_J` [J] was drawn in `flown_s` [s]; row_s : usual
+    distance of two rows [s].
+    """
+
+    load: RecentLoad = RecentLoad()
+    rate_c: float = 0.0
+    flying_since_s: float = NAN
+    loaded_s: float = NAN
+    time_s: float = NAN
+    row_s: float = NAN
+    took_off_s: float = NAN
+    flown_s: float = 0.0
+    flown_J: float = 0.0
+
+    @property
+    def is_flying(self) -> bool:
+        """True while the motors carry the aircraft."""
+        return math.isfinite(self.flying_since_s)
+
+    @property
+    def mean_W(self) -> float:
+        """Mean power of the flight [W], that of the last rows before there is any; at least 1 W."""
+        return max(self.flown_J / self.flown_s if self.flown_s > 0.0 else max(self.load.mean_W, 1.0), 1.0)
+
+    def after(self, sample: Sample, power_W: float, c_rate: float) -> Flown:
+        """Return the past with one more row, its power [W] and its C-rate."""
+        dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
+        now = self._timed(sample.time_s, dt_s, c_rate)._carried(sample)
+        if not now.is_flying:
+            return now
+        now = now._replace(load=now.load.after(sample.time_s, power_W))
+        if not math.isfinite(now.took_off_s):
+            return now._replace(took_off_s=sample.time_s)
+        step_s = max(dt_s, 0.0)
+        now = now._replace(flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
+        return now._spooled_up(power_W)
+
+    def moved(self, shift_s: float) -> Flown:
+        """Return the same past on a clock that shows `shift_s` more."""
+        return self._replace(
+            load=self.load._replace(time_s=self.load.time_s + shift_s),
+            flying_since_s=self.flying_since_s + shift_s,
+            loaded_s=self.loaded_s + shift_s,
+            time_s=self.time_s + shift_s,
+            took_off_s=self.took_off_s + shift_s,
+        )
+
+    def _timed(self, time_s: float, dt_s: float, c_rate: float) -> Flown:
+        """The past with the time of a row and its smoothed C-rate."""
+        row_s = self.row_s
+        if 0.0 < dt_s <= LONGEST_ROW_S:
+            row_s = dt_s + (row_s - dt_s) * ROW_MEMORY if math.isfinite(row_s) else dt_s
+        smoothed = c_rate + (self.rate_c - c_rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else c_rate
+        return self._replace(time_s=time_s, row_s=row_s, rate_c=smoothed)
+
+    def _carried(self, sample: Sample) -> Flown:
+        """Whether the motors carry the aircraft, by the load and the armed flag."""
+        if self.rate_c >= FLYING_C:
+            since_s = self.flying_since_s if self.is_flying else sample.time_s
+            return self._replace(loaded_s=sample.time_s, flying_since_s=since_s)
+        if sample.armed is False or not sample.time_s - self.loaded_s < LANDED_AFTER_S:
+            return self._replace(flying_since_s=NAN)
+        return self
+
+    def _spooled_up(self, power_W: float) -> Flown:
+        """All before was the motors' spool-up if the power has risen by half: the flight begins here."""
+        is_early = self.time_s - self.took_off_s <= SPOOL_UP_S
+        if not is_early or not self.load.gust_W * self.flown_s > SPOOLED_UP * self.flown_J:
+            return self
+        fresh = RecentLoad().after(self.time_s, power_W)
+        return self._replace(load=fresh, took_off_s=self.time_s, flown_s=0.0, flown_J=0.0)
