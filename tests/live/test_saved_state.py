@@ -104,7 +104,7 @@ def certain() -> Callable[[dict[str, Any]], None]:
     return edit
 
 
-# Of the memory of the forecaster: the recent load (time_s, mean_W, window_W, variance, ...), energy, lessons of the route.
+# Of the memory of the forecaster: recent load (time_s, mean_W, window_W, variance, ...), energy, lessons of the route.
 LOAD, FLOWN_J, LESSONS = ("past", 0, 0, 0), ("past", 0, 0, 8), ("past", 0, 1)
 DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "batteries null": put("batteries", value=None),
