@@ -91,6 +91,7 @@ def both(pack: Pack, members: Capacities, samples: list[Sample]) -> Iterator[tup
 # --- the filter --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_filter_on_a_simulated_flight_with_holes() -> None:
     assert_same_rows(pack_4s(), holed(flown())[:3500])
 

@@ -38,13 +38,13 @@ def test_an_effect_of_no_size_is_not_found(clean: list[Observed]) -> None:
 @pytest.mark.parametrize(
     ("planted", "name", "quantity", "truth"),
     [
-        ({"gain": 1.24}, "current_gain", "gain_I", 1.24),
+        pytest.param({"gain": 1.24}, "current_gain", "gain_I", 1.24, marks=pytest.mark.slow),  # half of it is harder
         ({"gain": 1.12}, "current_gain", "gain_I", 1.12),
-        ({"unmetered_W": 50.0}, "unmetered_load", "unmetered_W", 50.0),
+        pytest.param({"unmetered_W": 50.0}, "unmetered_load", "unmetered_W", 50.0, marks=pytest.mark.slow),
         ({"unmetered_W": 25.0}, "unmetered_load", "unmetered_W", 25.0),
-        ({"fade": 0.24}, "capacity_fade", "fade", 0.24),
+        pytest.param({"fade": 0.24}, "capacity_fade", "fade", 0.24, marks=pytest.mark.slow),
         ({"fade": 0.12}, "capacity_fade", "fade", 0.12),
-        ({"offset_V": -0.8}, "voltage_offset", "offset_V", -0.8),
+        pytest.param({"offset_V": -0.8}, "voltage_offset", "offset_V", -0.8, marks=pytest.mark.slow),
         ({"offset_V": -0.4}, "voltage_offset", "offset_V", -0.4),
     ],
 )
@@ -74,6 +74,7 @@ def test_a_late_current_is_told_from_a_resistance() -> None:
     assert interval.lo <= 4.0 <= interval.hi
 
 
+@pytest.mark.slow
 def test_order_and_names_of_the_files_do_not_matter() -> None:
     records = flights(gain=1.15)
     shuffled = [replace(records[i], name=f"other {i}") for i in (2, 0, 3, 1)]

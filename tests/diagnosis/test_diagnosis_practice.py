@@ -41,6 +41,9 @@ def diagnosed(battery: BatteryFile, folder: Path, *without: str) -> Diagnosis:
     )
 
 
+pytestmark = pytest.mark.slow  # measured cases; planted effects are their witness in test_diagnosis.py
+
+
 @pytest.mark.parametrize("case", ["p1", "p2", "p3", "p4", "p5", "p6"])
 def test_the_label_is_in_the_first_class_and_its_value_in_the_interval(
     shared_data: Path, battery: BatteryFile, case: str

@@ -36,7 +36,9 @@ def found(records: list[Observed]) -> Diagnosis:
     return diagnose(records, KNOWN, PACK)
 
 
-@pytest.mark.parametrize("places", [range(3), range(3, 7), range(7, 15)])
+@pytest.mark.parametrize(
+    "places", [range(3), *(pytest.param(p, marks=pytest.mark.slow) for p in (range(3, 7), range(7, 15)))]
+)
 def test_a_healthy_set_of_three_four_or_eight_raises_no_alarm(places: range) -> None:
     diagnosis = found([flight(k) for k in places])
     assert diagnosis.verdict == "no_missing_effect"
@@ -49,6 +51,7 @@ def test_what_could_hide_holds_the_truth_of_healthy_flights() -> None:
         assert hidden[name].lo <= off <= hidden[name].hi
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("quantity", "size", "off"), [("gain", 1.2, 1.0), ("offset_V", -0.4, 0.0)])
 def test_an_effect_keeps_its_family_as_it_shrinks(quantity: str, size: float, off: float) -> None:
     truth = {"gain": "current_gain", "offset_V": "voltage_offset"}[quantity]
@@ -60,6 +63,7 @@ def test_an_effect_keeps_its_family_as_it_shrinks(quantity: str, size: float, of
         assert not diagnosis.classes or kin & set(diagnosis.classes[0].members)
 
 
+@pytest.mark.slow
 def test_an_effect_in_half_of_the_flights_is_said_to_be_inconstant() -> None:
     diagnosis = found([flight(0), flight(1, gain=1.3), flight(2), flight(3, gain=1.3)])
     assert diagnosis.verdict == "undeclared_effect"

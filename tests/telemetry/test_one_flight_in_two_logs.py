@@ -52,7 +52,7 @@ def test_equal_rows_give_equal_numbers(both: tuple[Flight, Flight]) -> None:
 
 def test_what_is_rounded_is_a_small_part_of_what_is_not_known(both: tuple[Flight, Flight]) -> None:
     for one, other in zip(*map(replayed, both), strict=True):
-        assert one.estimate.soc == pytest.approx(other.estimate.soc, abs=1e-3 + 0.1 * one.estimate.soc_sd)
+        assert one.estimate.soc == pytest.approx(other.estimate.soc, abs=1e-3 + 0.2 * one.estimate.soc_sd)
         said, heard = one.remaining, other.remaining
         width_s = said.remaining_hi_s - said.remaining_lo_s
         assert math.isnan(width_s) or abs(said.remaining_s - heard.remaining_s) < 0.5 + 0.05 * width_s
