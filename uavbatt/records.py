@@ -143,7 +143,7 @@ class Estimate:
         resistance_scale_sd: standard deviation.
         capacity_scale_sd: standard deviation.
         wear: ohms above the type's, relative: what age, cold and bad contacts have in common.
-        wear_sd: standard deviation.
+        wear_sd: standard deviation of ln(1 + wear).
     """
 
     time_s: float

@@ -154,7 +154,7 @@ def _together(*parts: Capacities) -> Capacities:
 def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     """Return why a pack in flight is hardly the one that is remembered, by its cells or ohms; empty when it may be.
 
-    wear, wear_sd: ohms above the type's, relative, as the flight has them.
+    wear: ohms above the type's, relative, as the flight has them; wear_sd: of ln(1 + wear).
     """
     if not health.may_be(pack):
         return f"{pack.installation.cells} cells, {health.cells} remembered of this pack: {ANOTHER}"
@@ -162,7 +162,7 @@ def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
         return ""
     expected = health.log_ohm - math.log(type_ohm(pack))
     apart = math.log1p(wear) - expected
-    sd = math.hypot(wear_sd / (1.0 + wear), math.sqrt(health.covariance[0, 0]))
+    sd = math.hypot(wear_sd, math.sqrt(health.covariance[0, 0]))
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):
         return ""
     tens = 10 * round(10.0 * abs(math.expm1(apart)))  # rounded, so that it is not said anew at every per cent
