@@ -31,7 +31,8 @@ from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, resting, size_of_pack
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.statements import Statements
-from uavbatt.estimation.assumed_load import assumed_power_W, unmetered_pack
+from uavbatt.battery.typical_power import typical_power_W
+from uavbatt.estimation.assumed_load import unmetered_pack
 from uavbatt.estimation.filter import Filtered, SocFilter, Summary, estimate_of, unknown
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
@@ -319,7 +320,7 @@ class Estimator:
         if self._cleaner.metered:
             return NAN
         size = self.pack_size or self._size_by(coming)
-        return assumed_power_W(size) if size is not None else NAN
+        return typical_power_W(size.cells, size.capacity_Ah) if size is not None else NAN
 
     def _most_A(self, coming: Sequence[Sample]) -> float:
         """More than this no pack of the size gives; no limit before a voltage tells the pack."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from uavbatt.battery.statements import check_statements
 from uavbatt.errors import UsageError
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Sample, Status
+from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.drawn import loaded_A
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
@@ -103,6 +105,28 @@ def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
     since_s = [time_s for time_s, _ in flight.facts]
     for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
         yield flight.facts[count - 1][1] if count else PackFacts(), rows
+
+
+class WaySaid(NamedTuple):
+    """The forecasts of a replay that spoke of a route or of the way home: time [s] and what was said."""
+
+    rows: list[tuple[float, Route]]
+
+    @property
+    def turn_back_now_s(self) -> float:
+        """When "turn back now" was said first [s]; NaN where it was not."""
+        return next((time_s for time_s, route in self.rows if route.turn_back_lo_s <= 0.0), NAN)
+
+    @property
+    def why_no_route(self) -> str:
+        """The commonest reason why the route was not the load to come; empty without one."""
+        reasons = Counter(route.reason for _, route in self.rows if route.load != "route" and route.reason)
+        return reasons.most_common(1)[0][0] if reasons else ""
+
+
+def way_said(run: Iterable[ReplayedRow]) -> WaySaid:
+    """Return what a replay said of the way, row by row; no rows where neither a mission nor a home was known."""
+    return WaySaid([(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None])
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,6 +113,11 @@ class Flight:
             known = facts
         return known
 
+    @property
+    def has_way(self) -> bool:
+        """True if a mission or a home becomes known in the flight."""
+        return any(known.has_way for known in self.navigation)
+
     def navigation_at(self, time_s: float) -> Navigation:
         """Return what is known of route and place at `time_s` [s]; `NOWHERE` before the first."""
         count = bisect_right(self.navigation, time_s, key=lambda known: known.time_s)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uavbatt.cli.diagnose_records import Progress, distinct, flown_size, observed_of, one_size, tested_size
+from uavbatt.cli.diagnose_records import (
+    Progress,
+    distinct,
+    flown_size,
+    observed_of,
+    one_size,
+    reason_written,
+    tested_size,
+)
 from uavbatt.cli.logs import InstanceOption
 from uavbatt.cli.options import (
     BatteryOption,
@@ -26,7 +34,7 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
-from uavbatt.errors import NotEnoughData, UsageError
+from uavbatt.errors import UsageError
 from uavbatt.records import Flight
 
 if TYPE_CHECKING:
@@ -90,12 +98,8 @@ def diagnose(
         return
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = distinct([read_log(p, instance) for p in sources if not p.is_dir()])
-    try:
+    with reason_written(json_file):
         found, closed, new, base = _run(content, datasets, flights, stated, tuple(without or ()), gate, (packs, pack))
-    except NotEnoughData as error:
-        if json_file is not None:
-            write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
-        raise
     path = str(battery_file.write_battery(new, output)) if output is not None else None
     for line in [*_lines(found, closed), *([f"  {base.words}"] if base.words else [])]:
         say(line, json_file, report)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavbatt.cli.diagnose_records import Progress, distinct, flown_size, observed_of, one_size
+from uavbatt.cli.diagnose_records import Progress, distinct, flown_size, observed_of, one_size, reason_written
 from uavbatt.cli.options import remark, say
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.records import Flight
@@ -42,12 +42,8 @@ def followed(
     from uavbatt.files import write_json
 
     flights = _in_order(_read(sources, asked), asked)
-    try:
+    with reason_written(json_file):
         found = _follow(flights, content, stated, asked.without)
-    except NotEnoughData as error:
-        if json_file is not None:
-            write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
-        raise
     dates = _dates(found, flights)
     for line in _lines(found, dates):
         say(line, json_file, report)

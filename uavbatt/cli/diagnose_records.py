@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavbatt.errors import NotEnoughData, UsageError, terminal_line
@@ -17,6 +20,19 @@ if TYPE_CHECKING:
     from uavbatt.fitting.observed import Observed
 
 Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
+
+
+@contextmanager
+def reason_written(json_file: Path | None) -> Iterator[None]:
+    """Where the records cannot tell, the reason is written to the JSON as well, and raised."""
+    from uavbatt.files import write_json
+
+    try:
+        yield
+    except NotEnoughData as error:
+        if json_file is not None:
+            write_json(json_file, {"verdict": "not_enough_data", "reason": str(error), "classes": []})
+        raise
 
 
 def one_size(sizes: set[Size]) -> Size:

@@ -58,12 +58,10 @@ def plan_mission(
     for line in _lines(found, mission.name):
         say(line, report, summary)
     if report is not None:
-        from uavbatt.files import atomic_write
         from uavbatt.report.mission import mission_report
+        from uavbatt.report.page import write_page
 
-        html = mission_report(found, mission.name)
-        with atomic_write(report, "w") as stream:
-            stream.write(html)
+        write_page(report, mission_report(found, mission.name))
     if summary is not None:
         from uavbatt.files import write_json
 

@@ -149,11 +149,7 @@ def _one(
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
-        out += (
-            [stack.enter_context(output.csv_table(csv, any(known.has_way for known in flight.navigation)))]
-            if csv is not None
-            else []
-        )
+        out += [stack.enter_context(output.csv_table(csv, flight.has_way))] if csv is not None else []
         for step in _with_progress(steps(flight, estimator), len(flight.samples), log.name):
             run.append(step)
             for sink in out:

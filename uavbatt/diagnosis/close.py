@@ -33,6 +33,7 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight
 from uavbatt.scoring.scores import end_of_flight
+from uavbatt.telemetry.drawn import loaded_A
 
 ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
@@ -148,16 +149,15 @@ def remaining(
             last = s.time_s
     rows = [s for s in thin if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
     time_s, volts, amps = (np.array([getattr(s, n) for s in rows]) for n in ("time_s", "voltage_V", "current_A"))
-    loaded_A = float(np.percentile(amps, 90)) / 3.0
     cutoff_V = options.cutoff_V
-    end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A)
+    end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A(amps))
     if not math.isfinite(end_s):
         return [], []
     pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
     true_V = (volts - pack.offset_V) / pack.gain_V
     load = LoggedLoad(time_s, np.maximum(true_V * true_current(pack, amps, volts), 0.0))
     estimator = Estimator(file, options, ForecastSettings(load, forecast_period_s=FORECAST_S), engine)
-    take_off_s = float(time_s[amps > loaded_A][0])
+    take_off_s = float(time_s[amps > loaded_A(amps)][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S
     for step in steps(replace(flight, samples=tuple(thin)), estimator):
         line = step.remaining

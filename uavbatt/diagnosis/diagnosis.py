@@ -21,7 +21,7 @@ from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.blocks import Block, evidence_by_block
-from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, base_values, candidates, nuisances
+from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
@@ -68,7 +68,7 @@ def problem_of(
     evidence = prepare(records, file, (SOC_GRID, ocv_V))
     base = base_values(pack.cell, pack.installation)
     believed, stated = nuisances(file, wear_sd), nuisances(file, wear_sd, least_activation_sd_K=0.0)
-    return Problem(pack, evidence, base, believed, table_errors(file), states, stated)
+    return Problem(pack, evidence, base, believed, stated, table_errors(file), states)
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
@@ -138,17 +138,22 @@ class _Searched(NamedTuple):
     singles: Trial
 
 
-def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
-    """The search on records whose starts are settled; what cannot be, or is known already, is no candidate."""
-    known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
+def options_of(problem: Problem, file: BatteryFile, without: tuple[str, ...]) -> list[Candidate]:
+    """Return the effects that these records could show, less those that are left out."""
     alone = ("weak_cell",) if problem.pack.installation.cells == 1 else ()
-    options = candidates(
+    return candidates(
         file,
         problem.base,
         has_temperature=problem.evidence.has_temperature,
         idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
-        without=(*without, *known, *alone),
+        without=(*without, *alone),
     )
+
+
+def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tell: Callable[[str], None]) -> _Searched:
+    """The search on records whose starts are settled; what cannot be, or is known already, is no candidate."""
+    known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
+    options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
     return _Searched(problem, nothing, *search(problem, options, nothing, tell))
 
@@ -171,7 +176,7 @@ def left_per_number(problem: Problem, best: Refit) -> Left:
 
     What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
     """
-    problem = replace(problem, nuisances=problem.stated or problem.nuisances)
+    problem = replace(problem, nuisances=problem.stated)
     fit = refit(problem, [best.candidate], start=[best], iterations=6, file_errors=True)[0]
     left = per_number(problem, fit)
     numbers = sum(v.rows.size for v in problem.evidence.volts)

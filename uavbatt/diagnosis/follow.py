@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate, candidates
+from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
 from uavbatt.diagnosis.course import Course, OwnValues, courses, on_course, own_values
-from uavbatt.diagnosis.diagnosis import Verdict, doubts, floor_V, left_per_number, problem_of
-from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
+from uavbatt.diagnosis.diagnosis import Verdict, doubts, floor_V, left_per_number, options_of, problem_of
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import related
@@ -86,7 +85,7 @@ def follow(
     order = [names.index(r.name) for r in records if r.name in names]
     if len(order) < LEAST_FLIGHTS:
         raise NotEnoughData(f"{len(order)} flight is long enough to be followed: expected at least {LEAST_FLIGHTS}")
-    options = _options(problem, file, without)
+    options = [c for c in options_of(problem, file, without) if c.name in CAN_BEGIN]
     best = refit(problem, [NOTHING], iterations=SETTLED)[0]
     traces: list[_Trace] = []
     while len(traces) < MOST_EFFECTS:
@@ -108,18 +107,6 @@ def follow(
         effects=tuple(_told(problem, t, bool(why)) for t in traces),
         reasons=why,
     )
-
-
-def _options(problem: Problem, file: BatteryFile, without: tuple[str, ...]) -> list[Candidate]:
-    found = candidates(
-        file,
-        problem.base,
-        has_temperature=problem.evidence.has_temperature,
-        idle_A=idle_A(problem.evidence) + IDLE_NOISE_A,
-        without=without,
-    )
-    one_cell = problem.pack.installation.cells == 1
-    return [c for c in found if c.name in CAN_BEGIN and not (one_cell and c.name == "weak_cell")]
 
 
 class _Tried(NamedTuple):

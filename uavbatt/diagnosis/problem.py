@@ -56,10 +56,10 @@ class Problem:
     pack: Pack
     evidence: Evidence
     base: Array
-    nuisances: tuple[Freed, ...] = ()
+    nuisances: tuple[Freed, ...]
+    stated: tuple[Freed, ...]  # the same, no larger than the file states: what may explain a residual away
     tables: TableErrors | None = None
     states: openloop.States = openloop.states  # simulates them; compiled, where the command hands that in
-    stated: tuple[Freed, ...] = ()  # the nuisances, no larger than the file states: what may explain a residual away
 
 
 @dataclass(frozen=True, slots=True)

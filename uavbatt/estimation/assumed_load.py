@@ -10,15 +10,8 @@ from __future__ import annotations
 import math
 
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackSize
-from uavbatt.battery.typical_power import typical_power_W
 
 ASSUMED_SD, STATED_SD = (0.5, 1.2), (0.2, 0.4)
-
-
-def assumed_power_W(size: PackSize) -> float:
-    """Power [W] of a middling multirotor on a pack of this size."""
-    return typical_power_W(size.cells, size.capacity_Ah)
 
 
 def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:

@@ -39,7 +39,6 @@ DEAD_CURRENT = "the current fell to nothing while the voltage did not recover: a
 UNFITTING = "voltage and current have not fitted this battery for a minute"
 FAR_OFF = "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted"
 SMALL = "this pack holds less than stated: aged or smaller, or a current sensor that reads low"
-
 MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad contact"
 
 
@@ -128,7 +127,7 @@ class Monitor(NamedTuple):
 
 
 def _misstated(estimate: Estimate, most: float) -> list[str]:
-    """What no wear explains, so that something that is stated is wrong; `most` is the capacity that it may have."""
+    """Return in words what no wear explains: something stated is wrong. `most`: the largest capacity it may have."""
     least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)
     return [words for words, is_so in ((SMALL, most < FAR_SMALLER), (MANY_OHMS, least_ohms > FAR_MORE_OHMS)) if is_so]
 

@@ -1,4 +1,4 @@
-"""What goes out to a worker: a log, and the work that makes a row of it."""
+"""An errand goes out to a worker: a log, and the work that makes a row of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The first pass of a fleet with a pack ledger: what each flight says of its pack, whatever is known of the pack."""
+"""The first pass of a fleet with a pack ledger: each flight's own word on its pack, whatever is known of the pack."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from uavbatt.remembering import key_of, name_of, taught
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
-    """What one flight says of its pack. `status`: OK, or BAD or LOST where the log could not be read.
+    """A flight teaches this of its pack. `status`: OK, or BAD or LOST where the log could not be read.
 
     pack : the pack's serial, empty where the log has none; key : what the ledger knows the log by; start_utc_s : when
     the log began [s since 1970], NaN where no clock was set; taught : None where the flight says nothing.
@@ -34,7 +34,7 @@ class Lesson:
     taught: FlightRecord | None = None
 
     def plain(self) -> dict[str, Any]:
-        """As a dictionary of plain values; NaN becomes None."""
+        """Return it as a dictionary of plain values; NaN becomes None."""
         return {
             "file": self.file,
             "status": self.status,

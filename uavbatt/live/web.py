@@ -201,7 +201,6 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
     limits: dict[str, Any] = {"http": protocol(), "backlog": MOST_WAITING}
     quiet: dict[str, Any] = {"log_level": "warning", "access_log": False, "lifespan": "off", "ws": "none"}
     server = uvicorn.Server(uvicorn.Config(app, **limits, **quiet))
-    server.install_signal_handlers = lambda: None  # type: ignore[attr-defined,unused-ignore]
 
     def work() -> None:
         try:

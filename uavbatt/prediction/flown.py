@@ -75,7 +75,7 @@ class Flown(NamedTuple):
         return self._replace(time_s=time_s, row_s=row_s, rate_c=smoothed)
 
     def _carried(self, sample: Sample) -> Flown:
-        """Whether the motors carry the aircraft, by the load and the armed flag."""
+        """Return the past that knows if the motors carry the aircraft, by the load and the armed flag."""
         if self.rate_c >= FLYING_C:
             since_s = self.flying_since_s if self.is_flying else sample.time_s
             return self._replace(loaded_s=sample.time_s, flying_since_s=since_s)

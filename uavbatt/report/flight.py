@@ -104,7 +104,7 @@ def _name(flight: Flight) -> str:
 
 
 def _answer(outcome: Outcome, resolved: PackSize, found: Sequence[Stretch], steps: Sequence[ReplayedRow]) -> Html:
-    """What the pilot came for, then what limits that sentence."""
+    """Return the box at the top: the first answer, then the sentences that limit it."""
     first = first_answer(outcome.landing, outcome.end_of_flight_s, resolved.cutoff_V)
     limits = [*limits_of(outcome, resolved, steps), _refused_words(outcome, found)]
     status = element("span", badge(resolved.status), f" {STATUS_WORDS.get(resolved.status, '')}")

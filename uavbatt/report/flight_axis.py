@@ -1,4 +1,4 @@
-"""What all drawings of a flight share: the time axis with its hatching, lines that are thinned, bands."""
+"""Time axis with its hatching, thinned lines and bands, shared by all drawings of a flight."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.log_replay import Outcome, ReplayedRow
+from uavbatt.log_replay import Outcome, ReplayedRow, way_said
 from uavbatt.navigation import Mode
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.prediction.pending import ALARM_S
@@ -76,7 +76,7 @@ def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
     alarm_s = next((r.time_s for r in said if r.remaining_alarm_s <= ALARM_S), math.nan)
     if math.isfinite(alarm_s):
         yield Event(alarm_s, "alarm", True)
-    turn_s = next((r.time_s for r in said if r.route is not None and r.route.turn_back_lo_s <= 0.0), math.nan)
+    turn_s = way_said(steps).turn_back_now_s
     if math.isfinite(turn_s):
         yield Event(turn_s, "turn back now", True)
 

@@ -1,4 +1,4 @@
-"""What limits the first answer of a flight page: the charge, the check against the truth, the alarm, the doubts."""
+"""Sentences under the first answer of a flight page: the charge, the check against the truth, the alarm, the doubts."""
 
 from __future__ import annotations
 

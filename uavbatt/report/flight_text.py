@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow
+from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow, way_said
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.page import duration
@@ -119,12 +118,12 @@ def summary(
 
 def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
     """How far the route was the load to come, and when "turn back now" was said; nulls without a route or home."""
-    said = [(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None]
-    reasons = Counter(route.reason for _, route in said if route.load != "route" and route.reason)
+    said = way_said(run)
+    turn_s = said.turn_back_now_s
     return {
-        "route_share": sum(route.load == "route" for _, route in said) / len(said) if said else None,
-        "route_reason": reasons.most_common(1)[0][0] if reasons else "",
-        "turn_back_now_s": next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), None),
+        "route_share": sum(route.load == "route" for _, route in said.rows) / len(said.rows) if said.rows else None,
+        "route_reason": said.why_no_route,
+        "turn_back_now_s": turn_s if math.isfinite(turn_s) else None,
     }
 
 

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from uavbatt.log_replay import ReplayedRow
+from uavbatt.log_replay import ReplayedRow, WaySaid, way_said
 from uavbatt.prediction.route_path import Point, path, place
 from uavbatt.records import Flight, Route
 from uavbatt.report.page import Html, duration, paragraph, section
@@ -15,15 +15,15 @@ from uavbatt.report.route_map import route_map
 
 def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
     """Return the section; nothing where neither a route nor home is known."""
-    said = [(s.remaining.time_s, s.remaining.route) for s in steps if s.remaining.route is not None]
-    if not said:
+    said = way_said(steps)
+    if not said.rows:
         return []
-    turn_s = next((time_s for time_s, route in said if route.turn_back_lo_s <= 0.0), math.nan)
+    turn_s = said.turn_back_now_s
     note = "The red point is where “turn back now” was said first." if math.isfinite(turn_s) else ""
     flown = [found for known in flight.navigation if (found := _place(known.time_s, flight)) is not None]
     planned = _planned(flight)
     drawn = [route_map(planned, flown, _place(turn_s, flight), note)] if planned or flown else []
-    return [section("The route", paragraph(_words(said, turn_s)), *drawn, paragraph(_loads(said), css="quiet"))]
+    return [section("The route", paragraph(_words(said.rows, turn_s)), *drawn, paragraph(_loads(said), css="quiet"))]
 
 
 def _place(time_s: float, flight: Flight) -> Point | None:
@@ -55,10 +55,9 @@ def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
     return " ".join(words)
 
 
-def _loads(said: Sequence[tuple[float, Route]]) -> str:
+def _loads(said: WaySaid) -> str:
     """Which load to come was used in how many rows, and why not the route's."""
-    loads = Counter(route.load for _, route in said)
-    used = ", ".join(f"{load} in {count} of {len(said)} rows" for load, count in loads.most_common())
-    reasons = Counter(route.reason for _, route in said if route.load != "route" and route.reason)
-    why = f"; most often because {reasons.most_common(1)[0][0]}" if reasons else ""
+    loads = Counter(route.load for _, route in said.rows)
+    used = ", ".join(f"{load} in {count} of {len(said.rows)} rows" for load, count in loads.most_common())
+    why = f"; most often because {said.why_no_route}" if said.why_no_route else ""
     return f"Load to come: {used}{why}."
