@@ -170,12 +170,14 @@ def candidates(
             continue
         if effect.name in NEEDS_TEMPERATURE and not has_temperature:
             continue
-        free = [q for q in effect.quantities if q.prior_sd > 0.0]
-        free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
+        free = [q for q in effect.quantities if q.prior_sd > 0.0 and q.fitted]
+        if effect.name in listed:  # another size of what is there, not another shape
+            free = [q for q in effect.quantities if not q.fitted] or free[:1]
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
-        resized = (effect.name,) if effect.name in listed and effect.name not in PACKS_OWN else ()
+        has_it = effect.name in listed and base[INDEX[free[0].name]] != free[0].neutral
+        resized = (effect.name,) if has_it and effect.name not in PACKS_OWN else ()
         own_start = effect.name == "initial_charge"  # each flight was charged by itself
         found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
     return found

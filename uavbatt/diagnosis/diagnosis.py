@@ -21,7 +21,7 @@ from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.blocks import Block, evidence_by_block
-from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, Candidate, base_values, candidates, nuisances
+from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
@@ -105,7 +105,7 @@ def diagnose(
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
-    reasons = doubts(problem, findings, best, left, {e.name for e in file.effects}, floor_V(file, problem))
+    reasons = doubts(problem, findings, best, left, floor_V(file, problem))
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
@@ -194,7 +194,7 @@ def per_number(problem: Problem, fit: Refit) -> Left:
 
 
 def doubts(
-    problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, listed: set[str], floor: float
+    problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float
 ) -> tuple[str, ...]:
     """Return why the model after all is not believed to be complete; empty when it is."""
     found = []
@@ -220,6 +220,6 @@ def doubts(
         its = finding.worth.constancy
         if its is not None and not finding.steady:
             found.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
-        if {m.candidate.name for m in finding.members} <= listed - set(PACKS_OWN):
+        if all(m.candidate.name in m.candidate.resized for m in finding.members):
             found.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
     return tuple(found)

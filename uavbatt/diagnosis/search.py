@@ -18,7 +18,8 @@ from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
-EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EARNED = 3.5  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
 EARNED_IN_PART = 24.0  # beside a start in part, which the file's own error was not learned on
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
@@ -79,10 +80,9 @@ def search(
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
-    least = EARNED_IN_PART if in_part else EARNED
-    if singles.most < least:
+    if singles.most < (EARNED_IN_PART if in_part else EARNED):
         return nothing, [], singles
-    first = finding(problem, singles, least)
+    first = finding(problem, singles, EARNED_IN_PART if in_part else EVEN)
     best = first.members[0]
     tell(f"pairs of effects beside {best.candidate.name}")
     pair = _best_pair(problem, options, singles, best)
