@@ -21,7 +21,7 @@ from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, w
 EARNED = 3.5  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
-EARNED_IN_PART = 24.0  # beside a start in part, which the file's own error was not learned on
+EARNED_IN_PART = 24.0  # beside a start in part
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
@@ -69,8 +69,16 @@ class Trial:
         places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
-        # What leaves the same as the best by another name is a rival whatever it is worth alone.
-        return [i for i in possible if i in worthy or (worthy and same(self.fits[i], self.fits[worthy[0]]))]
+        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name.
+        first = worthy[0] if worthy else -1
+        return [
+            i
+            for i in possible
+            if i in worthy or (i < first and self.worths[i].value > EARNED) or (worthy and self._is_same(i, first))
+        ]
+
+    def _is_same(self, i: int, first: int) -> bool:
+        return same(self.fits[i], self.fits[first])
 
 
 def search(
@@ -95,7 +103,7 @@ def search(
         trials.append(trial(problem, alone, options, FURTHER_TURNS))
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
         return best, [first], singles
-    found = [finding(problem, t, EARNED_BESIDE) for t in trials]
+    found = [finding(problem, t, earned_beside(pair.candidate)) for t in trials]
     best = min((f.members[0] for f in found), key=lambda f: f.total)
     return best, sorted(found, key=lambda f: -f.worth.value), singles
 
@@ -133,6 +141,11 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     )
 
 
+def earned_beside(pair: Candidate) -> float:
+    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen."""
+    return EARNED_IN_PART if "initial_charge" in pair.names else EARNED_BESIDE
+
+
 def _steady(found: Constancy | None) -> bool:
     return found is None or found.spread <= UNSTEADY
 
@@ -152,14 +165,17 @@ def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best:
                 starts.append(seed)
     fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
     alone = {f.candidate.name: f for f in singles.fits}
-    least = float(np.sum(left_out_chi2(best))) - EARNED_BESIDE
+    one_leaves = float(np.sum(left_out_chi2(best)))
     earned = []
     for fit in fits:
         one, other = fit.candidate.names
-        if at_bound(fit) or float(np.sum(left_out_chi2(fit))) > least:
+        saved, least = one_leaves - float(np.sum(left_out_chi2(fit))), earned_beside(fit.candidate)
+        if at_bound(fit) or saved < least:
             continue
         beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
-        if all(w.value > EARNED_BESIDE and _steady(w.constancy) for w in beside):
+        if saved * max(w.known for w in beside) < least:  # one effect, of another name, does as well
+            continue
+        if all(w.value > least and _steady(w.constancy) for w in beside):
             earned.append(fit)
     if not earned:
         return None
