@@ -155,7 +155,14 @@ def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tel
     known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
-    return _Searched(problem, nothing, *search(problem, options, nothing, tell))
+    floor = floor_V(file, problem)
+    return _Searched(problem, nothing, *search(problem, options, nothing, lambda f: explains(problem, f, floor), tell))
+
+
+def explains(problem: Problem, fit: Refit, floor: float) -> bool:
+    """Return True if a refit leaves no more than the file's own model does, `floor` [V]."""
+    after, left = residual.residuals(problem.evidence, at_best(problem, fit)), left_per_number(problem, fit)
+    return residual.size_V(after) <= FAR * floor and not max(left.voltage, left.temperature) > LEFT
 
 
 def floor_V(file: BatteryFile, problem: Problem) -> float:

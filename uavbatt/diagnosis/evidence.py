@@ -35,7 +35,7 @@ LEAST_CHANGE = 0.04  # of the current, relative, over the records
 CLEARLY_NOT_FULL = 0.85  # lower no sensor of a voltage that is anywhere near right shows a full pack
 FULL_SD = 0.008
 IDLE_NOISE_A = 0.15
-COLD_DOUBLES_K = 3.0  # below the coldest flight that it was learned on, the model's error: healthy flights from 4 °C on
+COLD_DOUBLES_K = 6.0  # below the coldest flight that it was learned on, the model's error: healthy flights from 4 °C on
 FAST_ROW_S = 1.5
 SHIFTS_S = np.arange(-8.0, 8.01, 0.5)
 

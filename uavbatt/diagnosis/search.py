@@ -22,6 +22,7 @@ EARNED = 3.5  # more than chance gave on effect-free flights: scripts/diagnose_c
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
 EARNED_IN_PART = 24.0  # beside a start in part
+EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
@@ -82,9 +83,16 @@ class Trial:
 
 
 def search(
-    problem: Problem, options: list[Candidate], nothing: Refit, tell: Callable[[str], None]
+    problem: Problem,
+    options: list[Candidate],
+    nothing: Refit,
+    explains: Callable[[Refit], bool],
+    tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
-    """The best model with what was found, most evidence first, and the trial of the single effects."""
+    """The best model with what was found, most evidence first, and the trial of the single effects.
+
+    explains : whether a model leaves no more than the file's own; two effects are asked for less where no one does.
+    """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
@@ -93,7 +101,7 @@ def search(
     first = finding(problem, singles, EARNED_IN_PART if in_part else EVEN)
     best = first.members[0]
     tell(f"pairs of effects beside {best.candidate.name}")
-    pair = _best_pair(problem, options, singles, best)
+    pair = _best_pair(problem, options, singles, best, explains(best))
     if pair is None:
         return best, [first], singles
     trials = []
@@ -104,6 +112,8 @@ def search(
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
         return best, [first], singles
     found = [finding(problem, t, earned_beside(pair.candidate)) for t in trials]
+    if any(f.worth.value < EARNED for f in found):
+        return best, [first], singles
     best = min((f.members[0] for f in found), key=lambda f: f.total)
     return best, sorted(found, key=lambda f: -f.worth.value), singles
 
@@ -150,7 +160,9 @@ def _steady(found: Constancy | None) -> bool:
     return found is None or found.spread <= UNSTEADY
 
 
-def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Refit | None:
+def _best_pair(
+    problem: Problem, options: list[Candidate], singles: Trial, best: Refit, is_explained: bool
+) -> Refit | None:
     """The two effects that explain most, each of which earns its place beside the other; None if no two do."""
     most = singles.before.total - singles.fits[0].total
     gains = [singles.before.total - f.total for f in singles.fits]
@@ -165,16 +177,14 @@ def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best:
                 starts.append(seed)
     fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
     alone = {f.candidate.name: f for f in singles.fits}
-    one_leaves = float(np.sum(left_out_chi2(best)))
+    one_leaves, together = float(np.sum(left_out_chi2(best))), EARNED_TOGETHER if is_explained else EARNED_BESIDE
     earned = []
     for fit in fits:
         one, other = fit.candidate.names
-        saved, least = one_leaves - float(np.sum(left_out_chi2(fit))), earned_beside(fit.candidate)
-        if at_bound(fit) or saved < least:
+        if at_bound(fit) or one_leaves - float(np.sum(left_out_chi2(fit))) < together:
             continue
+        least = earned_beside(fit.candidate) if is_explained else EARNED
         beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
-        if saved * max(w.known for w in beside) < least:  # one effect, of another name, does as well
-            continue
         if all(w.value > least and _steady(w.constancy) for w in beside):
             earned.append(fit)
     if not earned:
