@@ -96,26 +96,30 @@ def search(
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
-    if singles.most < (EARNED_IN_PART if in_part else EARNED):
+    found: list[FoundEffect] = []
+    best, least = nothing, EARNED_IN_PART if in_part else EARNED
+    if singles.most >= least:
+        found = [finding(problem, singles, max(least, EVEN))]
+        best = found[0].members[0]
+    is_explained = explains(best)
+    if is_explained and not found:
         return nothing, [], singles
-    first = finding(problem, singles, EARNED_IN_PART if in_part else EVEN)
-    best = first.members[0]
-    tell(f"pairs of effects beside {best.candidate.name}")
-    pair = _best_pair(problem, options, singles, best, explains(best))
+    tell("pairs of effects")
+    pair = _best_pair(problem, options, singles, best, is_explained)
     if pair is None:
-        return best, [first], singles
+        return best, found, singles
     trials = []
     for name in pair.candidate.names:
         kept = next(n for n in pair.candidate.names if n != name)
         alone = next(f for f in singles.fits if f.candidate.name == kept)
         trials.append(trial(problem, alone, options, FURTHER_TURNS))
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
-        return best, [first], singles
-    found = [finding(problem, t, earned_beside(pair.candidate)) for t in trials]
-    if any(f.worth.value < EARNED for f in found):
-        return best, [first], singles
-    best = min((f.members[0] for f in found), key=lambda f: f.total)
-    return best, sorted(found, key=lambda f: -f.worth.value), singles
+        return best, found, singles
+    both = [finding(problem, t, earned_beside(pair.candidate)) for t in trials]
+    if any(f.worth.value < EARNED for f in both):
+        return best, found, singles
+    best = min((f.members[0] for f in both), key=lambda f: f.total)
+    return best, sorted(both, key=lambda f: -f.worth.value), singles
 
 
 def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int) -> Trial:
