@@ -41,7 +41,11 @@ def main() -> int:
     logs = sorted(p for p in given.folder.iterdir() if p.suffix in (".csv", ".tlog"))
     records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in logs]
     print(f"{len(records)} flights of {given.folder.name}\n\n| engine | wall [s] | processor [s] |\n|---|---|---|")
-    runs = (("plain numpy", PLAIN), ("compiled, first", engine_for(is_long=True)), ("compiled", engine_for(is_long=True)))
+    runs = (
+        ("plain numpy", PLAIN),
+        ("compiled, first", engine_for(is_long=True)),
+        ("compiled", engine_for(is_long=True)),
+    )
     for name, engine in runs:
         began_s, worked_s = time.perf_counter(), time.process_time()
         diagnose(records, battery, pack, engine=engine)

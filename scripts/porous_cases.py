@@ -139,7 +139,14 @@ CLEAR: dict[str, tuple[str, float, float]] = {
     "partial_charge": ("start_soc", 1.0, 0.78),
 }
 EITHER = ("current_gain", "voltage_gain", "voltage_offset", "temperature_offset")
-NAMELESS = ("converter_drift", "saturating_current", "load_now_and_then", "voltage_creeps", "gain_drifts", "contact_opens")
+NAMELESS = (
+    "converter_drift",
+    "saturating_current",
+    "load_now_and_then",
+    "voltage_creeps",
+    "gain_drifts",
+    "contact_opens",
+)
 PAIRS = (
     ("current_gain", "temperature_offset"), ("voltage_offset", "current_gain"), ("capacity_fade", "resistance_growth"),
     ("harness_resistance", "temperature_offset"), ("temperature_lag", "unmetered_load"),
@@ -148,14 +155,19 @@ PAIRS = (
     ("harness_resistance", "voltage_offset"), ("airflow_cooling", "unmetered_load"),
 )  # fmt: skip
 SHARES = {"clear": 1.0, "half": 0.5, "quarter": 0.25}
-QUARTERS = ("current_gain", "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset",
-            "harness_resistance", "capacity_fade", "resistance_growth", "temperature_lag", "airflow_cooling")  # fmt: skip
+QUARTERS = (
+    "current_gain", "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset",
+    "harness_resistance", "capacity_fade", "resistance_growth", "temperature_lag", "airflow_cooling",
+)  # fmt: skip
 
 
 def drawn(seed: int) -> list[Case]:
     """Forty cases about as a user would meet them: effect, sign and size are drawn."""
     random = np.random.default_rng(seed)
-    every, quarters = random.permutation(list(CLEAR)), random.permutation(list(QUARTERS))
+    every, quarters = (
+        random.permutation(list(CLEAR)),
+        random.permutation(list(QUARTERS)),
+    )
     more = random.permutation([name for name in CLEAR if name != "slow_diffusion"])
     pairs = [PAIRS[i] for i in random.permutation(len(PAIRS))[:6]]
     listed = [_drawn((str(name),), "clear", random) for name in every[:10]]

@@ -37,7 +37,7 @@ from uavbatt.battery import model
 from uavbatt.battery.effects import EFFECTS, Effect, Quantity
 from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
-from uavbatt.fitting import assemble, observed, prior, solve
+from uavbatt.fitting import observed, prior, solve
 from uavbatt.fitting.observed import Observed, Stack, from_flight
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.solve import BatteryFit, OwnPrior
@@ -67,7 +67,9 @@ class Part(NamedTuple):
     kept: list[Observed]
 
 
-def run_with_second(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, own: Array) -> Trajectory:
+def run_with_second(
+    stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, own: Array
+) -> Trajectory:
     """`solve.run`, and a further RC pair on top: v' = (c R k - v)/tau."""
     shown = RUN(stack, slots, effects, x, own)
     at = {s.name: i for i, s in enumerate(slots)}
@@ -143,9 +145,7 @@ def truth() -> Iterator[Part]:
 
 def m100() -> Iterator[Part]:
     """Two aircraft teach the battery, the third is kept back."""
-    flights = {
-        name: [from_flight(f, M100_CELLS, M100_AH) for f in flown] for name, flown in m100_flights().items()
-    }
+    flights = {name: [from_flight(f, M100_CELLS, M100_AH) for f in flown] for name, flown in m100_flights().items()}
     for aircraft, mine in flights.items():
         others = [r for name, flown in flights.items() if name != aircraft for r in flown]
         own = [solve.FLEET] * len(others)

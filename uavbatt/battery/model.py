@@ -10,8 +10,8 @@
 
 h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
 drawn since is 1 - soc. That holds its memory without a state of its own; a pack charged in part is not told apart.
-h_s is what the surface of the particles lacks of their mean charge, per C of load, when solid diffusion is slower than
-the rest of the model has it. k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect
+h_s is the charge that the surface of the particles lacks per C of load, beside what the rest of the model has of it.
+k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect
 that is off leaves its parameters at the neutral default of `Parameters`: one model, no second code path.
 """
 

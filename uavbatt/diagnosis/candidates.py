@@ -26,6 +26,7 @@ UNITS = {q.name: q.unit for q in QUANTITIES}
 ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion", "temperature_resistance")
 PACKS_OWN = ("temperature_lag", "charge_transfer")  # how the sensor is mounted, how the pack has aged: news, if changed
 ONE_WAY = ("fade", "growth")  # packs age in one direction
+SLOWING = ("transfer_V",)  # and so do reactions, from where the file has them
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
 
@@ -190,4 +191,5 @@ def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
     log = quantity.log and start > 0.0
     scale = quantity.prior_sd if log or not quantity.log else max(quantity.prior, 1e-6)
     low = max(quantity.low, 1e-3 * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
+    low = max(low, base) if quantity.name in SLOWING else low
     return Freed(INDEX[quantity.name], float(start), scale, low, quantity.high, log)

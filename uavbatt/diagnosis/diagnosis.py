@@ -200,9 +200,7 @@ def per_number(problem: Problem, fit: Refit) -> Left:
     return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def doubts(
-    problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float
-) -> tuple[str, ...]:
+def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float) -> tuple[str, ...]:
     """Return why the model after all is not believed to be complete; empty when it is."""
     found = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
