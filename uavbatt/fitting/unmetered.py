@@ -14,8 +14,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from uavbatt.battery import model
-from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.model import Array
 from uavbatt.fitting import prior
+from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.prior import Posterior, Slot
 
 STEP_S = 5.0
@@ -43,29 +44,6 @@ class MeanTest:
     ambient_C: float
 
 
-def limited_test(p: Parameters, start: State, rate: Array, limit_V: Array, ambient_C: float, time_s: Array) -> Array:
-    """Discharge at constant C-rate, current cut back so that the cell never falls below `limit_V`.
-
-    Returns [2, instants, batch]: cell voltage [V] and sensor temperature [°C]. The instant 0 is before the load.
-    """
-    out = np.empty((2, time_s.size, start.soc.size))
-    state, now_s = start, 0.0
-    for k, until_s in enumerate(time_s):
-        while now_s < until_s - 1e-9:
-            dt_s = min(STEP_S, until_s - now_s)
-            state = model.step(p, state, _limited(p, state, rate, limit_V), ambient_C, dt_s)
-            now_s += dt_s
-        asked = _limited(p, state, rate, limit_V) if until_s > 0.0 else np.zeros_like(rate)
-        out[0, k], out[1, k] = model.cell_voltage(p, state, asked), state.sensor_C
-    return out
-
-
-def _limited(p: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
-    room = (model.electromotive_force(p, state) - limit_V) / model.resistance(p, state.soc, state.core_C)
-    held: Array = np.clip(room, 0.0, rate)
-    return held
-
-
 def slots_of(effects: tuple[str, ...]) -> tuple[Slot, ...]:
     """Cell slots, then those of the unknown load."""
     return (*prior.cell_slots(effects), *LOAD_SLOTS)
@@ -79,7 +57,8 @@ def predict_unmetered(
     load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
     start = model.rested(np.minimum(load["start_soc"], 1.0), test.ambient_C + load["start_offset_K"])
     cell = prior.cell(slots, x, effects)
-    out = limited_test(cell, start, load["c_rate"], load["limit_cell_V"], test.ambient_C, time_s)
+    rate, limit_V = load["c_rate"], load["limit_cell_V"]
+    out = limited_discharge(lambda _: cell, start, rate, limit_V, test.ambient_C, time_s, STEP_S)
     out[0] *= test.cells
     return out
 

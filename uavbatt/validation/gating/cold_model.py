@@ -25,6 +25,7 @@ from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
+from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
@@ -102,18 +103,14 @@ def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: One
     series = np.tile(tests.series, batch)
     ln_load, ln_resistance = (_nuisance(what, at, series) for what in ("ln_load", "ln_resistance"))
     gain, rate = np.exp(ln_resistance), at["c_rate"] * np.exp(ln_load)
-    state, now_s = model.rested(np.minimum(at["start_soc"], 1.0), ambient), 0.0
-    out = np.empty((tests.time_s.size, batch * rows))
-    for k, until_s in enumerate(tests.time_s):
-        while now_s < until_s - 1e-9:
-            dt_s = min(STEP_S, until_s - now_s)
-            here = _steepened(cell, at, state, gain)
-            state = model.step(here, state, _held(here, state, rate, at["limit_cell_V"]), ambient, dt_s)
-            now_s += dt_s
-        here = _steepened(cell, at, state, gain)
-        asked = _held(here, state, rate, at["limit_cell_V"]) if until_s > 0.0 else np.zeros_like(rate)
-        out[k] = model.cell_voltage(here, state, asked)
-    return np.moveaxis(out.reshape(-1, batch, rows), 0, -1) * tests.cells
+    start = model.rested(np.minimum(at["start_soc"], 1.0), ambient)
+
+    def cell_in(state: State) -> Parameters:
+        return _steepened(cell, at, state, gain)
+
+    volts, _ = limited_discharge(cell_in, start, rate, at["limit_cell_V"], ambient, tests.time_s, STEP_S)
+    out: Array = np.moveaxis(volts.reshape(-1, batch, rows), 0, -1) * tests.cells
+    return out
 
 
 def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Array], rows: int) -> Parameters:
@@ -140,12 +137,6 @@ def _steepened(cell: Parameters, at: dict[str, Array], state: State, gain: Array
     at_25 = 1.0 / (REFERENCE_TEMP_C + KELVIN)
     x = (1.0 / (state.core_C + KELVIN) - at_25) / (1.0 / (COLD_C + KELVIN) - at_25)
     return cell._replace(resistance_gain=gain * np.exp(at["steeper_cold"] * np.clip(x, 0.0, 2.0) ** 2))
-
-
-def _held(cell: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
-    room = (model.electromotive_force(cell, state) - limit_V) / model.resistance(cell, state.soc, state.core_C)
-    held: Array = np.clip(room, 0.0, rate)
-    return held
 
 
 def fit_cold_model(
