@@ -11,18 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from uavbatt.battery import model
 from uavbatt.battery.model import Array
 from uavbatt.fitting import prior
 from uavbatt.fitting.limiter import limited_discharge
+from uavbatt.fitting.most_probable import most_probable
 from uavbatt.fitting.prior import Posterior, Slot
 
 STEP_S = 5.0
 LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
 SURFACE_SD_K = 0.25
-NUDGE = 1e-4
 
 LOAD_SLOTS = (
     Slot("c_rate", 8.0, 1.5),
@@ -68,20 +67,13 @@ def fit_unmetered(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS)
     slots = slots_of(effects)
     sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
 
-    def evaluate(u: Array) -> Array:
+    def residuals(u: Array) -> Array:
         x = prior.values(slots, u)
         volts, surface = predict_unmetered(slots, effects, x, test, test.time_s)
         misfit_V = (volts - test.voltage_V[:, None]) / sigma_V[:, None]
         misfit_K = np.nan_to_num(surface - test.surface_C[:, None]) / SURFACE_SD_K
-        return np.concatenate([misfit_V, misfit_K, prior.monotonicity_penalty(slots, x).T, u.T])
+        return np.concatenate([misfit_V.T, misfit_K.T, prior.monotonicity_penalty(slots, x), u], axis=1)
 
-    def objective(u: Array) -> Array:
-        return evaluate(u[None])[:, 0]
-
-    def jacobian(u: Array) -> Array:
-        values = evaluate(np.vstack([u, u + NUDGE * np.eye(u.size)]))
-        return (values[:, 1:] - values[:, :1]) / NUDGE
-
-    found = least_squares(objective, np.zeros(len(slots)), jacobian, max_nfev=60, xtol=1e-6, ftol=1e-8)
+    found = most_probable(residuals, np.zeros(len(slots)), evaluations=60, xtol=1e-6, ftol=1e-8)
     slopes = np.asarray(found.jac, dtype=float)
     return Posterior(slots=slots, effects=effects, u=found.x, covariance_u=np.linalg.inv(slopes.T @ slopes))

@@ -13,11 +13,9 @@ told from R₀(soc).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from uavbatt.battery import model
 from uavbatt.battery.effects import EFFECTS
@@ -26,12 +24,12 @@ from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
 from uavbatt.fitting.limiter import limited_discharge
+from uavbatt.fitting.most_probable import most_probable
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
 STEP_S = 10.0
 MISFIT_SD_V = 0.08  # what such a model leaves: weighs the readings against the priors
-NUDGE = 1e-4
 COLD_C = -20.0
 EVALUATIONS = 30
 FRESH, START_SPREAD, SEED = 10, 0.6, 5725
@@ -170,18 +168,8 @@ def _solve(
         out: Array = np.concatenate([np.nan_to_num(gap).reshape(u.shape[0], -1) / MISFIT_SD_V, u], axis=1)
         return out
 
-    def objective(u: Array) -> Array:
-        out: Array = misfit(u[None])[0]
-        return out
-
-    def jacobian(u: Array) -> Array:
-        values = misfit(np.vstack([u, u + NUDGE * np.eye(u.size)]))
-        out: Array = ((values[1:] - values[0]) / NUDGE).T
-        return out
-
-    loss: Literal["soft_l1", "linear"] = "soft_l1" if robust else "linear"
     tolerance = 1e-3 if robust else 1e-4
-    found = least_squares(objective, u0, jacobian, loss=loss, max_nfev=EVALUATIONS, xtol=1e-4, ftol=tolerance)
+    found = most_probable(misfit, u0, is_robust=robust, evaluations=EVALUATIONS, xtol=1e-4, ftol=tolerance)
     return float(found.cost), np.asarray(found.x, dtype=float)
 
 
