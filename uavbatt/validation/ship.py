@@ -15,7 +15,7 @@ from uavbatt.battery.battery_file import (
     ParameterTable,
     Verdict,
 )
-from uavbatt.battery.battery_file import Corridor as CorridorEntry
+from uavbatt.battery.battery_file import CorridorSection as CorridorEntry
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
