@@ -10,12 +10,12 @@ from uavbatt.battery.battery_file import (
     Battery,
     BatteryFile,
     Certificate,
+    CorridorSection,
     Discrepancy,
     EffectEntry,
     ParameterTable,
     Verdict,
 )
-from uavbatt.battery.battery_file import CorridorSection
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
