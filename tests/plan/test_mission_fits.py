@@ -46,6 +46,15 @@ def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:
     assert all(leg.soc_lo <= leg.soc <= leg.soc_hi for leg in found.legs)
 
 
+def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
+    """Four times as far as the pack goes: the voltage of the draws turns round, the charge they have left does not."""
+    found = planned(to(1, 0.0, 12_000.0, 40.0))
+    highest = [leg.soc_hi for leg in found.legs]
+    assert highest == sorted(highest, reverse=True)
+    assert all(row.route.soc_hi <= 1.0 for row in found.rows)
+    assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
+
+
 def test_a_headwind_home_brings_the_turning_point_nearer() -> None:
     far = to(1, 0.0, 6000.0, 40.0)
     head, tail = (planned(far, wind=Wind(0.0, east_ms)) for east_ms in (6.0, -6.0))
