@@ -115,7 +115,7 @@ def search(
         trials.append(trial(problem, alone, options, FURTHER_TURNS))
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
         return best, found, singles
-    both = [finding(problem, t, earned_beside(pair.candidate)) for t in trials]
+    both = [finding(problem, t, earned_beside(problem, pair.candidate, is_explained=True)) for t in trials]
     if any(f.worth.value < EARNED for f in both):
         return best, found, singles
     best = min((f.members[0] for f in both), key=lambda f: f.total)
@@ -155,9 +155,13 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     )
 
 
-def earned_beside(pair: Candidate) -> float:
-    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen."""
-    return EARNED_IN_PART if "initial_charge" in pair.names else EARNED_BESIDE
+def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:
+    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen, and
+    less where no single effect explains the flights.
+    """
+    if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
+        return EARNED_IN_PART
+    return EARNED_BESIDE if is_explained else EARNED
 
 
 def _steady(found: Constancy | None) -> bool:
@@ -187,7 +191,7 @@ def _best_pair(
         one, other = fit.candidate.names
         if at_bound(fit) or one_leaves - float(np.sum(left_out_chi2(fit))) < together:
             continue
-        least = earned_beside(fit.candidate) if is_explained else EARNED
+        least = earned_beside(problem, fit.candidate, is_explained=is_explained)
         beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
         if all(w.value > least and _steady(w.constancy) for w in beside):
             earned.append(fit)
