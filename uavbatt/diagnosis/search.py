@@ -102,8 +102,8 @@ def search(
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
     is_explained = explains(best)
-    if is_explained and not found:
-        return nothing, [], singles
+    if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
+        return best, found, singles
     tell("pairs of effects")
     pair = _best_pair(problem, options, singles, best, is_explained)
     if pair is None:
