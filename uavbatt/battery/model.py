@@ -147,7 +147,10 @@ def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
     """
     if not eq.is_on(p.surface_h):
         return 0.0
-    return open_circuit_voltage(p, soc) - open_circuit_voltage(p, soc - c_rate * p.surface_h)
+    surface = np.maximum(
+        soc - c_rate * p.surface_h, np.minimum(soc, LOWEST_SOC)
+    )  # it has no more to lose than there is
+    return open_circuit_voltage(p, soc) - open_circuit_voltage(p, surface)
 
 
 class Lags(NamedTuple):

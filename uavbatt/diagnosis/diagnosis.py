@@ -9,6 +9,7 @@ the file at its most probable value; then, or when a value differs from record t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -156,11 +157,15 @@ def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tel
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
     floor = floor_V(file, problem)
-    return _Searched(problem, nothing, *search(problem, options, nothing, lambda f: explains(problem, f, floor), tell))
+
+    def explained(fit: Refit, is_named: bool) -> bool:
+        return explains(problem, fit, floor if is_named else math.inf)
+
+    return _Searched(problem, nothing, *search(problem, options, nothing, explained, tell))
 
 
 def explains(problem: Problem, fit: Refit, floor: float) -> bool:
-    """Return True if a refit leaves no more than the file's own model does, `floor` [V]."""
+    """Return True if a refit leaves no more than the file's own model does; raw no more than FAR times `floor` [V]."""
     after, left = residual.residuals(problem.evidence, at_best(problem, fit)), left_per_number(problem, fit)
     return residual.size_V(after) <= FAR * floor and not max(left.voltage, left.temperature) > LEFT
 
