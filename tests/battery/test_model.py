@@ -60,6 +60,8 @@ def test_an_empty_surface_costs_the_slope_of_the_ocv() -> None:
     assert at_once == pytest.approx(float(model.cell_voltage(cell(), model.rested(0.9, 25.0), 3.0)))
     late = end_state(p, model.rested(0.9, 25.0), 3.0, 25.0, 1.0, 200.0)
     assert float(late.polarisation_V) == pytest.approx(0.8 * 0.06, rel=1e-3)
+    assert float(model.depletion(p, 0.02, 1e6)) == pytest.approx(0.8 * 0.07)  # no more than there is in the table
+    assert float(model.depletion(p, -0.4, 1e6)) == 0.0
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)
