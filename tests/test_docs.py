@@ -26,7 +26,7 @@ from uavbatt.live import config
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.records import Status
-from uavbatt.telemetry.formats import csv_table
+from uavbatt.telemetry.formats import airdata_csv, blackbox_csv, csv_table, dji_record_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -109,6 +109,12 @@ def test_the_telemetry_csv(tmp_path: Path) -> None:
     flight = uavbatt.read_log(written(tmp_path, "flight.csv") / "flight.csv")
     assert (len(flight.samples), flight.notes) == (3, ())
     assert documented("Telemetry CSV") == [*csv_table.REQUIRED, *csv_table.OPTIONAL]
+
+
+def test_the_tables_of_other_programs() -> None:
+    for number, columns in enumerate((airdata_csv.COLUMNS, dji_record_csv.COLUMNS, blackbox_csv.COLUMNS)):
+        of_one_cell = {k: v for k, v in columns.items() if not k.startswith("cell_") or k == "cell_1_V"}
+        agree(documented("DJI and blackbox CSV", number), (name for names in of_one_cell.values() for name in names))
 
 
 def test_the_battery_file(tmp_path: Path) -> None:

@@ -83,7 +83,7 @@ class Flight:
     """A log as read: the rows of the chosen battery, and what the vehicle said of it and when."""
 
     source: str
-    kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "csv" | "ulog"
+    kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "ulog" | "csv" | "airdata" | "dji-record" | "blackbox"
     samples: tuple[Sample, ...]
     instance: int = 0
     instances: tuple[int, ...] = (0,)
