@@ -154,3 +154,15 @@ def test_the_packaged_batteries_are_listed(tmp_path: Path) -> None:
     done = called("batteries", "--json", "b.json", folder=tmp_path)
     assert "lipo-generic" in done.stdout and "lpab-3s" in done.stdout
     assert {b["battery"]["name"] for b in json.loads((tmp_path / "b.json").read_text())} == {"lipo-generic", "lpab-3s"}
+
+
+def test_plain_says_what_a_pilot_asks_and_no_more(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text(SHORT)
+    stated = ("replay", "f.csv", "--capacity-ah", "5", "--json")
+    plain = called(*stated, "plain.json", "--plain", folder=tmp_path)
+    whole = called(*stated, "whole.json", folder=tmp_path)
+    said = plain.stdout.splitlines()
+    assert plain.returncode == 0 and said[0] == whole.stdout.splitlines()[0]
+    assert any("charge left at the end of the log" in line for line in said)
+    assert not any(word in plain.stdout for word in ("rows", "cells", "lipo-generic", "NIS"))
+    assert (tmp_path / "plain.json").read_text() == (tmp_path / "whole.json").read_text()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt import __version__
-from uavbatt.report.fleet_figures import errors_figure, scale_figure
+from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
 from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change, verdict
 from uavbatt.report.page import (
     DASH,
@@ -123,12 +123,15 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
     shown = told[:MOST_DRAWN]
     drawn = [grid(scale_figure(g, "resistance"), scale_figure(g, "capacity")) for g, _, _ in shown]
     hidden = len(told) - len(shown)
-    head = ("pack or aircraft", "verdict", "flights", "hours", "Wh each", "first", "last", "resistance", "capacity")
+    head = (
+        "pack or aircraft", "verdict", "flights", "hours", "Wh each", "first", "last", "resistance", "over the flights",
+        "capacity",
+    )  # fmt: skip
     rows = [
         (
             g.name, _verdict(g, resistance, capacity), str(g.flights), number(g.flown_s / 3600.0, 1),
             number(g.energy_Wh / g.flights, 0), *_dates(g), _changed(resistance, g.resistance),
-            _changed(capacity, g.capacity),
+            resistance_spark(g), _changed(capacity, g.capacity),
         )
         for g, resistance, capacity in ranked
     ]  # fmt: skip
@@ -143,7 +146,7 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    made = table(head, rows, text_columns=(0, 1))
+    made = table(head, rows, text_columns=(0, 1, 8))
     return made if len(rows) <= 30 else details(f"All {len(rows)} packs and aircraft", made)
 
 

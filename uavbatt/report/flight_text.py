@@ -11,6 +11,7 @@ from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow, way_said
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
+from uavbatt.report.flight_limits import limits_of
 from uavbatt.report.page import duration
 
 JUST_S, NEAR_S = 30.0, 10.0
@@ -42,6 +43,12 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
     else:
         lines.append("  the log does not reach the end of flight: no forecast of it can be checked")
     return lines
+
+
+def plain_lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
+    """The answer for a pilot and the sentences that limit it, as on the flight's page; nothing else."""
+    answer = f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}"
+    return [answer, *(f"  {words}" for words in limits_of(found, resolved, run))]
 
 
 def dated_warnings(run: list[ReplayedRow]) -> list[str]:
