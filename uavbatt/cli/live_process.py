@@ -45,7 +45,7 @@ def run(config: Config) -> None:
         from uavbatt.live.web import serve
 
         serve(config.http, lambda: daemon.board, time.monotonic)
-    said = f"uavbatt: listening on {config.link.endpoint}; {_feeds(config)}"
+    said = f"uavbatt: waiting for telemetry from {config.link.endpoint}; {_feeds(config)}"
     print(terminal_line(said), file=sys.stderr, flush=True)
     daemon.run(lambda: bool(stopped))
 
