@@ -87,7 +87,7 @@ def _charge(found: Outcome) -> str:
 def _given(refused_in_air: float) -> str:
     """The share of the flight in which a forecast was given."""
     if not math.isfinite(refused_in_air):
-        return "none: no flight of more than a minute"
+        return "not judged: less than a minute in the air"
     return "at all times in the air" if refused_in_air == 0.0 else f"{1.0 - refused_in_air:.1%} of the time in the air"
 
 
