@@ -236,3 +236,17 @@ def test_a_span_of_time_is_shown_by_all_drawings_alike(browser: Browser, written
     minutes = [60 * int(m) + int(s) for m, s in (tick.split(":") for tick in found["closer"]["ticks"])]
     assert 3 <= len(minutes) <= 9 and minutes == sorted(minutes) and minutes[-1] - minutes[0] < 300
     assert len(set(found["dragged"]["moved"])) == 1 and float(found["dragged"]["moved"][0]) > 4.0
+
+
+@pytest.mark.parametrize("name", ["validation", "flight"])
+def test_what_is_folded_on_the_screen_is_printed(browser: Browser, written: Callable[[str], str], name: str) -> None:
+    browser.open(written(name), 1280, "light")
+    folded = """(() => { const all = [...document.querySelectorAll("details:not([open]) > :not(summary)")];
+        return JSON.stringify([all.length, all.filter(e => e.checkVisibility()).length]); })()"""
+    count, seen = json.loads(browser.evaluate(folded))
+    assert count > 1 and seen == 0
+    browser.ask("Emulation.setEmulatedMedia", media="print")
+    try:
+        assert json.loads(browser.evaluate(folded)) == [count, count]
+    finally:
+        browser.ask("Emulation.setEmulatedMedia", media="")

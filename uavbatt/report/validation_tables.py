@@ -102,7 +102,7 @@ def elsewhere(claims: Sequence[Claim]) -> list[Html]:
     items = [
         together((badge(verdict), f" {claim}: {_listed(where)}"), "") for (claim, verdict), where in by_kind.items()
     ]
-    return [bullets(items), details(f"All {len(claims)} claims at other temperatures", claims_table(claims))]
+    return [bullets(items), details(f"Claims at other temperatures ({len(claims)})", claims_table(claims))]
 
 
 def _listed(ambients_C: Sequence[float]) -> str:
