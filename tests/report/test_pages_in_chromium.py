@@ -22,8 +22,8 @@ from command import called
 from daemon_bench import Bench
 from live_rig import ROOT, free_port
 from packs.made import flight as pack_flight
+from plan.test_mission_fits import planned, to
 from report.test_report_validation import made as validated
-from test_mission_fits import planned, to
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry

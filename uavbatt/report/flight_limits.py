@@ -13,7 +13,7 @@ from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number
 
 SD_90 = 1.64
-LAST_S = 60.0
+LAST_S, MUCH_LEFT_S = 60.0, 300.0
 VOLTAGE_SHARE = 0.4  # of the time that the charge alone would give, from which on the voltage is worth a sentence
 OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on the page in other words
 
@@ -40,13 +40,13 @@ def _charge_words(outcome: Outcome) -> str:
 def _ended_by_voltage(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
     """Say what ends a flight long before its charge is used up: who reads a full pack and a short time doubts both."""
     landing = outcome.landing
-    if landing is None or not math.isfinite(landing.remaining_s):
+    if landing is None or not math.isfinite(landing.remaining_s) or math.isfinite(outcome.end_of_flight_s):
         return []
     last = [s.estimate for s in steps if 0.0 <= landing.time_s - s.estimate.time_s <= LAST_S]
     drawn = [e.current_A for e in last if math.isfinite(e.current_A)]
     mean_A = sum(drawn) / len(drawn) if drawn else math.nan
     by_charge_s = 3600.0 * last[-1].soc * resolved.capacity_Ah / mean_A if mean_A > 0.0 else math.nan
-    if not landing.remaining_s < VOLTAGE_SHARE * by_charge_s:
+    if not (by_charge_s > MUCH_LEFT_S and landing.remaining_s < VOLTAGE_SHARE * by_charge_s):
         return []
     cutoff = number(resolved.cutoff_V, 2, "V")
     return [
