@@ -27,6 +27,7 @@ from uavbatt.report.page import (
     paragraph,
     section,
     table,
+    together,
 )
 
 MOST_DRAWN = 6  # groups
@@ -123,15 +124,12 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
     shown = told[:MOST_DRAWN]
     drawn = [grid(scale_figure(g, "resistance"), scale_figure(g, "capacity")) for g, _, _ in shown]
     hidden = len(told) - len(shown)
-    head = (
-        "pack or aircraft", "verdict", "flights", "hours", "Wh each", "first", "last", "resistance", "over the flights",
-        "capacity",
-    )  # fmt: skip
+    head = ("pack or aircraft", "verdict", "flights", "hours", "Wh each", "first", "last", "resistance", "capacity")
     rows = [
         (
             g.name, _verdict(g, resistance, capacity), str(g.flights), number(g.flown_s / 3600.0, 1),
-            number(g.energy_Wh / g.flights, 0), *_dates(g), _changed(resistance, g.resistance),
-            resistance_spark(g), _changed(capacity, g.capacity),
+            number(g.energy_Wh / g.flights, 0), *_dates(g),
+            together((_changed(resistance, g.resistance), resistance_spark(g)), ""), _changed(capacity, g.capacity),
         )
         for g, resistance, capacity in ranked
     ]  # fmt: skip
@@ -146,7 +144,7 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
 
 
 def _folded(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Html:
-    made = table(head, rows, text_columns=(0, 1, 8))
+    made = table(head, rows, text_columns=(0, 1))
     return made if len(rows) <= 30 else details(f"All {len(rows)} packs and aircraft", made)
 
 

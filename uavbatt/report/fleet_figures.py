@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uavbatt.report import plot
 from uavbatt.report.fleet_groups import CHECKPOINTS, Group
-from uavbatt.report.page import DASH, Html, figure, number
+from uavbatt.report.page import Html, figure, number
 from uavbatt.small_chart import small_chart, span
 
 if TYPE_CHECKING:
@@ -53,10 +53,10 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
     return figure(svg, f"{plot.literal(group.name)}: {what}")
 
 
-def resistance_spark(group: Group) -> Html | str:
-    """Draw the resistance of one group over its flights as a line for a table; a dash where there is no history."""
+def resistance_spark(group: Group) -> Html:
+    """Draw the resistance of one group over its flights as a line for a table; nothing where there is no history."""
     if group.flights < FEWEST_OF_A_LINE or not group.is_identified:
-        return DASH
+        return Html("")
     place, pairs = group.in_time(group.resistance)
     scale, spread = pairs[:, 0], 2.0 * pairs[:, 1]
     alt = f"Resistance of {group.name}: {number(scale[0], 2)} at the first flight, {number(scale[-1], 2)} at the last"
