@@ -58,10 +58,10 @@ def resistance_spark(group: Group) -> Html:
     if group.flights < FEWEST_OF_A_LINE or not group.is_identified:
         return Html("")
     place, pairs = group.in_time(group.resistance)
-    scale, spread = pairs[:, 0], 2.0 * pairs[:, 1]
+    scale, low, high = ((pairs[:, 0] + k * pairs[:, 1]).tolist() for k in (0.0, -2.0, 2.0))
     alt = f"Resistance of {group.name}: {number(scale[0], 2)} at the first flight, {number(scale[-1], 2)} at the last"
     shown = span(scale, least=LEAST_SHOWN)
-    return Html(small_chart(place, scale, alt=alt, band=(scale - spread, scale + spread), shown=shown, css="spark"))
+    return Html(small_chart(place.tolist(), scale, alt=alt, band=(low, high), shown=shown, css="spark"))
 
 
 def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:

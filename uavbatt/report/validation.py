@@ -51,7 +51,7 @@ def validation_report(
     sections = [
         ("Claims", [claims_table(_at_home(v))]),
         ("Bias against the limits", _equivalence(v)),
-        ("What the tests say about themselves", [findings_list(v.found.findings)]),
+        ("What the tests say about themselves", findings_list(v.found.findings)),
         ("Curves and corridors", _corridors(v)),
         ("Over ambient temperature", _ambient(v)),
         *([("Before and after", _changes(v))] if v.changes or _conclusions(v) else []),
@@ -179,7 +179,8 @@ def _agreement(paper: PaperReplay) -> list[Html]:
         verdict = "reproduced" if claim.reproducible else "cannot be reproduced"
         nearest = f"the nearest ratio of any column is {claim.nearest:.2f}"
         notes.insert(0, f"F_emp = {claim.printed:g} is printed; {nearest}: {verdict}.")
-    return [*agreement(paper.agreements), bullets(notes)]
+    met, of = (sum(getattr(a, which) for a in paper.agreements) for which in ("agree", "total"))
+    return [details(f"{met} of {of} printed figures are met", *agreement(paper.agreements), bullets(notes))]
 
 
 def _precision(v: ValidationPage) -> list[Html]:
