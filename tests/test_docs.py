@@ -245,3 +245,14 @@ def test_the_mission_file(tmp_path: Path) -> None:
     mission_file = pytest.importorskip("uavbatt.telemetry.formats.mission_file", reason="missions are not read yet")
     planned = mission_file.read_mission(written(tmp_path, "round.waypoints") / "round.waypoints")
     assert planned.home is not None and len(planned.mission.items) >= 3
+
+
+def test_the_image_copies_what_there_is_and_runs_a_command_as_nobody_special() -> None:
+    """No daemon builds it here: what can be read of it is."""
+    lines = (ROOT / "scripts" / "Dockerfile").read_text("utf-8").splitlines()
+    words = [line.split() for line in lines if line and not line.startswith("#")]
+    copied = [name for verb, *names in words if verb == "COPY" and "--from=build" not in names for name in names[:-1]]
+    assert copied and all((ROOT / name).exists() for name in copied)
+    assert [names for verb, *names in words if verb == "USER"] == [["uavbatt"]]
+    command = json.loads(next(line for line in lines if line.startswith("CMD")).partition(" ")[2])
+    assert command[0] in {str(known.name) for known in app.registered_commands}

@@ -156,6 +156,7 @@ def test_a_cut_log_has_the_same_rows_up_to_the_cut(tmp_path: Path) -> None:
         (AIRDATA + "0,,47,8.5\n0,,47,8.5\n", r"row 1 \(line 2\): expected 12 cells, found 4"),
         ("sep=,\n" + RECORD + record_row(0).replace("8.083", '"8,083"'), r"line 3\), column BATTERY.voltage \[V\]: "),
         (BLACKBOX + "1, X, 16.2, 20, 1, ARM\n", r"column time \(us\): expected a number, found `X`"),
+        (BLACKBOX + '1, 1, 16.2, 20, 1, "' + "x" * 200_000 + "\n", "expected a table, cannot be read: field larger"),
         (AIRDATA + airdata_rows(1), "expected battery messages with a voltage, found none"),
     ],
 )

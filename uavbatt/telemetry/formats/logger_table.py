@@ -62,7 +62,7 @@ def read_rows(source: str, data: bytes, wanted: Columns, needed: tuple[str, ...]
     header = _header(lines)
     chosen = _chosen(source, header, wanted, needed)
     width = 1 + max(index for index, _ in chosen.values())
-    for number, cells in enumerate(filter(None, lines), start=1):
+    for number, cells in enumerate(filter(None, _whole(source, lines)), start=1):
         if len(cells) < len(header) and lines.line_num == len(written) and not text.endswith(("\n", "\r")):
             log.skipped_bytes += sum(len(cell.encode()) + 1 for cell in cells)
             log.notes.append("the last row is cut")
@@ -78,6 +78,13 @@ def read_rows(source: str, data: bytes, wanted: Columns, needed: tuple[str, ...]
             except ValueError:
                 raise BadInput(source, f"{place}, column {header[index]}", f"a number, found `{cell[:40]}`") from None
         yield Row(tuple(cells[index] for index, _ in chosen.values()), values)
+
+
+def _whole(source: str, lines: Iterator[list[str]]) -> Iterator[list[str]]:
+    try:
+        yield from lines
+    except csv.Error as error:  # a cell without an end
+        raise BadInput(source, "", f"a table, cannot be read: {error}") from None
 
 
 def _header(lines: Iterator[list[str]]) -> list[str]:
