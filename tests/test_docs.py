@@ -112,9 +112,10 @@ def test_the_telemetry_csv(tmp_path: Path) -> None:
 
 
 def test_the_tables_of_other_programs() -> None:
-    for number, columns in enumerate((airdata_csv.COLUMNS, dji_record_csv.COLUMNS, blackbox_csv.COLUMNS)):
-        of_one_cell = {k: v for k, v in columns.items() if not k.startswith("cell_") or k == "cell_1_V"}
-        agree(documented("DJI and blackbox CSV", number), (name for names in of_one_cell.values() for name in names))
+    for number, module in enumerate((airdata_csv, dji_record_csv, blackbox_csv)):
+        of_one_cell = {k: v for k, v in module.COLUMNS.items() if not k.startswith("cell_") or k == "cell_1_V"}
+        names = [name for theirs in (*of_one_cell.values(), *getattr(module, "WORDS", {}).values()) for name in theirs]
+        agree(documented("DJI and blackbox CSV", number), names)
 
 
 def test_the_battery_file(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ The files are made up; their columns, units and rates are those of real exports.
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,7 @@ def test_airdata(tmp_path: Path) -> None:
     assert math.isnan(first.reported_soc) and math.isnan(first.consumed_Ah) and first.armed is None
     facts = flight.facts_at(1.0)
     assert facts.cells_series == 2 and math.isnan(facts.capacity_Ah)
+    assert flight.identity.start_utc_s == datetime(2026, 5, 1, 10, tzinfo=UTC).timestamp()
 
 
 def test_airdata_in_metric_units(tmp_path: Path) -> None:
@@ -93,6 +95,19 @@ def test_a_dji_flight_record_of_older_programs(tmp_path: Path) -> None:
     (only,) = flight.samples
     assert (only.voltage_V, only.current_A, only.armed, only.cell_voltages_V) == (15.2, 9.5, True, (3.8,))
     assert math.isnan(only.temp_C)  # its unit is not what the name says
+
+
+def test_who_flew_and_with_which_pack(tmp_path: Path) -> None:
+    head = "OSD.flyTime [s],BATTERY.voltage [V],RECOVER.batterySerial,DETAILS.batterySerial,DETAILS.aircraftSerial\n"
+    named = read(tmp_path, head + "0,15.2,,,\n1,15.1,,3QFPHBSC,3NZCHBG0\n").identity
+    assert (named.battery_serial, named.hardware) == ("3QFPHBSC", "3NZCHBG0")
+    nobody = read(tmp_path, head + "0,15.2,,0,\n").identity
+    assert (nobody.battery_serial, nobody.hardware) == ("", "")
+
+
+def test_a_date_that_is_none_is_not_known(tmp_path: Path) -> None:
+    flight = read(tmp_path, AIRDATA + airdata_rows(3).replace("2026-05-01 10:00:0", "yesterday "))
+    assert math.isnan(flight.identity.start_utc_s)
 
 
 def test_what_the_pack_states_holds_from_its_first_word(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
 
 Cell = Callable[[str], float]  # raises ValueError for a cell that is none
 Columns = Mapping[str, Mapping[str, Cell]]  # ours -> their names for it, the first that is there counts
+_BEGINNING = 1 << 16  # bytes in which a table has told who flew
 _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
 
 
@@ -78,6 +79,23 @@ def read_rows(source: str, data: bytes, wanted: Columns, needed: tuple[str, ...]
             except ValueError:
                 raise BadInput(source, f"{place}, column {header[index]}", f"a number, found `{cell[:40]}`") from None
         yield Row(tuple(cells[index] for index, _ in chosen.values()), values)
+
+
+def first_words(data: bytes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
+    """Return what stands first in columns of text: our names with the first filled cell of theirs, where there is one.
+
+    Only the beginning of a table is looked at.
+    """
+    lines = csv.reader(data[:_BEGINNING].decode("utf-8-sig", errors="replace").splitlines())
+    header = _header(lines)
+    places = {ours: [header.index(name) for name in theirs if name in header] for ours, theirs in wanted.items()}
+    found: dict[str, str] = {}
+    for cells in lines:
+        for ours in wanted.keys() - found.keys():
+            words = [cells[index].strip() for index in places[ours] if index < len(cells)]
+            if any(words):
+                found[ours] = next(filter(None, words))
+    return found
 
 
 def _whole(source: str, lines: Iterator[list[str]]) -> Iterator[list[str]]:
