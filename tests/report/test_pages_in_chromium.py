@@ -215,7 +215,9 @@ def test_a_span_of_time_is_shown_by_all_drawings_alike(browser: Browser, written
           const key = k => slider.dispatchEvent(new KeyboardEvent("keydown", { key: k, bubbles: true }));
           const seen = svg => [...svg.querySelectorAll(".ticks > g")].filter(g => getComputedStyle(g).display !== "none"
             ? g.querySelector("use") : false).map(g => g.textContent.trim());
-          const state = () => ({ ticks: seen(wide), moved: [...document.querySelectorAll("svg .moves")]
+          const words = () => [...wide.querySelectorAll(".words")].filter(g => getComputedStyle(g).display !== "none")
+            .map(g => g.textContent.trim());
+          const state = () => ({ words: words(), ticks: seen(wide), moved: [...document.querySelectorAll("svg .moves")]
             .map(g => Number((g.getAttribute("transform") || "matrix(1").slice(7).split(" ")[0]).toFixed(3)) });
           const drag = (from, to) => { const box = wide.getBoundingClientRect();
             for (const [kind, share] of [["pointerdown", from], ["pointermove", to], ["pointerup", to]])
@@ -235,6 +237,7 @@ def test_a_span_of_time_is_shown_by_all_drawings_alike(browser: Browser, written
     assert set(found["back"]["moved"]) == {"1.000"} and found["back"]["ticks"] == found["whole"]["ticks"]
     minutes = [60 * int(m) + int(s) for m, s in (tick.split(":") for tick in found["closer"]["ticks"])]
     assert 3 <= len(minutes) <= 9 and minutes == sorted(minutes) and minutes[-1] - minutes[0] < 300
+    assert set(found["closer"]["words"]) < set(found["whole"]["words"]) == set(found["back"]["words"])
     assert len(set(found["dragged"]["moved"])) == 1 and float(found["dragged"]["moved"][0]) > 4.0
 
 

@@ -54,6 +54,12 @@ function point(d, event) {
   show();
 }
 
+// Where a text stands: by its attributes, for a drawing that is not shown has no box.
+function anchor(g) {
+  const text = g.querySelector("text"), shifted = /translate\(([-.0-9]+)/.exec(text.getAttribute("transform") || "");
+  return Number(shifted === null ? text.getAttribute("x") : shifted[1]);
+}
+
 // What is drawn of the flight is stretched inside its frame; words keep their letters, and the axis gets ticks of its own.
 function stretch(d) {
   const k = scale(d), shift = d.left - k * unmoved(d, view[0]);
@@ -67,8 +73,7 @@ function stretch(d) {
     g.setAttribute("transform", "matrix(" + k + " 0 0 1 " + shift + " 0)");
   }
   for (const g of d.svg.querySelectorAll(".words")) {
-    g.removeAttribute("transform");
-    const x = g.getBBox().x, moved = k * x + shift;
+    const x = anchor(g), moved = k * x + shift;
     g.setAttribute("transform", "translate(" + (moved - x) + " 0)");
     g.toggleAttribute("hidden", d.left - 20 > moved || moved > d.right);
   }
@@ -81,7 +86,7 @@ function ticked(d) {
   for (const g of d.ticks) g.toggleAttribute("hidden", !isWhole);
   d.made = [];
   if (isWhole || d.ticks.length === 0) return;
-  const step = STEPS.find(s => MOST_TICKS > span / s) || 3600, model = d.ticks[0], from = Number(model.querySelector("text").getAttribute("x"));
+  const step = STEPS.find(s => MOST_TICKS > span / s) || 3600, model = d.ticks[0], from = anchor(model);
   for (let time = Math.ceil(view[0] / step) * step; view[1] >= time; time += step) {
     const g = model.cloneNode(true);
     g.removeAttribute("hidden");
