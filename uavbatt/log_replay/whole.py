@@ -179,8 +179,9 @@ def replay(
 
 def _minutes(seconds: float) -> str:
     """Write seconds as minutes and seconds, `12:05`."""
-    minutes, rest = divmod(round(seconds), 60) if math.isfinite(seconds) else (0, 0)
-    return f"{minutes}:{rest:02d}" if math.isfinite(seconds) else "not known"
+    if not math.isfinite(seconds):
+        return "unbounded" if math.isinf(seconds) else "not known"
+    return f"{round(seconds) // 60}:{round(seconds) % 60:02d}"
 
 
 def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile) -> PackHealth | None:

@@ -147,7 +147,8 @@ def _corridors(v: ValidationPage) -> list[Html]:
         folded += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
     named = (("voltage", volts), ("surface temperature", heat))
     notes = bullets((f"{name}: {n}" for name, c in named if c is not None for n in c.notes), css="quiet")
-    more = details("Departures from the mean, the same in time, and the surface temperature", grid(*folded))
+    named_more = "Departures from the mean, and the tests in time" + ("; the surface temperature" if heat else "")
+    more = details(named_more, grid(*folded))
     return [grid(*shown), *([more] if folded else []), notes]
 
 
