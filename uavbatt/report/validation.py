@@ -147,7 +147,9 @@ def _corridors(v: ValidationPage) -> list[Html]:
         folded += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
     named = (("voltage", volts), ("surface temperature", heat))
     notes = bullets((f"{name}: {n}" for name, c in named if c is not None for n in c.notes), css="quiet")
-    named_more = "Departures from the mean, and the tests in time" + ("; the surface temperature" if heat else "")
+    named_more = "Departures from the mean, and the tests in time" + (
+        "; the surface temperature" if heat is not None else ""
+    )
     more = details(named_more, grid(*folded))
     return [grid(*shown), *([more] if folded else []), notes]
 
