@@ -19,7 +19,7 @@ from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.observed import Observed, binned, from_flight, held_load, stack
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 PLANTED = {"polarisation_ratio": 0.9, "diffusion_ratio": 0.5, "heat_capacity_JpKAh": 30.0, "resistance_gain": 1.5}
 
@@ -190,7 +190,9 @@ def test_a_held_load_loses_its_noise_and_keeps_its_steps() -> None:
 def flight() -> Flight:
     pack = generic_pack()
     facts = ((0.0, PackFacts(4, 5.0, critical_voltage_V=13.2)),)
-    return Flight("f", "csv", tuple(simulate_flight(pack, Mission(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts)
+    return Flight(
+        "f", "csv", tuple(simulate_flight(pack, SimulatedFlight(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts
+    )
 
 
 def test_a_fit_to_a_flight_is_a_fitted_file() -> None:
