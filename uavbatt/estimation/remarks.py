@@ -6,7 +6,7 @@ import math
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackSize, certificate_remark
+from uavbatt.battery.sizing import PackSize
 from uavbatt.estimation.filter import BeliefSummary
 from uavbatt.records import Sample
 
@@ -18,8 +18,7 @@ def remarks(
     battery: BatteryFile, size: PackSize, sample: Sample, known: BeliefSummary, pack: Pack, *, is_metered: bool
 ) -> tuple[str, ...]:
     """The remarks about a sample and what is known after it; without a meter nothing tells wear."""
-    remark = certificate_remark(battery, size)
-    found = [remark] if remark else []
+    found = [size.uncertified] if size.uncertified else []
     validated, core_C = battery.certificate.validated_ambient_C, known.core_temp_C
     if validated and math.isfinite(core_C):
         low_C, high_C = min(validated) - BELOW_VALIDATED_K, max(validated) + ABOVE_VALIDATED_K
