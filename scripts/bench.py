@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from bench import engine, fleet, missions, readers  # found by the line above
 
-from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
 
 PARTS = ("engine", "cli", "daemon", "reading", "fleet")
 DAEMON = """

@@ -26,7 +26,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import Size, fit_battery
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
 
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

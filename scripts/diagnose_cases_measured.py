@@ -27,7 +27,7 @@ from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
 from uavbatt.validation.gating import temperatures
 from uavbatt.validation.gating.gate import Limits

@@ -26,7 +26,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import diagnose
 from uavbatt.fitting.observed import from_flight
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2

@@ -20,10 +20,11 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import outcome, steps
+from uavbatt.log_replay.outcome import outcome
+from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
-from uavbatt.simulate import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)

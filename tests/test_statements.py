@@ -34,7 +34,7 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.simulate import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)

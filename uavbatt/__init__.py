@@ -27,9 +27,9 @@ __all__ = [
 if TYPE_CHECKING:
     from uavbatt.errors import BadInput, MissingExtra, NotEnoughData, UavbattError, Uncertified, UsageError
     from uavbatt.estimator import Estimator
+    from uavbatt.log_replay.whole import Replay, replay
     from uavbatt.records import Estimate, Flight, Remaining, Sample, Status
     from uavbatt.telemetry import read_log
-    from uavbatt.whole_replay import Replay, replay
 
 _HOMES = {
     "BadInput": "uavbatt.errors",
@@ -39,14 +39,14 @@ _HOMES = {
     "MissingExtra": "uavbatt.errors",
     "NotEnoughData": "uavbatt.errors",
     "Remaining": "uavbatt.records",
-    "Replay": "uavbatt.whole_replay",
+    "Replay": "uavbatt.log_replay.whole",
     "Sample": "uavbatt.records",
     "Status": "uavbatt.records",
     "UavbattError": "uavbatt.errors",
     "Uncertified": "uavbatt.errors",
     "UsageError": "uavbatt.errors",
     "read_log": "uavbatt.telemetry",
-    "replay": "uavbatt.whole_replay",
+    "replay": "uavbatt.log_replay.whole",
 }
 
 

@@ -25,12 +25,12 @@ from typing import NamedTuple
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.known_size import KnownSize, nothing_seen
 from uavbatt.battery.openloop import States, states
 from uavbatt.battery.remembered import PackHealth, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, resting, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.state_space import Belief
-from uavbatt.battery.statements import Statements
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.estimation.assumed_load import unmetered_pack
 from uavbatt.estimation.filter import Filtered, SocFilter, Summary, estimate_of, unknown
@@ -39,7 +39,7 @@ from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
 from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
-from uavbatt.limits import HIGHEST_C_RATE, Doubt, Names, Seen
+from uavbatt.limits import HIGHEST_C_RATE, Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
 from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings, Memory
@@ -100,16 +100,13 @@ class Estimator:
         self.battery, self.remembered = battery, remembered
         self.options = options or PackOptions()
         self.settings = settings or ForecastSettings()
-        self.pack_size: PackSize | None = None
-        self._facts = PackFacts()
         self._filter: SocFilter | None = None
         self._forecaster: Forecaster | None = None
         load = self.settings.load
         power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
         self._cleaner = Cleaner(stated_power_W=power_W)
         self._swap = SwapWatch()
-        self._statements, self._doubts = Statements(), tuple[Doubt, ...]()
-        self._resting, self._stated_W = resting(battery), stated_power(load)
+        self._known = nothing_seen(battery, self.options, stated_power(load))
         self._monitor, self._wall = Monitor(), LastWall()
         self._is_guessed = False  # the filter was begun for a current that nobody measured
         self._engine = engine
@@ -140,26 +137,28 @@ class Estimator:
         """The filter's belief after the last sample; None before the first complete one."""
         return self._filter.belief if self._filter is not None else None
 
+    @property
+    def pack_size(self) -> PackSize | None:
+        """Cells, capacity and cut-off, and where each came from; None before the first voltage."""
+        return self._known.size
+
     def update_facts(self, facts: PackFacts) -> None:
         """Take in what the vehicle says of its pack, known from now on.
 
         New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
         """
-        if facts == self._facts:
-            return
-        self._facts = facts
-        if self.pack_size is None:
-            return
-        self._size_again(self.pack_size.cells)
+        if facts != self._known.facts:
+            self._know(self._known.with_facts(facts))
 
-    def _size_again(self, guessed_cells: int) -> None:
-        """The pack's size by what is known now."""
-        assert self.pack_size is not None
-        now = size_of_pack(self.battery, self.options, self._facts, guessed_cells, seen=self._statements.seen)
-        if (now.cells, now.capacity_Ah) != (self.pack_size.cells, self.pack_size.capacity_Ah):
+    def _know(self, known: KnownSize) -> None:
+        """Take in what is known of the pack's size from now on."""
+        before, now = self._known.size, known.size
+        self._known = known
+        if before is None or now is None or now is before:
+            return
+        if (now.cells, now.capacity_Ah) != (before.cells, before.capacity_Ah):
             self._filter = self._forecaster = None
-        self.pack_size = now
-        if self._filter is not None and self._forecaster is not None:
+        elif self._filter is not None and self._forecaster is not None:
             self._filter.pack = self._forecaster.pack = self._pack(now)
 
     @property
@@ -171,7 +170,7 @@ class Estimator:
         self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
     ) -> None:
         """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
-        self._facts, self.pack_size = facts, size
+        self._known = self._known._replace(facts=facts, size=size)
         if past is not None:
             self._cleaner = past.cleaner
         soc_filter, forecaster = self._begin(size)
@@ -228,7 +227,7 @@ class Estimator:
         clean = [sample for _, sample in cleaned]
         rows, since = (self._filter.run(clean, filter_window) if self._filter is not None else []), 0
         for k, (raw, (self._cleaner, sample)) in enumerate(zip(samples, cleaned, strict=True)):
-            self._hold_against(raw, sample)
+            self._know(self._known.after(raw, sample))
             if self._filter is None or self._cleaner.guessed != self._is_guessed:
                 refused = self._why_not_begin(sample)
                 if refused is not None:
@@ -239,7 +238,7 @@ class Estimator:
             found = self._estimate(sample, row)
             if self._is_another_pack(found, row.belief):
                 rows, since = self._begun(clean[k:], filter_window), k
-                row, self._statements = rows[0], Statements()
+                row, self._known = rows[0], self._known.anew()
                 found = self._estimate(sample, row)
             yield self._forecast_for(sample, found, row.belief, navigation_at(sample.time_s))
 
@@ -256,9 +255,8 @@ class Estimator:
         """The refused estimate of a row at which no filter may begin; None where one may."""
         if not math.isfinite(sample.voltage_V):
             return unknown(sample, "no voltage in this row")
-        if self._doubts and self._doubts[0].is_certain:  # no filter begins at what no pack shows
-            words = self._doubts[0].words
-            return replace(unknown(sample, words), warnings=(words,))
+        if self._known.refusal:  # no filter begins at what no pack shows
+            return replace(unknown(sample, self._known.refusal), warnings=(self._known.refusal,))
         return None
 
     def _begun(self, coming: Sequence[Sample], filter_window: Window) -> list[Filtered]:
@@ -290,8 +288,8 @@ class Estimator:
         assert self._filter is not None and self._forecaster is not None
         self._monitor = self._monitor.after(sample, found, belief, self._filter.pack)
         found = self._monitor.judged(found)
-        if self._doubts and self._doubts[0].is_certain:
-            found = replace(found, status=Status.REFUSED, reason=self._doubts[0].words)
+        if self._known.refusal:
+            found = replace(found, status=Status.REFUSED, reason=self._known.refusal)
         if self._cleaner.guessed:  # nobody measured these
             found = replace(found, current_A=NAN, power_W=NAN)
             if found.status is Status.OK:
@@ -301,46 +299,24 @@ class Estimator:
         self._wall = self._wall.after(sample, belief, self._filter.pack, self._forecaster.cutoff_V)
         return Pending(sample, found, self._forecaster, refusal, question, self._wall.left_s(sample.time_s))
 
-    def _hold_against(self, raw: Sample, sample: Sample) -> None:
-        """Hold what is stated of the pack against a row, as it came and as the filter has it (`battery.statements`)."""
-        self.pack_size = self.pack_size or self._size_by([sample])
-        if self.pack_size is None:
-            return
-        before, self._statements = self._statements, self._statements.after(raw, sample, self.pack_size)
-        seen, cells = self._statements.seen, self.pack_size.cells
-        if seen is not before.seen:
-            if self.options.cells is None and self._statements.denies(cells, self._resting):
-                self._size_again(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
-            elif math.isnan(before.seen.rested_V) and math.isfinite(seen.rested_V):
-                self._size_again(cells)  # a cut-off may lie above it
-        self._doubts = self._statements.doubts(self.pack_size, self._resting, self._stated_W)
-
     def _assumed_W(self, coming: Sequence[Sample]) -> float:
         """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""
         if self._cleaner.metered:
             return NAN
-        size = self.pack_size or self._size_by(coming)
+        size = self.pack_size or self._known.by_voltage(coming)
         return typical_power_W(size.cells, size.capacity_Ah) if size is not None else NAN
 
     def _most_A(self, coming: Sequence[Sample]) -> float:
         """More than this no pack of the size gives; no limit before a voltage tells the pack."""
-        size = self.pack_size or self._size_by(coming)
+        size = self.pack_size or self._known.by_voltage(coming)
         return HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
-
-    def _size_by(self, coming: Sequence[Sample]) -> PackSize | None:
-        """The pack by the first voltage that there is; None without one."""
-        first_V = next((s.voltage_V for s in coming if math.isfinite(s.voltage_V)), NAN)
-        if not math.isfinite(first_V):
-            return None
-        guessed = cells_from_voltage(first_V, self.battery.battery.cells_series)
-        return size_of_pack(self.battery, self.options, self._facts, guessed, seen=Seen(first_V))
 
     def _pack(self, size: PackSize) -> Pack:
         pack = pack_of(self.battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
         if self._cleaner.guessed:
             pack = unmetered_pack(pack, is_stated=math.isfinite(self._cleaner.stated_power_W))
         pack = with_reaction(pack, self.remembered)
-        return pack._replace(sag_compensated=bool(self._facts.sag_compensated))
+        return pack._replace(sag_compensated=bool(self._known.facts.sag_compensated))
 
     def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
         """All that a reader of the number must know beside it; each is said once."""
@@ -350,5 +326,5 @@ class Estimator:
         if is_metered and self.remembered is not None:
             changed = unlike(self._filter.pack, self.remembered, known.wear, known.wear_sd)
             found = (*found, changed) if changed else found
-        doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._doubts)))
+        doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._known.doubts)))
         return (*found, *doubted, *self._cleaner.notices)

@@ -26,14 +26,14 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import PLAIN, Engine, Estimator
-from uavbatt.log_replay import steps
+from uavbatt.log_replay.run import steps
 from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import Wander, time_to_end
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate import Mission, simulate_flight
+from uavbatt.simulate.flight import Mission, simulate_flight
 
 Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio
 HAS_TWIN = compiled.is_available()
@@ -265,7 +265,7 @@ def _ratio(theirs: float, ours: float) -> str:
 
 def run_cli(arguments: list[str], plain: bool) -> float:
     """Wall seconds of a whole `uavbatt` command in a new process: in numpy, or compiled however short it is."""
-    code = "from uavbatt import log_replay; log_replay.MANY_ROWS = 0; from uavbatt.cli import main; main()"
+    code = "from uavbatt.log_replay import run; run.MANY_ROWS = 0; from uavbatt.cli import main; main()"
     environment = {**os.environ, **({"XDG_CACHE_HOME": f"{os.devnull}/none"} if plain else {})}
     begin = time.perf_counter()
     subprocess.run([sys.executable, "-c", code, *arguments], check=True, capture_output=True, env=environment)

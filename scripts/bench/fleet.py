@@ -35,7 +35,7 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
     """Write the logs: `shapes` flights of each kind are flown, a log is one of them with its own noise and date."""
     from uavbatt.battery import battery_file
     from uavbatt.battery.scaling import pack_of
-    from uavbatt.simulate import Mission, simulate_flight, with_effects
+    from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
     from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
     random = np.random.default_rng(seed)

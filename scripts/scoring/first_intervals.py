@@ -24,7 +24,7 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load

@@ -11,7 +11,7 @@ from peers.columns import FloatArray
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight

@@ -15,15 +15,17 @@ from peers.columns import FloatArray
 from scoring.lines import ours
 from scoring.table import DASH, Table, figure
 from scoring.truth import CAPACITY_AH, CELLS, CUTOFF_V, FLYING_A
-from uavbatt import dataset, plan, remembering
+from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import Size, fit_battery
-from uavbatt.log_replay import steps
+from uavbatt.log_replay.run import steps
+from uavbatt.packs import remembering
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import Remembered
+from uavbatt.plan.endurance import endurance
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import Flight
@@ -130,7 +132,7 @@ def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackH
     ahead = answer.time_s >= answer.start_s
     load = LoggedLoad(answer.time_s[ahead] - answer.start_s, answer.power_W[ahead])
     soc = min(answer.start_soc, 1.0)
-    planned = plan.endurance(battery, estimator.pack_size, load, answer.ambient_C, soc, 0.0, known)
+    planned = endurance(battery, estimator.pack_size, load, answer.ambient_C, soc, 0.0, known)
     return Forecast(tuple(errors), tuple(inside), planned.median_s / length_s - 1.0)
 
 

@@ -17,7 +17,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import Outcome, ReplayedRow, outcome, steps
+from uavbatt.log_replay.outcome import Outcome, outcome
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.telemetry import read_log
 

@@ -16,7 +16,7 @@ from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fitting.battery import Size, fit_battery
-from uavbatt.log_replay import ReplayedRow
+from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import RecentMean
 from uavbatt.records import Flight

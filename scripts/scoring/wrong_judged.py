@@ -18,7 +18,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.last_wall import FALLS_FASTER
 

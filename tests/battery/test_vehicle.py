@@ -20,7 +20,7 @@ from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
 from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 

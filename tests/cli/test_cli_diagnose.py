@@ -12,7 +12,7 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
-from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 4, 5.0, 13.2, 14.0
 
@@ -155,7 +155,7 @@ def test_the_ledger_tells_which_flights_are_of_the_pack_and_their_order(logs: li
     from uavbatt.cli.diagnose_follow import Asked, _in_order
     from uavbatt.packs.ledger import Ledger
     from uavbatt.packs.records import FlightRecord, Told
-    from uavbatt.remembering import key_of
+    from uavbatt.packs.remembering import key_of
     from uavbatt.telemetry import read_log
 
     flights = [read_log(path) for path in logs]

@@ -14,7 +14,8 @@ import pytest
 from command import UAVBATT, called
 
 from uavbatt import Estimator, Sample
-from uavbatt.log_replay import Landing, Outcome, outcome, steps
+from uavbatt.log_replay.outcome import Landing, Outcome, outcome
+from uavbatt.log_replay.run import steps
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.telemetry import read_log

@@ -25,13 +25,13 @@ from uavbatt.estimation.filter import Filtered, SocFilter
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.recursion import filter_window
 from uavbatt.estimator import PLAIN, Engine, Estimator
-from uavbatt.log_replay import engine_for, steps
+from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction import batch as questions
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
-from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
 
 pytest.importorskip("numba", reason="the extra `fast` is not installed")
 LOGS = Path(__file__).resolve().parents[2] / "logs"

@@ -13,7 +13,7 @@ from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 
 
 def flights(**effect: float) -> list[Observed]:

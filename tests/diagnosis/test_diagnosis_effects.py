@@ -10,7 +10,7 @@ from uavbatt.battery.model import Array, open_circuit_voltage, rate_at_power, tr
 from uavbatt.battery.scaling import Pack
 from uavbatt.estimation import SocFilter
 from uavbatt.records import Sample
-from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
 
 
 def pack(**effects: float) -> Pack:

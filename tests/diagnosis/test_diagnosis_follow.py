@@ -14,7 +14,7 @@ from uavbatt.diagnosis.follow import CAN_BEGIN, Follow, follow
 from uavbatt.diagnosis.follow_words import course_words, size_words
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 
 FLIGHTS = 5
 # A few effects, so that the tests are quick; all of them are tried by scripts/diagnose_cases_healthy.py --follow.

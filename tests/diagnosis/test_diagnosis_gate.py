@@ -18,9 +18,9 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis import close, gate
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 from uavbatt.records import Flight
-from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 3, 1.5, 9.6, 10.5

@@ -14,7 +14,7 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import from_flight
-from uavbatt.log_replay import engine_for
+from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2

@@ -20,7 +20,7 @@ from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import SocFilter, noise, recursion
 from uavbatt.estimation.filter import estimate_of
 from uavbatt.records import NAN, Estimate, Sample, Status
-from uavbatt.simulate import Mission, simulate_flight
+from uavbatt.simulate.flight import Mission, simulate_flight
 
 DT_S = 2.0
 READING_SD_V = 0.012  # a cell

@@ -21,7 +21,7 @@ from scoring.other_pack import CUTOFF_V, FULL_AH, Flown
 from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
-from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.records import Flight
 
 pytestmark = pytest.mark.slow

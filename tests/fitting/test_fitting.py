@@ -18,7 +18,7 @@ from uavbatt.fitting.battery import Size, fit_battery, size_of
 from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.observed import Observed, binned, from_flight, held_load, stack
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.simulate import Mission, simulate_flight
+from uavbatt.simulate.flight import Mission, simulate_flight
 
 PLANTED = {"polarisation_ratio": 0.9, "diffusion_ratio": 0.5, "heat_capacity_JpKAh": 30.0, "resistance_gain": 1.5}
 

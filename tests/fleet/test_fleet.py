@@ -26,8 +26,8 @@ from uavbatt.fleet import journal, run, tables
 from uavbatt.fleet.fly import Job, fly_log
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.row import LOST, FlightRow, row_of
-from uavbatt.simulate import Mission, write_log
-from uavbatt.simulate import simulate_flight as simulated
+from uavbatt.simulate.flight import Mission, write_log
+from uavbatt.simulate.flight import simulate_flight as simulated
 
 GENERIC = "lipo-generic"
 

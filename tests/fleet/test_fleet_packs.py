@@ -15,7 +15,7 @@ from factories import generic_pack
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery.scaling import Pack
-from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
 from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
 FIRST_US, DAY_US = 1_790_000_000_000_000, 86_400_000_000

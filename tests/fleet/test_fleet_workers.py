@@ -26,7 +26,7 @@ from uavbatt.fleet.fly import Job, fly_log, lost
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.processes import TRIES, Processes
 from uavbatt.fleet.row import LOST, FlightRow
-from uavbatt.simulate import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, write_log
 
 COMMAND = [sys.executable, "-c", "from uavbatt.cli import main; main()", "fleet"]
 LISTENS = "0A"

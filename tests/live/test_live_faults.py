@@ -25,9 +25,9 @@ from uavbatt.estimator import Estimator
 from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
-from uavbatt.log_replay import steps
+from uavbatt.log_replay.run import steps
 from uavbatt.records import Sample
-from uavbatt.simulate import Mission, simulate_flight
+from uavbatt.simulate.flight import Mission, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 

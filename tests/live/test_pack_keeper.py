@@ -14,7 +14,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.pack_keeper import PackKeeper
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger
-from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
 
 BATTERY = battery_file.read_battery("lpab-3s")
 OPTIONS = PackOptions(cells=3, capacity_Ah=5.0, cutoff_V=10.0)

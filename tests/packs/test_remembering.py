@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uavbatt import remembering
 from uavbatt.battery import battery_file
 from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike, wear_of
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
+from uavbatt.packs import remembering
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Flight, Identity, PackFacts
-from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
 
 BATTERY = battery_file.read_battery("lpab-3s")
 OPTIONS = PackOptions(cells=3, capacity_Ah=5.0, cutoff_V=10.0)
@@ -81,7 +81,7 @@ def test_a_flight_that_cannot_tell_says_why(emptied, changed, words):
 
 
 def test_the_second_flight_of_an_aged_pack_is_right_before_take_off(tmp_path, record):
-    from uavbatt.plan import endurance, resolve
+    from uavbatt.plan.endurance import endurance, resolve
     from uavbatt.prediction.load import ConstantLoad
 
     with Ledger(tmp_path / "packs.sqlite") as ledger:

@@ -26,7 +26,7 @@ from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
-from uavbatt.simulate import Mission, simulate_flight
+from uavbatt.simulate.flight import Mission, simulate_flight
 from uavbatt.telemetry import read_log
 
 MEAN_LAG_S = 2.5  # the end is judged by a 5 s mean, whose middle lies this far back

@@ -23,7 +23,7 @@ from daemon_bench import Bench
 from live_rig import ROOT, free_port
 from packs.made import flight as pack_flight
 from report.test_report_validation import made as validated
-from test_plan_mission import planned, to
+from test_mission_fits import planned, to
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry

@@ -14,7 +14,8 @@ import pytest
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow
+from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
+from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Flight, Remaining, Sample, Status

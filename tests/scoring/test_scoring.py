@@ -15,7 +15,6 @@ from factories import generic_pack
 from scoring import data, lines, m100, m100_tables, table, truth
 from scoring.peer_lines import MAH
 
-from uavbatt import simulate
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import pack_of
@@ -23,12 +22,13 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
-from uavbatt.simulate import Mission, simulate_flight, with_effects
+from uavbatt.simulate import flight as simulated
+from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
 
 # --- tables ------------------------------------------------------------------------------------------------------
 
@@ -194,7 +194,7 @@ def test_gusts_of_this_flight_widen_the_recent_load(monkeypatch: pytest.MonkeyPa
     """Gusts of 25 % instead of 5 %, from half-way on, when the flight has shown them."""
     widths = {}
     for gust in (0.05, 0.25):
-        monkeypatch.setattr(simulate, "GUST_SD", gust)
+        monkeypatch.setattr(simulated, "GUST_SD", gust)
         flights = [flown.__wrapped__(seed) for seed in (1, 2, 3)]
         runs = [replayed(f, known_pack(), RecentMean()) for f in flights]
         widths[gust] = [width_s(at(r, f, share)) for r, f in zip(runs, flights, strict=True) for share in (0.5, 0.7)]

@@ -14,9 +14,9 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import steps
+from uavbatt.log_replay.run import steps
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.simulate import Mission, simulate_flight
+from uavbatt.simulate.flight import Mission, simulate_flight
 from uavbatt.telemetry.join import Wiring, joined, read_joined
 
 HALF = PackFacts(cells_series=4, capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)

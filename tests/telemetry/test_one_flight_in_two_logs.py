@@ -16,7 +16,7 @@ import pytest
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry import read_log
 

@@ -16,9 +16,9 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.mavlink.fields import BATTERY_STATUS
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Mode, Navigation, Wind
 from uavbatt.records import Flight
-from uavbatt.simulate import IDLE_S, simulate_flight, write_log
-from uavbatt.simulate import Mission as Flown
-from uavbatt.simulate_route import RouteFlight, route_flight, watts_of
+from uavbatt.simulate.flight import IDLE_S, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission as Flown
+from uavbatt.simulate.route import RouteFlight, route_flight, watts_of
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_frames import frames
 from uavbatt.telemetry.info import describe, lines

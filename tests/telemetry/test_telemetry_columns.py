@@ -19,7 +19,7 @@ from pymavlink.generator.mavcrc import x25crc
 
 from uavbatt.mavlink import fields
 from uavbatt.records import Sample
-from uavbatt.simulate import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.column_rules import add_rows, times_s

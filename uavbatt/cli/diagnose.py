@@ -132,7 +132,7 @@ def _run(
     from uavbatt.diagnosis.diagnosis import diagnose as find
     from uavbatt.diagnosis.gate import verdicts
     from uavbatt.fitting import observed
-    from uavbatt.log_replay import engine_for
+    from uavbatt.log_replay.run import engine_for
 
     tests = data.load(gate) if gate is not None else None
     sizes = {flown_size(f, content, stated) for f in flights} | {tested_size(d, content, stated) for d in datasets}

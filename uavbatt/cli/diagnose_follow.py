@@ -86,7 +86,7 @@ def _in_order(flights: list[Flight], asked: Asked) -> list[Flight]:
 def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight]:
     """The flights that the ledger knows of the pack, in its order."""
     from uavbatt.packs.ledger import Ledger
-    from uavbatt.remembering import key_of
+    from uavbatt.packs.remembering import key_of
 
     if not pack:
         raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
@@ -104,7 +104,7 @@ def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight
 def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, without: tuple[str, ...]) -> Follow:
     from uavbatt.battery.sizing import PackOptions, pack_from
     from uavbatt.diagnosis.follow import follow
-    from uavbatt.log_replay import engine_for
+    from uavbatt.log_replay.run import engine_for
 
     if not flights:
         raise NotEnoughData("no flight to follow")

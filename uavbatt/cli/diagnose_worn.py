@@ -34,7 +34,7 @@ def base_pack(packs: Path | None, stated: str, flights: list[Flight], file: Batt
     """
     from uavbatt.cli import pack_memory
     from uavbatt.packs.ledger import prior
-    from uavbatt.remembering import key_of
+    from uavbatt.packs.remembering import key_of
 
     with pack_memory.opened(packs, stated, only_read=True) as memory:
         if memory.ledger is None:
@@ -69,7 +69,7 @@ def _worn(name: str, file: BatteryFile, pack: Pack, health: PackHealth) -> BaseP
 
 def _name(flights: list[Flight], stated: str) -> str:
     """The pack that all flights are of."""
-    from uavbatt.remembering import name_of
+    from uavbatt.packs.remembering import name_of
 
     names = sorted({name_of(flight, stated) for flight in flights})
     if names == [""] or not names:

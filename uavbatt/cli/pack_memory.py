@@ -36,7 +36,7 @@ class PackMemory:
 
     def recalled(self, flight: Flight, battery: BatteryFile) -> PackHealth | None:
         """Return what is known of the flight's pack by the flights before it; None where nothing is."""
-        from uavbatt.remembering import name_of, recalled
+        from uavbatt.packs.remembering import name_of, recalled
 
         if self.ledger is None:
             return None
@@ -59,7 +59,7 @@ class PackMemory:
         """Save what the flight taught of its pack."""
         from uavbatt.packs.findings import ANOTHER
         from uavbatt.packs.ledger import AnotherSize
-        from uavbatt.remembering import name_of, taught
+        from uavbatt.packs.remembering import name_of, taught
 
         if self.ledger is None:
             return Learned()

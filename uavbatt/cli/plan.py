@@ -34,7 +34,7 @@ from uavbatt.errors import NotEnoughData, UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.plan import Endurance, Plan
+    from uavbatt.plan.endurance import Endurance, Plan
     from uavbatt.prediction.load import Load
     from uavbatt.records import Flight
 
@@ -69,7 +69,7 @@ def plan(
 
     Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
     """
-    from uavbatt import plan as planning
+    from uavbatt.plan.endurance import make_plan, resolve
     from uavbatt.telemetry import read_log
 
     if sum(given is not None for given in (power_w, like, vehicle)) != 1:
@@ -82,7 +82,7 @@ def plan(
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
-    resolved = planning.resolve(content, options, flight)
+    resolved = resolve(content, options, flight)
     with pack_memory.opened(packs, pack, only_read=True) as memory:
         remembered = memory.recalled_now(content)
     if mission is not None and vehicle is not None:
@@ -92,7 +92,7 @@ def plan(
         plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary), remembered)
         return
     load = _load(positive_or_nan(power_w, "--power-w"), flight, vehicle, content, options)
-    found = planning.make_plan(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
+    found = make_plan(content, resolved, load, ambient_c, start_soc, reserve_soc, remembered)
     for line in _lines(found):
         say(line, report, summary)
     if report is not None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.remembered import PackHealth
     from uavbatt.battery.sizing import PackSize
-    from uavbatt.plan_route import LegEnd, MissionPlan, RouteFit
+    from uavbatt.plan.mission import LegEnd, MissionPlan, RouteFit
 
 MOST_LEGS = 40  # lines on a terminal
 
@@ -38,7 +38,7 @@ def plan_mission(
 
     from uavbatt.battery import vehicle_file
     from uavbatt.navigation import ReturnSettings, Wind
-    from uavbatt.plan_route import Planned, make_route_plan
+    from uavbatt.plan.mission import Planned, make_route_plan
     from uavbatt.telemetry.formats.mission_file import read_mission
 
     read, flown = read_mission(mission), vehicle_file.read_vehicle(vehicle)

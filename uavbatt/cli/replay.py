@@ -134,7 +134,8 @@ def _one(
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
-    from uavbatt.log_replay import estimator_for, outcome, recorded_period_s, size_of_replayed, steps, with_mission
+    from uavbatt.log_replay.outcome import outcome
+    from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
     from uavbatt.prediction.forecaster import ForecastSettings
     from uavbatt.prediction.load_options import stated_load
     from uavbatt.report import flight_text

@@ -27,8 +27,8 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.scaling import Pack
     from uavbatt.records import Sample
-    from uavbatt.simulate import Mission
-    from uavbatt.simulate_route import RouteFlight
+    from uavbatt.simulate.flight import Mission
+    from uavbatt.simulate.route import RouteFlight
 
 
 def simulate(
@@ -57,7 +57,7 @@ def simulate(
     """
     from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
-    from uavbatt.simulate import Mission, simulate_flight, with_effects, write_log
+    from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
 
     check_writable(output, reads=[mission])
     if wind is not None and mission is None:
@@ -84,8 +84,8 @@ def simulate(
 def _route(mission: Path, wind: str | None) -> RouteFlight:
     """The flight of a mission file; UsageError for one that does not say where it begins, or has no end."""
     from uavbatt.navigation import Wind
-    from uavbatt.simulate import IDLE_S
-    from uavbatt.simulate_route import route_flight
+    from uavbatt.simulate.flight import IDLE_S
+    from uavbatt.simulate.route import route_flight
     from uavbatt.telemetry.formats.mission_file import read_mission
 
     planned = read_mission(mission)
@@ -96,8 +96,8 @@ def _route(mission: Path, wind: str | None) -> RouteFlight:
 
 def _along(route: RouteFlight, pack: Pack, flight: Mission) -> list[Sample]:
     """The rows of a flight along a route."""
-    from uavbatt.simulate import simulate_flight
-    from uavbatt.simulate_route import watts_of
+    from uavbatt.simulate.flight import simulate_flight
+    from uavbatt.simulate.route import watts_of
 
     watts = watts_of(flight.power_W)
     return simulate_flight(pack, flight, lambda time_s: route.power_W(time_s, watts), route.lands_s)

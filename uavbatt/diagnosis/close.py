@@ -28,7 +28,7 @@ from uavbatt.diagnosis.problem import Refit
 from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.fitting.assemble import rounded
-from uavbatt.log_replay import steps
+from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import LoggedLoad
 from uavbatt.records import NAN, Flight

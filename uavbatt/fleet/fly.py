@@ -18,7 +18,8 @@ from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, CHECKPOINTS, LOST, START_FORMAT, FlightRow
-from uavbatt.log_replay import Outcome, ReplayedRow, engine_for, outcome, steps
+from uavbatt.log_replay.outcome import Outcome, outcome
+from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight

@@ -14,8 +14,8 @@ from uavbatt.fleet.logs import LogFile, Unreadable
 from uavbatt.fleet.row import BAD, LOST, OK
 from uavbatt.packs.exchange import flight_of, plain_flight
 from uavbatt.packs.records import FlightRecord
+from uavbatt.packs.remembering import key_of, name_of, taught
 from uavbatt.records import NAN
-from uavbatt.remembering import key_of, name_of, taught
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,8 @@ from uavbatt.errors import UavbattError
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, LeftOver
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
+from uavbatt.packs.remembering import taught
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
-from uavbatt.remembering import taught
 
 FLUSH_S = 10.0
 BEFORE_S, LANDED_S = 30.0, 20.0  # of rest before the take-off and after the landing, for the rested voltage

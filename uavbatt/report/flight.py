@@ -11,7 +11,8 @@ import numpy as np
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Outcome, ReplayedRow
+from uavbatt.log_replay.outcome import Outcome
+from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.records import Flight, Status
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_axis import TimeAxis

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from uavbatt.log_replay import Landing
+from uavbatt.log_replay.outcome import Landing
 from uavbatt.report.page import duration
 
 SECONDS_BELOW_S, MINUTES_FROM_S, TENS_BELOW_S = 120.0, 300.0, 600.0

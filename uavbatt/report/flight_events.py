@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.log_replay import Outcome, ReplayedRow, way_said
+from uavbatt.log_replay.outcome import Outcome
+from uavbatt.log_replay.run import ReplayedRow, way_said
 from uavbatt.navigation import Mode
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.prediction.pending import ALARM_S

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Outcome
+from uavbatt.log_replay.outcome import Outcome
 from uavbatt.report import plot
 from uavbatt.report.flight_axis import TimeAxis, band, line
 from uavbatt.report.page import Html, figure, number, paragraph

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Outcome, ReplayedRow
+from uavbatt.log_replay.outcome import Checkpoint, Outcome
+from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.pending import ALARM, ALARM_S, TURN_BACK
 from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number

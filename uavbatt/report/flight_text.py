@@ -8,7 +8,8 @@ from typing import Any
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
-from uavbatt.log_replay import Checkpoint, Landing, Outcome, ReplayedRow, way_said
+from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
+from uavbatt.log_replay.run import ReplayedRow, way_said
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.page import duration

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt import __version__
-from uavbatt.plan_route import MissionPlan, RouteFit
+from uavbatt.plan.mission import MissionPlan, RouteFit
 from uavbatt.prediction.route_forecast import IN_TIME
 from uavbatt.prediction.route_path import Point
 from uavbatt.report import plot

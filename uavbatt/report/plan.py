@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt import __version__
-from uavbatt.plan import Endurance, Plan
+from uavbatt.plan.endurance import Endurance, Plan
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from uavbatt.log_replay import ReplayedRow, WaySaid, way_said
+from uavbatt.log_replay.run import ReplayedRow, WaySaid, way_said
 from uavbatt.prediction.route_path import Point, path, place
 from uavbatt.records import Flight, Route
 from uavbatt.report.page import Html, duration, paragraph, section

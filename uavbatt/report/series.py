@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.log_replay import ReplayedRow
+from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.records import Status
 
 Array = NDArray[np.float64]

@@ -1,132 +1,22 @@
-"""Replay of a flight log through the estimator: the rows that come out, and how good they were."""
+"""What came of a replay: the flight in figures, its landing, and the forecasts against the end that the log shows."""
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from itertools import groupby
-from pathlib import Path
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
-from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions, PackSize
-from uavbatt.battery.statements import check_statements
-from uavbatt.errors import UsageError
-from uavbatt.estimator import PLAIN, Engine, Estimator
-from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample, Status
+from uavbatt.log_replay.run import ReplayedRow
+from uavbatt.records import NAN, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.telemetry.drawn import loaded_A
-from uavbatt.telemetry.formats.mission_file import PlannedFlight
-from uavbatt.telemetry.formats.recording import forecast_period_s
 
-MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
 FORGOTTEN_S = 30.0
 CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayedRow:
-    """One output line: the estimate and the forecast after one row."""
-
-    estimate: Estimate
-    remaining: Remaining
-
-
-def engine_for(*, is_long: bool) -> Engine:
-    """The engine for a work: compiled where that is long enough to repay it and the extra `fast` is installed."""
-    if not is_long:
-        return PLAIN
-    try:
-        from uavbatt import compiled
-    except ImportError:  # an installation without it
-        return PLAIN
-    return compiled.engine() if compiled.is_available() else PLAIN
-
-
-def estimator_for(
-    flight: Flight,
-    battery: BatteryFile,
-    options: PackOptions,
-    settings: ForecastSettings,
-    remembered: PackHealth | None = None,
-) -> Estimator:
-    """Make the estimator of a flight, once what is stated of its pack is held against its first rows.
-
-    Raises UsageError for a statement that the rows contradict.
-    """
-    check_statements(battery, options, flight)
-    return Estimator(battery, options, settings, engine_for(is_long=len(flight.samples) >= MANY_ROWS), remembered)
-
-
-def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
-    """Return cells, capacity and cut-off that a replay ran with. Raises UsageError where no row had a voltage."""
-    if estimator.pack_size is None:
-        raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    return estimator.pack_size
-
-
-def recorded_period_s(log: str | Path) -> float:
-    """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
-    recorded_s = forecast_period_s(log)
-    return recorded_s if math.isfinite(recorded_s) else ForecastSettings().forecast_period_s
-
-
-def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
-    """Return the flight with the mission of a file in the place of whatever the log says of one."""
-    return replace(
-        flight,
-        navigation=tuple(
-            replace(known, mission=planned.mission, home=known.home or planned.home, transferring=False)
-            for known in flight.navigation
-        ),
-    )
-
-
-def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
-    """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
-    for facts, samples in _stretches(flight):
-        estimator.update_facts(facts)
-        for estimate, remaining in estimator.run(samples, flight.navigation_at):
-            yield ReplayedRow(estimate, remaining)
-
-
-def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
-    """The rows in pieces in which the vehicle says the same all along."""
-    since_s = [time_s for time_s, _ in flight.facts]
-    for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
-        yield flight.facts[count - 1][1] if count else PackFacts(), rows
-
-
-class WaySaid(NamedTuple):
-    """The forecasts of a replay that spoke of a route or of the way home: time [s] and what was said."""
-
-    rows: list[tuple[float, Route]]
-
-    @property
-    def turn_back_now_s(self) -> float:
-        """When "turn back now" was said first [s]; NaN where it was not."""
-        return next((time_s for time_s, route in self.rows if route.turn_back_lo_s <= 0.0), NAN)
-
-    @property
-    def why_no_route(self) -> str:
-        """The commonest reason why the route was not the load to come; empty without one."""
-        reasons = Counter(route.reason for _, route in self.rows if route.load != "route" and route.reason)
-        return reasons.most_common(1)[0][0] if reasons else ""
-
-
-def way_said(run: Iterable[ReplayedRow]) -> WaySaid:
-    """Return what a replay said of the way, row by row; no rows where neither a mission nor a home was known."""
-    return WaySaid([(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None])
 
 
 @dataclass(frozen=True, slots=True)

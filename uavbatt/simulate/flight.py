@@ -22,7 +22,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.errors import UsageError
 from uavbatt.files import atomic_write
 from uavbatt.records import Sample
-from uavbatt.simulate_route import PARAMETERS, RouteFlight
+from uavbatt.simulate.route import PARAMETERS, RouteFlight
 from uavbatt.telemetry.formats.dataflash_writer import write_dataflash
 from uavbatt.telemetry.formats.route_writer import dataflash_records, tlog_messages
 from uavbatt.telemetry.formats.tlog_writer import write_tlog

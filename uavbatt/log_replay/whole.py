@@ -15,21 +15,13 @@ from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import MissingExtra, UsageError
 from uavbatt.limits import Names
-from uavbatt.log_replay import (
-    Outcome,
-    ReplayedRow,
-    estimator_for,
-    outcome,
-    recorded_period_s,
-    size_of_replayed,
-    steps,
-    with_mission,
-)
+from uavbatt.log_replay.outcome import Outcome, outcome
+from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
 from uavbatt.packs.ledger import Ledger
+from uavbatt.packs.remembering import name_of, recalled, taught
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
-from uavbatt.remembering import name_of, recalled, taught
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.mission_file import read_mission
 

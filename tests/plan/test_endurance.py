@@ -23,13 +23,13 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import UavbattError
-from uavbatt.plan import TABLE_C, Endurance, endurance, make_plan, resolve
+from uavbatt.plan.endurance import TABLE_C, Endurance, endurance, make_plan, resolve
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.prediction.take_off import FromTakeOff
 from uavbatt.records import Sample
 from uavbatt.report.plan import plan_report
-from uavbatt.simulate import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import Mission, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0)
 

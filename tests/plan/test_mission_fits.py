@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
-from uavbatt import plan, plan_route
 from uavbatt.battery import battery_file
 from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, Wind
-from uavbatt.plan_route import MissionPlan, Planned
+from uavbatt.plan.endurance import resolve
+from uavbatt.plan.mission import MissionPlan, Planned, make_route_plan
 
 POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
 
 
 def planned(*items: MissionItem, wind: Wind | None = None, remembered: PackHealth | None = None) -> MissionPlan:
     battery = battery_file.read_battery("lipo-generic")
-    size = plan.resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
+    size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
-    return plan_route.make_route_plan(battery, size, asked, 25.0, remembered=remembered)
+    return make_route_plan(battery, size, asked, 25.0, remembered=remembered)
 
 
 def test_a_pack_that_is_remembered_as_faded_brings_less_home() -> None:

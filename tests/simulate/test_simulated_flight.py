@@ -16,11 +16,11 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.cli.app import app
 from uavbatt.errors import UsageError
 from uavbatt.records import Sample
-from uavbatt.simulate import AFTER_END_S, IDLE_S, Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import AFTER_END_S, IDLE_S, Mission, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.info import describe
 
-LOGS = Path(__file__).parents[1] / "logs"
+LOGS = Path(__file__).parents[2] / "logs"
 
 
 @cache

@@ -20,7 +20,7 @@ from uavbatt.battery.sizing import PackSize, certificate_remark
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
-from uavbatt.plan import EMPTY_SOC, TABLE_C, range_remark, rested
+from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.long_steps import begun

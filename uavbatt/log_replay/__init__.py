@@ -1,0 +1,1 @@
+"""A log through the estimator, and what came of it."""

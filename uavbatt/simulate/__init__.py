@@ -1,0 +1,1 @@
+"""Flights that never flew, for tests and for people who integrate us."""
