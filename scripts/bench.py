@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from bench import engine, fleet, missions, readers  # found by the line above
 
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 
 PARTS = ("engine", "cli", "daemon", "reading", "fleet")
 DAEMON = """
@@ -69,7 +69,9 @@ def cli_rows(repeats: int) -> Iterator[engine.Row]:
         flights = [Path(folder) / f"worn_{n}.csv" for n in range(3)]
         worn = with_effects(engine.pack(), {"capacity_fade": 0.15})
         for n, log in enumerate(flights):
-            write_log(log, simulate_flight(worn, Mission(250.0 + 60.0 * n, 10.0 + 8.0 * n, rate_Hz=2.0, seed=n)), worn)
+            write_log(
+                log, simulate_flight(worn, SimulatedFlight(250.0 + 60.0 * n, 10.0 + 8.0 * n, rate_Hz=2.0, seed=n)), worn
+            )
         pack = ["--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2"]
         yield from _with_and_without("uavbatt diagnose, 3 flights", ["diagnose", *map(str, flights), *pack], 1)
     yield plan_row(repeats)

@@ -66,10 +66,10 @@ def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tlog of six minutes from full to the cut-off, its pack in its parameters, for tests that want any flight."""
     from factories import generic_pack
 
-    from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+    from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
     path, pack = tmp_path_factory.mktemp("short") / "short.tlog", generic_pack(capacity_Ah=2.0)
-    write_log(path, simulate_flight(pack, Mission(power_W=300.0, rate_Hz=1.0)), pack)
+    write_log(path, simulate_flight(pack, SimulatedFlight(power_W=300.0, rate_Hz=1.0)), pack)
     return path
 
 

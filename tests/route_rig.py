@@ -6,9 +6,18 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, ReturnSettings
+import msgspec
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.powers import UNKNOWN
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, ReturnSettings, Wind
+from uavbatt.plan.endurance import resolve
+from uavbatt.plan.mission import MissionPlan, Planned, make_route_plan
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 
+POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
 HOME = Home(47.0, 8.0, 400.0)
 SETTINGS = ReturnSettings(
     cruise_ms=5.0,
@@ -31,3 +40,11 @@ def to(seq: int, north_m: float, east_m: float, alt_m: float, **other: Any) -> M
 def mission(*items: MissionItem) -> Mission:
     """A mission as ArduPilot holds it: home in front."""
     return Mission((MissionItem(0, Action.WAYPOINT, HOME.lat_deg, HOME.lon_deg, 0.0, Frame.SEA), *items), "test")
+
+
+def planned(*items: MissionItem, wind: Wind | None = None, remembered: PackHealth | None = None) -> MissionPlan:
+    """The plan of a mission for a quad of 180 W on a 4S pack of 5 Ah at 25 °C."""
+    battery = battery_file.read_battery("lipo-generic")
+    size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
+    asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
+    return make_route_plan(battery, size, asked, 25.0, remembered=remembered)

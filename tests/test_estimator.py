@@ -24,7 +24,7 @@ from uavbatt.log_replay.outcome import outcome
 from uavbatt.log_replay.run import steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
-from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
@@ -34,7 +34,7 @@ EVERY_20_S = ForecastSettings(forecast_period_s=20.0)
 @cache
 def flown() -> tuple[Sample, ...]:
     pack = generic_pack()
-    return tuple(simulate_flight(pack, Mission(400.0, 12.0, rate_Hz=1.0, seed=4)))
+    return tuple(simulate_flight(pack, SimulatedFlight(400.0, 12.0, rate_Hz=1.0, seed=4)))
 
 
 def lines(flight: Flight, options: PackOptions | None = None) -> list[str]:

@@ -34,7 +34,7 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
-from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 
 STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
@@ -46,7 +46,7 @@ LOGS = Path(__file__).parents[1] / "logs"
 def flown() -> tuple[Sample, ...]:
     """Four minutes of a flight of the pack, the ground before it included."""
     pack = generic_pack()
-    return tuple(simulate_flight(pack, Mission(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
+    return tuple(simulate_flight(pack, SimulatedFlight(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
 
 
 def after(

@@ -33,7 +33,7 @@ from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.estimation.assumed_load import unmetered_pack
-from uavbatt.estimation.filter import Filtered, SocFilter, Summary, estimate_of, unknown
+from uavbatt.estimation.filter import BeliefSummary, Filtered, SocFilter, estimate_of, unknown
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
 from uavbatt.estimation.pack_change import SwapWatch
@@ -318,7 +318,7 @@ class Estimator:
         pack = with_reaction(pack, self.remembered)
         return pack._replace(sag_compensated=bool(self._known.facts.sag_compensated))
 
-    def _warnings(self, sample: Sample, known: Summary) -> tuple[str, ...]:
+    def _warnings(self, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
         """All that a reader of the number must know beside it; each is said once."""
         assert self.pack_size is not None and self._filter is not None
         is_metered = not self._cleaner.guessed

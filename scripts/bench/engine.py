@@ -31,9 +31,9 @@ from uavbatt.prediction import batch
 from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
-from uavbatt.prediction.time_to_end import Wander, time_to_end
+from uavbatt.prediction.time_to_end import Normals, time_to_end
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 Row = tuple[str, str, str, str]  # what, ours, the peer's, ratio
 HAS_TWIN = compiled.is_available()
@@ -51,7 +51,7 @@ def flight(minutes: float, rate_Hz: float = 10.0) -> list[Sample]:
     capacity_Ah = 5.0 * minutes / 20.0
     made = pack_of(battery_file.read_battery("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
     if minutes <= 30.0:
-        return simulate_flight(made, Mission(36.0 * capacity_Ah, rate_Hz=rate_Hz, seed=3))[
+        return simulate_flight(made, SimulatedFlight(36.0 * capacity_Ah, rate_Hz=rate_Hz, seed=3))[
             : int(60.0 * minutes * rate_Hz)
         ]
     short = flight(20.0, rate_Hz)
@@ -204,7 +204,7 @@ def reference_ends_s(belief: Belief, asked: Question, draws: int = 4096) -> Any:
     mean_W = float(np.median(asked.power_W))
     power_W = np.broadcast_to(mean_W * np.exp(LOAD_SPREAD * random.standard_normal(draws)), (steps, draws))
     bias = random.standard_normal((steps, draws))
-    found = time_to_end(asked.pack, x, power_W, asked.ambient_C, np.ones(steps), wander=Wander(bias, bias))
+    found = time_to_end(asked.pack, x, power_W, asked.ambient_C, np.ones(steps), wander=Normals(bias, bias))
     return np.minimum(found.end_s, asked.horizon_s)
 
 

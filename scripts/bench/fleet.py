@@ -35,7 +35,7 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
     """Write the logs: `shapes` flights of each kind are flown, a log is one of them with its own noise and date."""
     from uavbatt.battery import battery_file
     from uavbatt.battery.scaling import pack_of
-    from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+    from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
     from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
     random = np.random.default_rng(seed)
@@ -50,7 +50,7 @@ def make(folder: Path, flights: int = FLIGHTS, shapes: int = 20, seed: int = 11)
             pack = with_effects(base, {"resistance_growth": GROWTH * share if aircraft == AGEING else 0.0})
             power_W, ambient_C = float(random.uniform(260.0, 420.0)), float(random.uniform(5.0, 30.0))
             flown[key] = simulate_flight(
-                pack, Mission(power_W, ambient_C, rate_Hz=RATE_HZ, seed=int(random.integers(1 << 30)))
+                pack, SimulatedFlight(power_W, ambient_C, rate_Hz=RATE_HZ, seed=int(random.integers(1 << 30)))
             )
         # most land with a rest: only every sixth log shows the end of its flight
         whole = flown[key]

@@ -8,7 +8,7 @@ from scoring.m100 import LEARNED, LOG, UNKNOWN, Result
 from scoring.peer_lines import MAH
 from scoring.table import DASH, Table, figure, grid, share, with_error
 from uavbatt.scoring.metrics import fixed_percentage
-from uavbatt.scoring.scores import Instant, Pooled, ScoreRow, pool
+from uavbatt.scoring.scores import Instant, PooledScores, ScoreRow, pool
 
 INSTANTS = ("360 s", "240 s", "120 s", "60 s", "25%", "50%", "75%")
 JUDGED = INSTANTS[:4]
@@ -31,17 +31,17 @@ def tables(found: dict[str, list[Result]]) -> list[Table]:
     ]
 
 
-def _row(pooled: Pooled, label: str) -> ScoreRow:
+def _row(pooled: PooledScores, label: str) -> ScoreRow:
     return next(r for r in pooled.rows if r.label == label)
 
 
-def _errors(pooled: dict[str, Pooled], flights: int) -> Table:
+def _errors(pooled: dict[str, PooledScores], flights: int) -> Table:
     rows = [(n, [with_error(_row(p, i).mae_s, _row(p, i).mae_se_s) for i in INSTANTS]) for n, p in pooled.items()]
     note = "Seconds before the end, and share of the flight that is over. A refusal counts as a forecast of 0 s."
     return grid(f"M100: mean absolute error [s] ± standard error, {flights} flights", INSTANTS, rows, note)
 
 
-def _biases(pooled: dict[str, Pooled]) -> Table:
+def _biases(pooled: dict[str, PooledScores]) -> Table:
     def cell(row: ScoreRow) -> str:
         return with_error(row.bias_s, row.bias_se_s, sign=True)
 
@@ -49,7 +49,7 @@ def _biases(pooled: dict[str, Pooled]) -> Table:
     return grid("M100: bias [s] ± standard error", INSTANTS, rows, "Positive: the forecast was too optimistic.")
 
 
-def _intervals(pooled: dict[str, Pooled]) -> Table:
+def _intervals(pooled: dict[str, PooledScores]) -> Table:
     rows = []
     for name, p in pooled.items():
         at = [_row(p, i) for i in INSTANTS]
@@ -58,13 +58,13 @@ def _intervals(pooled: dict[str, Pooled]) -> Table:
     return grid("M100: the 90 % interval", INSTANTS, rows)
 
 
-def _crps(pooled: dict[str, Pooled]) -> Table:
+def _crps(pooled: dict[str, PooledScores]) -> Table:
     rows = [(n, [with_error(_row(p, i).crps_s, _row(p, i).crps_se_s) for i in INSTANTS]) for n, p in pooled.items()]
     note = "For a method without an interval this is its mean absolute error."
     return grid("M100: CRPS [s] ± standard error", INSTANTS, rows, note)
 
 
-def _metrics(pooled: dict[str, Pooled]) -> Table:
+def _metrics(pooled: dict[str, PooledScores]) -> Table:
     head = ("alpha-lambda 10 %", "alpha-lambda 20 %", "prognostic horizon [s]", "CRA", "refused")
     rows = [
         (

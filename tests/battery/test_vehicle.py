@@ -20,7 +20,7 @@ from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
 from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 
@@ -28,7 +28,9 @@ OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 @cache
 def flight(seed: int = 1, power_W: float = 300.0, rate_Hz: float = 1.0) -> Flight:
     pack = generic_pack()
-    return Flight(f"flight {seed}", "csv", tuple(simulate_flight(pack, Mission(power_W, rate_Hz=rate_Hz, seed=seed))))
+    return Flight(
+        f"flight {seed}", "csv", tuple(simulate_flight(pack, SimulatedFlight(power_W, rate_Hz=rate_Hz, seed=seed)))
+    )
 
 
 @cache

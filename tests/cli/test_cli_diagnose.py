@@ -12,7 +12,7 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 4, 5.0, 13.2, 14.0
 
@@ -32,7 +32,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     paths = []
     for i, (power_W, ambient_C) in enumerate([(170.0, 22.0), (150.0, 12.0)]):
         path = folder / f"flight_{i}.csv"
-        write_log(path, simulate_flight(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i + 1)), pack)
+        write_log(path, simulate_flight(pack, SimulatedFlight(power_W, ambient_C, rate_Hz=1.0, seed=i + 1)), pack)
         paths.append(path)
     return paths
 
@@ -107,10 +107,10 @@ def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: l
 def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: Path) -> None:
     other = tmp_path / "other.tlog"
     pack = generic_pack(6, 8.0, 19.8, 21.0)
-    write_log(other, simulate_flight(pack, Mission(350.0, 22.0, rate_Hz=1.0, seed=3)), pack)
+    write_log(other, simulate_flight(pack, SimulatedFlight(350.0, 22.0, rate_Hz=1.0, seed=3)), pack)
     first = tmp_path / "first.tlog"
     pack = generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
-    write_log(first, simulate_flight(pack, Mission(170.0, 22.0, rate_Hz=1.0, seed=1)), pack)
+    write_log(first, simulate_flight(pack, SimulatedFlight(170.0, 22.0, rate_Hz=1.0, seed=1)), pack)
     done = run("diagnose", first, other, "--battery", "lipo-generic")
     assert done.returncode == 4
     assert "different packs" in done.stderr

@@ -31,7 +31,7 @@ from uavbatt.prediction.batch import Question
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 pytest.importorskip("numba", reason="the extra `fast` is not installed")
 LOGS = Path(__file__).resolve().parents[2] / "logs"
@@ -44,7 +44,7 @@ def pack_4s() -> Pack:
 
 @cache
 def flown() -> tuple[Sample, ...]:
-    return tuple(simulate_flight(pack_4s(), Mission(500.0, 8.0, rate_Hz=10.0, seed=5)))
+    return tuple(simulate_flight(pack_4s(), SimulatedFlight(500.0, 8.0, rate_Hz=10.0, seed=5)))
 
 
 def holed(samples: tuple[Sample, ...]) -> list[Sample]:

@@ -10,7 +10,7 @@ from uavbatt.battery.model import Array, open_circuit_voltage, rate_at_power, tr
 from uavbatt.battery.scaling import Pack
 from uavbatt.estimation import SocFilter
 from uavbatt.records import Sample
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 
 def pack(**effects: float) -> Pack:
@@ -27,7 +27,7 @@ def innovations(made: Pack, samples: list[Sample]) -> Array:
 
 @pytest.mark.parametrize("delay_s", [3.0, -3.0])
 def test_a_known_delay_between_voltage_and_current_costs_nothing(delay_s: float) -> None:
-    mission = Mission(250.0, rate_Hz=1.0, seed=4)
+    mission = SimulatedFlight(250.0, rate_Hz=1.0, seed=4)
     straight = np.std(innovations(pack(), simulate_flight(pack(), mission)))
     skewed = simulate_flight(pack(current_delay=delay_s), mission)
     assert np.std(innovations(pack(), skewed)) > 1.3 * straight
@@ -42,7 +42,7 @@ def test_hysteresis_is_away_at_full_and_whole_on_the_way_down() -> None:
 
 
 def test_a_known_start_below_what_the_rested_voltage_says() -> None:
-    sample = simulate_flight(pack(), Mission(250.0, rate_Hz=1.0))[0]
+    sample = simulate_flight(pack(), SimulatedFlight(250.0, rate_Hz=1.0))[0]
     believed, known = SocFilter(pack()).step(sample).soc, SocFilter(pack(initial_charge=-0.1)).step(sample).soc
     assert believed - known == pytest.approx(0.1, abs=0.02)
 

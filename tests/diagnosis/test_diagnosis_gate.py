@@ -20,7 +20,7 @@ from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.fitting.observed import from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.records import Flight
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 3, 1.5, 9.6, 10.5
@@ -42,7 +42,7 @@ def found(file: BatteryFile, tmp_path_factory: pytest.TempPathFactory) -> Diagno
     flights: list[Flight] = []
     for i, (power_W, ambient_C) in enumerate([(45.0, 25.0), (55.0, 15.0), (35.0, 30.0)]):
         path = folder / f"flight_{i}.csv"
-        write_log(path, simulate_flight(pack, Mission(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
+        write_log(path, simulate_flight(pack, SimulatedFlight(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
         flights.append(read_log(path))
     records = [from_flight(f, CELLS, CAPACITY_AH) for f in flights]
     return diagnose(

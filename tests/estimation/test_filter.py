@@ -20,7 +20,7 @@ from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import SocFilter, noise, recursion
 from uavbatt.estimation.filter import estimate_of
 from uavbatt.records import NAN, Estimate, Sample, Status
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 DT_S = 2.0
 READING_SD_V = 0.012  # a cell
@@ -195,7 +195,7 @@ def test_soc_error_is_what_the_filter_says(own_flights: list[tuple[list[Estimate
 
 def test_covariance_stays_a_covariance() -> None:
     ours = SocFilter(pack())
-    for sample in simulate_flight(pack(), Mission(250.0, 5.0, seed=3))[::6]:
+    for sample in simulate_flight(pack(), SimulatedFlight(250.0, 5.0, seed=3))[::6]:
         ours.step(sample)
         belief = ours.belief
         assert belief is not None
@@ -209,7 +209,7 @@ def test_covariance_stays_a_covariance() -> None:
 
 @cache
 def flight(ambient_C: float = 20.0, start_soc: float = 1.0) -> tuple[Sample, ...]:
-    return tuple(simulate_flight(pack(), Mission(250.0, ambient_C, start_soc, rate_Hz=1.0, seed=5)))
+    return tuple(simulate_flight(pack(), SimulatedFlight(250.0, ambient_C, start_soc, rate_Hz=1.0, seed=5)))
 
 
 def true_soc(sample: Sample, start_soc: float = 1.0) -> float:
@@ -395,7 +395,7 @@ def test_rows_worked_out_ahead_are_those_of_filterpy() -> None:
     """Looking ahead conditions without filterpy: the same numbers, on a flight that starts fuller than full."""
     flown = [
         replace(s, voltage_V=s.voltage_V + 0.2)
-        for s in simulate_flight(pack(), Mission(260.0, 12.0, rate_Hz=4.0, seed=9))
+        for s in simulate_flight(pack(), SimulatedFlight(260.0, 12.0, rate_Hz=4.0, seed=9))
     ]
     rows = [replace(s, temp_C=NAN) if 300 < k < 400 else s for k, s in enumerate(flown[:2000])]
     alone, ahead = SocFilter(pack()), SocFilter(pack())

@@ -13,7 +13,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.fitting import observed, prior, solve
 from uavbatt.fitting.battery import Fitted, Size, fit_battery
 from uavbatt.records import Flight, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 STARTS = (1.0, 0.9, 0.8, 0.95, 1.0)  # what the fit is not told
 POWERS_W = (250.0, 300.0, 350.0, 280.0, 320.0)
@@ -35,7 +35,7 @@ def planted() -> Pack:
 @cache
 def flown(number: int) -> tuple[Sample, ...]:
     """A flight to the cut-off from its own charge and ambient temperature, gusts and sensor noise included."""
-    mission = Mission(POWERS_W[number], 15.0 + 3.0 * number, STARTS[number], rate_Hz=0.5, seed=20 + number)
+    mission = SimulatedFlight(POWERS_W[number], 15.0 + 3.0 * number, STARTS[number], rate_Hz=0.5, seed=20 + number)
     return tuple(simulate_flight(planted(), mission))
 
 

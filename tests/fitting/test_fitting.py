@@ -16,9 +16,10 @@ from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.battery import Size, fit_battery, size_of
 from uavbatt.fitting.generic import generic_lipo
+from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.observed import Observed, binned, from_flight, held_load, stack
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 PLANTED = {"polarisation_ratio": 0.9, "diffusion_ratio": 0.5, "heat_capacity_JpKAh": 30.0, "resistance_gain": 1.5}
 
@@ -189,7 +190,9 @@ def test_a_held_load_loses_its_noise_and_keeps_its_steps() -> None:
 def flight() -> Flight:
     pack = generic_pack()
     facts = ((0.0, PackFacts(4, 5.0, critical_voltage_V=13.2)),)
-    return Flight("f", "csv", tuple(simulate_flight(pack, Mission(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts)
+    return Flight(
+        "f", "csv", tuple(simulate_flight(pack, SimulatedFlight(300.0, 20.0, rate_Hz=0.5, seed=6))), facts=facts
+    )
 
 
 def test_a_fit_to_a_flight_is_a_fitted_file() -> None:
@@ -222,7 +225,7 @@ def test_a_limiter_holds_the_voltage() -> None:
     """Before the limiter: constant current. After it: the voltage at the limit and the load given up."""
     cell = planted_cell()
     start, time_s = model.rested(np.array([1.0]), np.array([25.0])), np.arange(0.0, 541.0, 60.0)
-    out = unmetered.limited_test(cell, start, np.array([7.0]), np.array([3.2]), 25.0, time_s)
+    out = limited_discharge(lambda _: cell, start, np.array([7.0]), np.array([3.2]), 25.0, time_s, 5.0)
     volts = out[0, :, 0]
     assert (volts >= 3.2 - 1e-6).all() and volts[-1] == pytest.approx(3.2, abs=1e-6)
     state = model.advance(cell, model.rested(1.0, 25.0), 7.0, 25.0, 120.0)
@@ -234,7 +237,7 @@ def test_an_unmetered_test_is_explained_and_its_rate_stays_open() -> None:
     cell = planted_cell()
     time_s = np.arange(0.0, 421.0, 60.0)
     start = model.rested(np.array([0.98]), np.array([23.0]))
-    out = unmetered.limited_test(cell, start, np.array([8.0]), np.array([3.1]), 25.0, time_s)
+    out = limited_discharge(lambda _: cell, start, np.array([8.0]), np.array([3.1]), 25.0, time_s, 5.0)
     test = unmetered.MeanTest(time_s, 3 * out[0, :, 0], np.full(time_s.size, 0.02), out[1, :, 0], 3, 25.0)
     fit = unmetered.fit_unmetered(test)
     slots = unmetered.slots_of(fit.effects)

@@ -26,7 +26,7 @@ from uavbatt.fleet import journal, run, tables
 from uavbatt.fleet.fly import Job, fly_log
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.row import LOST, FlightRow, row_of
-from uavbatt.simulate.flight import Mission, write_log
+from uavbatt.simulate.flight import SimulatedFlight, write_log
 from uavbatt.simulate.flight import simulate_flight as simulated
 
 GENERIC = "lipo-generic"
@@ -37,7 +37,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A short flight to its end, as a telemetry log."""
     pack = pack_of(battery_file.read_battery(GENERIC), 4, 5.0, 13.2, math.nan)
     path = tmp_path_factory.mktemp("log") / "a.tlog"
-    write_log(path, simulated(pack, Mission(power_W=700.0, rate_Hz=0.5)), pack)
+    write_log(path, simulated(pack, SimulatedFlight(power_W=700.0, rate_Hz=0.5)), pack)
     return path.read_bytes()
 
 

@@ -15,7 +15,7 @@ from factories import generic_pack
 pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 
 from uavbatt.battery.scaling import Pack
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 from uavbatt.telemetry.formats.tlog_writer import write_tlog
 
 FIRST_US, DAY_US = 1_790_000_000_000_000, 86_400_000_000
@@ -33,7 +33,7 @@ def pack(name: str) -> Pack:
 
 
 def write(folder: Path, name: str, serial: int, day: int) -> None:
-    flown = simulate_flight(pack(name), Mission(power_W=500.0, rate_Hz=0.5, seed=day))
+    flown = simulate_flight(pack(name), SimulatedFlight(power_W=500.0, rate_Hz=0.5, seed=day))
     parameters = {"BATT_CAPACITY": 1000.0 * WHOLE, "BATT_CRT_VOLT": pack(name).cutoff_V, "BATT_SERIAL_NUM": serial}
     write_tlog(folder / name, flown, parameters, epoch_us=FIRST_US + day * DAY_US)
 
@@ -131,7 +131,7 @@ def test_damage_is_among_what_a_person_should_look_at(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     for day in range(4):
         made = with_effects(pack("b.tlog"), {"resistance_growth": 0.0 if day < 3 else 0.9})
-        flown = simulate_flight(made, Mission(power_W=500.0, rate_Hz=0.5, seed=day))
+        flown = simulate_flight(made, SimulatedFlight(power_W=500.0, rate_Hz=0.5, seed=day))
         parameters = {"BATT_CAPACITY": 1000.0 * WHOLE, "BATT_CRT_VOLT": 13.2, "BATT_SERIAL_NUM": 9}
         write_tlog(tmp_path / f"logs/{day}.tlog", flown, parameters, epoch_us=FIRST_US + day * DAY_US)
     fleet(tmp_path, "out", 1)

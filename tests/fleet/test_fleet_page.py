@@ -12,7 +12,7 @@ import pytest
 from uavbatt.fleet.row import FlightRow
 from uavbatt.records import NAN
 from uavbatt.report.fleet import fleet_report
-from uavbatt.report.fleet_groups import Group, Verdict, change, gathered, verdict
+from uavbatt.report.fleet_groups import AgeingVerdict, Group, change, gathered, verdict
 
 
 def rows(aircraft: str, growth: float, flights: int = 30, dated: bool = True, **more: object) -> list[FlightRow]:
@@ -104,7 +104,7 @@ def test_packs_of_another_size_are_never_one_group() -> None:
 
 
 def test_a_verdict_knows_what_it_could_have_seen() -> None:
-    def judged(values: list[tuple[float, float]]) -> Verdict:
+    def judged(values: list[tuple[float, float]]) -> AgeingVerdict:
         one = Group("p", resistance=values, capacity=[(1.0, 0.01)] * len(values), start_s=[NAN] * len(values))
         return verdict(one, change(one, one.resistance), change(one, one.capacity))
 

@@ -26,7 +26,7 @@ from uavbatt.fleet.fly import Job, fly_log, lost
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.processes import TRIES, Processes
 from uavbatt.fleet.row import LOST, FlightRow
-from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
 COMMAND = [sys.executable, "-c", "from uavbatt.cli import main; main()", "fleet"]
 LISTENS = "0A"
@@ -37,7 +37,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short flight to its end."""
     pack = generic_pack(4, 5.0, 13.2, math.nan)
     path = tmp_path_factory.mktemp("logs") / "a.tlog"
-    write_log(path, simulate_flight(pack, Mission(power_W=700.0, rate_Hz=0.2)), pack)
+    write_log(path, simulate_flight(pack, SimulatedFlight(power_W=700.0, rate_Hz=0.2)), pack)
     return path
 
 

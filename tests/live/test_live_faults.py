@@ -27,7 +27,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.log_replay.run import steps
 from uavbatt.records import Sample
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -39,7 +39,9 @@ GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three mi
 def flight(start_soc: float = 1.0, seed: int = 1) -> tuple[Sample, ...]:
     pack = generic_pack(4, 5.0, 13.2, math.nan)
     return tuple(
-        simulate_flight(pack, Mission(power_W=180.0, start_soc=start_soc, seed=seed))[: GROUND_ROWS + FLIGHT_ROWS]
+        simulate_flight(pack, SimulatedFlight(power_W=180.0, start_soc=start_soc, seed=seed))[
+            : GROUND_ROWS + FLIGHT_ROWS
+        ]
     )
 
 

@@ -14,7 +14,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.pack_keeper import PackKeeper
 from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 BATTERY = battery_file.read_battery("lpab-3s")
 OPTIONS = PackOptions(cells=3, capacity_Ah=5.0, cutoff_V=10.0)
@@ -26,7 +26,9 @@ UTC_S = 1.79e9
 def rows():
     """A flight of an aged pack: 20 s of rest, the flight nearly to its end, and half a minute on the ground."""
     pack = with_effects(pack_of(BATTERY, 3, 5.0, 10.0, math.nan), {"capacity_fade": FADE})
-    flown = [replace(s, armed=s.current_A > 3.0) for s in simulate_flight(pack, Mission(power_W=160.0, rate_Hz=1.0))]
+    flown = [
+        replace(s, armed=s.current_A > 3.0) for s in simulate_flight(pack, SimulatedFlight(power_W=160.0, rate_Hz=1.0))
+    ]
     flown = flown[: int(0.9 * len(flown))]
     last = flown[-1]
     rested_V = 3.0 * float(open_circuit_voltage(pack.cell, 1.0 - last.consumed_Ah / (5.0 * (1.0 - FADE)))) - 0.1

@@ -16,7 +16,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.packs import remembering
 from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Flight, Identity, PackFacts
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 BATTERY = battery_file.read_battery("lpab-3s")
 OPTIONS = PackOptions(cells=3, capacity_Ah=5.0, cutoff_V=10.0)
@@ -29,7 +29,7 @@ DAY_S = 86_400.0
 def flight(number: int, effects: dict[str, float] | None = None, share: float = 1.0, serial: str = "A") -> Flight:
     """A flight of a pack with some effects, of which the log holds a share."""
     pack = with_effects(PACK, AGED if effects is None else effects)
-    samples = simulate_flight(pack, Mission(power_W=160.0, ambient_C=25.0, rate_Hz=1.0, seed=number))
+    samples = simulate_flight(pack, SimulatedFlight(power_W=160.0, ambient_C=25.0, rate_Hz=1.0, seed=number))
     kept = samples[: int(share * len(samples))]
     identity = Identity(battery_serial=serial, start_utc_s=1.79e9 + 3.0 * DAY_S * number)
     return Flight(f"logs/{number}.tlog", "tlog", tuple(kept), identity=identity, duration_s=kept[-1].time_s)

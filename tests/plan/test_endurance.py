@@ -29,7 +29,7 @@ from uavbatt.prediction.load_library import learned_load
 from uavbatt.prediction.take_off import FromTakeOff
 from uavbatt.records import Sample
 from uavbatt.report.plan import plan_report
-from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0)
 
@@ -85,7 +85,7 @@ def test_it_agrees_with_a_flight_of_the_model() -> None:
     """A simulated flight at that power ends inside the interval, and within 10 % of the median."""
     content = fitted()
     pack = pack_of(content, 4, 5.0, 13.2, 14.0)
-    samples = simulate_flight(pack, Mission(250.0, 20.0, rate_Hz=1.0, seed=3))
+    samples = simulate_flight(pack, SimulatedFlight(250.0, 20.0, rate_Hz=1.0, seed=3))
     airborne_s = [s.time_s for s in samples if s.current_A > 5.0]
     flown_s = next(s.time_s for s in samples if s.voltage_V < 13.2 and s.time_s > 100.0) - airborne_s[0]
     said = planned(battery=content)
@@ -177,7 +177,7 @@ def test_what_nobody_says_is_refused_in_one_line(arguments: tuple[str, ...], wor
 @cache
 def samples() -> list[Sample]:
     pack = generic_pack()
-    return simulate_flight(pack, Mission(260.0, 20.0, rate_Hz=1.0, seed=8))
+    return simulate_flight(pack, SimulatedFlight(260.0, 20.0, rate_Hz=1.0, seed=8))
 
 
 def test_like_a_past_flight(tmp_path: Path) -> None:

@@ -4,28 +4,13 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
-from route_rig import HOME, SETTINGS, mission, to
+from route_rig import planned, to
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.powers import UNKNOWN
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, Wind
-from uavbatt.plan.endurance import resolve
-from uavbatt.plan.mission import MissionPlan, Planned, make_route_plan
-
-POWERS = msgspec.structs.replace(UNKNOWN, hover_W=180.0, level_sd=0.05, flights=5)
-
-
-def planned(*items: MissionItem, wind: Wind | None = None, remembered: PackHealth | None = None) -> MissionPlan:
-    battery = battery_file.read_battery("lipo-generic")
-    size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
-    asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
-    return make_route_plan(battery, size, asked, 25.0, remembered=remembered)
 
 
 def test_a_pack_that_is_remembered_as_faded_brings_less_home() -> None:
@@ -59,6 +44,15 @@ def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:
     assert found.legs[-1].end_s == pytest.approx(found.here.route.left_s, rel=0.02)
     assert found.legs[-1].soc == pytest.approx(found.here.route.soc, abs=0.02)
     assert all(leg.soc_lo <= leg.soc <= leg.soc_hi for leg in found.legs)
+
+
+def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
+    """Four times as far as the pack goes: the voltage of the draws turns round, the charge they have left does not."""
+    found = planned(to(1, 0.0, 12_000.0, 40.0))
+    highest = [leg.soc_hi for leg in found.legs]
+    assert highest == sorted(highest, reverse=True)
+    assert all(row.route.soc_hi <= 1.0 for row in found.rows)
+    assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_headwind_home_brings_the_turning_point_nearer() -> None:

@@ -26,7 +26,7 @@ from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 
 MEAN_LAG_S = 2.5  # the end is judged by a 5 s mean, whose middle lies this far back
@@ -189,7 +189,7 @@ def test_the_same_belief_gives_the_same_forecast() -> None:
 
 @cache
 def flown(seed: int, ambient_C: float = 20.0) -> tuple[Sample, ...]:
-    return tuple(simulate_flight(pack(), Mission(300.0, ambient_C, rate_Hz=1.0, seed=seed)))
+    return tuple(simulate_flight(pack(), SimulatedFlight(300.0, ambient_C, rate_Hz=1.0, seed=seed)))
 
 
 def run(samples: tuple[Sample, ...], period_s: float = 20.0) -> list[tuple[Estimate, Remaining]]:

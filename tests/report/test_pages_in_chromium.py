@@ -23,11 +23,11 @@ from daemon_bench import Bench
 from live_rig import ROOT, free_port
 from packs.made import flight as pack_flight
 from report.test_report_validation import made as validated
-from test_mission_fits import planned, to
+from route_rig import planned, to
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry
-from uavbatt.diagnosis.blocks import Block
+from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass, Interval
 from uavbatt.diagnosis.close import Closed, Error
 from uavbatt.diagnosis.diagnosis import Diagnosis
@@ -119,7 +119,7 @@ def diagnosis(folder: Path) -> str:
         return [Residual(f"/logs/a_rather_long_name_{k}.BIN", *columns) for k in range(4)]
 
     values = {"fade": Interval(0.13, 0.11, 0.16, "1"), "harness_ohm": Interval(0.012, 0.008, 0.016, "ohm")}
-    blocks = tuple(Block(name, 90, saved) for name, saved in (("take-off", 40.0), ("last third", -3.0)))
+    blocks = tuple(EvidenceBlock(name, 90, saved) for name, saved in (("take-off", 40.0), ("last third", -3.0)))
     measured = SimpleNamespace(evidence=SimpleNamespace(has_temperature=False))
     unused: Any = None
     found = Diagnosis(

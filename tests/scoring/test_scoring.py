@@ -28,7 +28,7 @@ from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
 from uavbatt.records import Flight
 from uavbatt.simulate import flight as simulated
-from uavbatt.simulate.flight import Mission, simulate_flight, with_effects
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects
 
 # --- tables ------------------------------------------------------------------------------------------------------
 
@@ -55,7 +55,7 @@ def benchmark() -> tuple[Any, ...]:
     pack = generic_pack(6, 5.45, 21.6, 22.0)
     flights = []
     for k, aircraft in enumerate("AAABB"):
-        rows = simulate_flight(pack, Mission(420.0 + 20.0 * k, rate_Hz=0.5, seed=50 + k))[::6]
+        rows = simulate_flight(pack, SimulatedFlight(420.0 + 20.0 * k, rate_Hz=0.5, seed=50 + k))[::6]
         flight = Flight(f"m100_{k}_{aircraft}.csv", "csv", tuple(replace(r, armed=None) for r in rows))
         flights.append(data.M100(f"m100_{k}_{aircraft}", aircraft, flight, rows[-3].time_s))
     return tuple(flights)
@@ -147,7 +147,9 @@ def flown(
 ) -> Flight:
     pack = pack_of(known_pack(), 4, 5.0, 13.2, 14.0)
     pack = with_effects(pack, {effect: value} if effect else {})
-    return Flight("flown", "csv", tuple(simulate_flight(pack, Mission(power_W, ambient_C, rate_Hz=0.5, seed=seed))))
+    return Flight(
+        "flown", "csv", tuple(simulate_flight(pack, SimulatedFlight(power_W, ambient_C, rate_Hz=0.5, seed=seed)))
+    )
 
 
 def end_s(flight: Flight) -> float:

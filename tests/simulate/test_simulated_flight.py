@@ -16,7 +16,7 @@ from uavbatt.battery.effects import EFFECTS
 from uavbatt.cli.app import app
 from uavbatt.errors import UsageError
 from uavbatt.records import Sample
-from uavbatt.simulate.flight import AFTER_END_S, IDLE_S, Mission, simulate_flight, with_effects, write_log
+from uavbatt.simulate.flight import AFTER_END_S, IDLE_S, SimulatedFlight, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.info import describe
 
@@ -25,7 +25,7 @@ LOGS = Path(__file__).parents[2] / "logs"
 
 @cache
 def flown(ambient_C: float = 20.0, power_W: float = 300.0, seed: int = 1) -> tuple[Sample, ...]:
-    return tuple(simulate_flight(pack(), Mission(power_W, ambient_C, rate_Hz=1.0, seed=seed)))
+    return tuple(simulate_flight(pack(), SimulatedFlight(power_W, ambient_C, rate_Hz=1.0, seed=seed)))
 
 
 def column(samples: tuple[Sample, ...], name: str) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_it_ends_soon_after_the_cut_off() -> None:
 
 
 def test_one_seed_one_flight() -> None:
-    again = tuple(simulate_flight(pack(), Mission(300.0, rate_Hz=1.0, seed=1)))
+    again = tuple(simulate_flight(pack(), SimulatedFlight(300.0, rate_Hz=1.0, seed=1)))
     assert again == flown()
     assert column(flown(seed=2), "current_A")[:100] != pytest.approx(column(flown(), "current_A")[:100])
 
@@ -72,7 +72,7 @@ def test_cold_and_power_shorten() -> None:
     ],
 )
 def test_effects_that_shorten(effect: str, value: float) -> None:
-    struck = simulate_flight(with_effects(pack(), {effect: value}), Mission(300.0, rate_Hz=1.0, seed=1))
+    struck = simulate_flight(with_effects(pack(), {effect: value}), SimulatedFlight(300.0, rate_Hz=1.0, seed=1))
     assert struck[-1].time_s < 0.97 * flown()[-1].time_s
 
 
@@ -85,14 +85,14 @@ def test_effects_that_shorten(effect: str, value: float) -> None:
     ],
 )
 def test_effects_of_sensors_are_read_and_no_more(effect: str, value: float, field: str, change: float) -> None:
-    struck = simulate_flight(with_effects(pack(), {effect: value}), Mission(300.0, rate_Hz=1.0, seed=1))
+    struck = simulate_flight(with_effects(pack(), {effect: value}), SimulatedFlight(300.0, rate_Hz=1.0, seed=1))
     rows = min(len(struck), len(flown()))
     assert abs(struck[-1].time_s - flown()[-1].time_s) < 1.0  # the battery does not know of its sensors
     assert column(tuple(struck[30:rows]), field) - column(flown()[30:rows], field) == pytest.approx(change, abs=1e-9)
 
 
 def test_current_gain_is_read() -> None:
-    struck = simulate_flight(with_effects(pack(), {"current_gain": 1.2}), Mission(300.0, rate_Hz=1.0, seed=1))
+    struck = simulate_flight(with_effects(pack(), {"current_gain": 1.2}), SimulatedFlight(300.0, rate_Hz=1.0, seed=1))
     ratio = column(tuple(struck[30:400]), "current_A") / column(flown()[30:400], "current_A")
     assert float(np.mean(ratio)) == pytest.approx(1.2, abs=0.005)
 

@@ -16,7 +16,7 @@ from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import steps
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.simulate.flight import Mission, simulate_flight
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry.join import Wiring, joined, read_joined
 
 HALF = PackFacts(cells_series=4, capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
@@ -64,7 +64,7 @@ def test_a_row_hangs_on_nothing_that_comes_later() -> None:
 
 def test_two_packs_last_as_long_as_one_of_their_size() -> None:
     """A flight on one 10 Ah pack, and the same flight told as two 5 Ah packs that share its current unevenly."""
-    rows = simulate_flight(generic_pack(4, 10.0, 13.2, 14.0), Mission(450.0, rate_Hz=0.5))
+    rows = simulate_flight(generic_pack(4, 10.0, 13.2, 14.0), SimulatedFlight(450.0, rate_Hz=0.5))
     shares = (0.55, 0.45)
     halves = [
         battery(i, *(replace(s, current_A=share * s.current_A, consumed_Ah=NAN) for s in rows))

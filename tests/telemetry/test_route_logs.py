@@ -16,8 +16,7 @@ from uavbatt.battery.scaling import pack_of
 from uavbatt.mavlink.fields import BATTERY_STATUS
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Mode, Navigation, Wind
 from uavbatt.records import Flight
-from uavbatt.simulate.flight import IDLE_S, simulate_flight, write_log
-from uavbatt.simulate.flight import Mission as Flown
+from uavbatt.simulate.flight import IDLE_S, SimulatedFlight, simulate_flight, write_log
 from uavbatt.simulate.route import RouteFlight, route_flight, watts_of
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_frames import frames
@@ -58,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, route: RouteFlight) -> Path
     content = battery_file.read_battery("lipo-generic")
     pack = pack_of(content, 4, 5.0, 13.2, 14.0)
     watts = watts_of(200.0)
-    samples = simulate_flight(pack, Flown(200.0), lambda time_s: route.power_W(time_s, watts), route.lands_s)
+    samples = simulate_flight(pack, SimulatedFlight(200.0), lambda time_s: route.power_W(time_s, watts), route.lands_s)
     for kind in ("tlog", "BIN", "csv"):
         write_log(made / f"flight.{kind}", samples, pack, route)
     return made

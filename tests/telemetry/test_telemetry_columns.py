@@ -19,7 +19,7 @@ from pymavlink.generator.mavcrc import x25crc
 
 from uavbatt.mavlink import fields
 from uavbatt.records import Sample
-from uavbatt.simulate.flight import Mission, simulate_flight, write_log
+from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.column_rules import add_rows, times_s
@@ -107,7 +107,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The same simulated flight as it is written by both writers."""
 
     pack = generic_pack(4, 5.0, 13.2, math.nan)
-    samples = simulate_flight(pack, Mission(power_W=250.0, rate_Hz=5.0))
+    samples = simulate_flight(pack, SimulatedFlight(power_W=250.0, rate_Hz=5.0))
     folder = tmp_path_factory.mktemp("flown")
     for name in ("a.tlog", "a.BIN"):
         write_log(folder / name, samples, pack)

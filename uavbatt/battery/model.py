@@ -163,7 +163,14 @@ def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Numbe
 
 def step_with_decay(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
     """`step` where the lags of `dt_s` are known already."""
-    later = step_cell(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
+    return step_with_resistance(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
+
+
+def step_with_resistance(
+    p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
+) -> State:
+    """`step` from a known resistance [ohm·Ah]."""
+    later = step_cell(p, s, c_rate, r_ohmAh, ambient_C, dt_s, lags)
     sensor_C = eq.relax_to(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
 
@@ -171,7 +178,7 @@ def step_with_decay(p: Parameters, s: State, c_rate: Number, ambient_C: Number, 
 def step_cell(
     p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """`step` from a known resistance [ohm·Ah], with the sensor left as it is: nobody reads it in a forecast."""
+    """`step_with_resistance` with the sensor left as it is: nobody reads it in a forecast."""
     drop_V = c_rate * r_ohmAh
     lost_V = drop_V + s.polarisation_V + s.diffusion_V
     if eq.is_on(p.transfer_V):

@@ -106,7 +106,7 @@ class Discrepancy(Record, frozen=True):
     wander: Wander | None = None
 
 
-class Corridor(Record, frozen=True):
+class CorridorSection(Record, frozen=True):
     """[corridor]: mean of repeated tests and its dispersion limit at one ambient temperature."""
 
     ambient_C: float
@@ -151,7 +151,7 @@ class BatteryFile(Record, frozen=True):
     effects: list[EffectEntry]
     discrepancy: Discrepancy
     certificate: Certificate
-    corridor: Corridor | None = None
+    corridor: CorridorSection | None = None
 
     def __repr__(self) -> str:
         """Return one line: the tables of the file are long."""

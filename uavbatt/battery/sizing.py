@@ -70,6 +70,7 @@ class PackSize:
     cutoff_from: str
     low_V: float
     low_from: str
+    uncertified: str = ""  # what of this pack the battery file's certificate does not cover
     notices: tuple[str, ...] = ()  # what of it is odd, and what was not believed
     refusal: str = ""  # why there can be no number for it
 
@@ -137,6 +138,7 @@ def size_of_pack(
         cutoff_from=cutoff_from,
         low_V=float(low_V),
         low_from=low_from,
+        uncertified=_uncertified(battery, cells, float(capacity_Ah)),
         notices=(*cells_notices, *notices, *_oddities(doubts), *_scaled_far(battery, cells, capacity_Ah)),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
     )
@@ -227,12 +229,12 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
     return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
 
 
-def certificate_remark(battery: BatteryFile, pack: PackSize) -> str:
-    """Say what of this pack the certificate does not cover; empty when it covers it."""
+def _uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:
+    """What of a pack of this size the certificate does not cover; empty when it covers it."""
     typed = battery.battery
     if battery.caveat:
         return battery.caveat
-    if (pack.cells, pack.capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
+    if (cells, capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
         return ""
     size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
     return f"the certificate is for a {size} pack; this one is scaled from it"

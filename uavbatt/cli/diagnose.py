@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from uavbatt.cli.diagnose_records import (
-    Progress,
+    ProgressLine,
     distinct,
     flown_size,
     observed_of,
@@ -141,7 +141,7 @@ def _run(
     records += [observed_of(f, series, capacity_Ah) for f in flights]
     options = PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V)
     base = base_pack(*remembered, flights, content, pack_from(content, options))
-    with Progress() as tell:
+    with ProgressLine() as tell:
         engine = engine_for(is_long=True)
         found = find(records, content, base.pack, without, tell, engine, base.wear_sd)
         closed = close.judge(found, base.file, flights, options, tell, engine)

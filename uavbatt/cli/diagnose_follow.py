@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavbatt.cli.diagnose_records import Progress, distinct, flown_size, observed_of, one_size, reason_written
+from uavbatt.cli.diagnose_records import ProgressLine, distinct, flown_size, observed_of, one_size, reason_written
 from uavbatt.cli.options import remark, say
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.records import Flight
@@ -111,7 +111,7 @@ def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, wi
     series, capacity_Ah, cutoff_V = one_size({flown_size(f, content, stated) for f in flights})
     records = [observed_of(f, series, capacity_Ah) for f in flights]
     pack = pack_from(content, PackOptions(cells=series, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V))
-    with Progress() as tell:
+    with ProgressLine() as tell:
         return follow(records, content, pack, without, tell, engine_for(is_long=True))
 
 

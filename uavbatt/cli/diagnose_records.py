@@ -90,10 +90,10 @@ def _rounded(size: PackSize) -> Size:
     return size.cells, round(size.capacity_Ah, 4), round(size.cutoff_V, 3)
 
 
-class Progress:
+class ProgressLine:
     """The step at hand on stderr when it is a terminal."""
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> ProgressLine:
         return self
 
     def __call__(self, step: str) -> None:

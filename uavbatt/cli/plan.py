@@ -167,7 +167,7 @@ def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
     from uavbatt.files import write_json
 
     pack = asdict(plan.resolved)
-    del pack["notices"], pack["refusal"]  # notices are among the warnings, and what is refused is no plan
+    del pack["uncertified"], pack["notices"], pack["refusal"]  # said by the warnings; what is refused is no plan
     content = {
         "battery": pack.pop("battery"),
         "certificate_status": pack.pop("status"),

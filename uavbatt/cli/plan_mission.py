@@ -144,7 +144,7 @@ def _charges(leg: LegEnd) -> dict[str, float]:
 def _summary(plan: MissionPlan, name: str, content_sha256: str) -> dict[str, Any]:
     """The plan for a program: where the numbers came from, the planned temperature, each leg, the table."""
     pack = asdict(plan.resolved)
-    del pack["notices"], pack["refusal"]
+    del pack["uncertified"], pack["notices"], pack["refusal"]
     legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
     return {
         "mission": name,

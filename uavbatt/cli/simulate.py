@@ -27,7 +27,7 @@ from uavbatt.errors import UsageError
 if TYPE_CHECKING:
     from uavbatt.battery.scaling import Pack
     from uavbatt.records import Sample
-    from uavbatt.simulate.flight import Mission
+    from uavbatt.simulate.flight import SimulatedFlight
     from uavbatt.simulate.route import RouteFlight
 
 
@@ -57,7 +57,7 @@ def simulate(
     """
     from uavbatt.battery.scaling import pack_of
     from uavbatt.limits import OPTIONS, check_stated
-    from uavbatt.simulate.flight import Mission, simulate_flight, with_effects, write_log
+    from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 
     check_writable(output, reads=[mission])
     if wind is not None and mission is None:
@@ -75,7 +75,7 @@ def simulate(
     low_V = (content.battery.low_V or float("nan")) * share
     pack = pack_of(content, series, given_Ah, cutoff_V, low_V)
     pack = with_effects(pack, dict(_effect(text) for text in effect or []))
-    flight = Mission(power_w, ambient_c, start_soc, rate_hz, seed)
+    flight = SimulatedFlight(power_w, ambient_c, start_soc, rate_hz, seed)
     samples = simulate_flight(pack, flight) if route is None else _along(route, pack, flight)
     write_log(output, samples, pack, route)
     remark(f"{output}: {len(samples)} rows, {samples[-1].time_s:.0f} s")
@@ -94,7 +94,7 @@ def _route(mission: Path, wind: str | None) -> RouteFlight:
     return route_flight(planned.mission, planned.home, stated_wind(wind) if wind else Wind(0.0, 0.0), IDLE_S)
 
 
-def _along(route: RouteFlight, pack: Pack, flight: Mission) -> list[Sample]:
+def _along(route: RouteFlight, pack: Pack, flight: SimulatedFlight) -> list[Sample]:
     """The rows of a flight along a route."""
     from uavbatt.simulate.flight import simulate_flight
     from uavbatt.simulate.route import watts_of

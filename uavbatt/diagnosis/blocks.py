@@ -15,7 +15,7 @@ TAKE_OFF_S = 60.0
 BLOCKS = ("rest", "take-off", "first third", "middle third", "last third", "temperature")
 
 
-class Block(NamedTuple):
+class EvidenceBlock(NamedTuple):
     """One block over all records: its name, its numbers, and how much of chi-square is saved there."""
 
     name: str
@@ -23,7 +23,7 @@ class Block(NamedTuple):
     saved: float
 
 
-def evidence_by_block(problem: Problem, before: Refit, after: Refit) -> tuple[Block, ...]:
+def evidence_by_block(problem: Problem, before: Refit, after: Refit) -> tuple[EvidenceBlock, ...]:
     """Chi-square of `before` less that of `after`, by block; whitened numbers belong to the row they come from."""
     numbers, saved = np.zeros(len(BLOCKS), dtype=int), np.zeros(len(BLOCKS))
     for j, volts in enumerate(problem.evidence.volts):
@@ -36,7 +36,7 @@ def evidence_by_block(problem: Problem, before: Refit, after: Refit) -> tuple[Bl
         if warm is not None:
             numbers[-1] += warm.rows.size
             saved[-1] += np.sum(gain[places.size : places.size + warm.rows.size])
-    return tuple(Block(n, int(k), float(s)) for n, k, s in zip(BLOCKS, numbers, saved, strict=True) if k)
+    return tuple(EvidenceBlock(n, int(k), float(s)) for n, k, s in zip(BLOCKS, numbers, saved, strict=True) if k)
 
 
 def _places(time_s: Array, rest: NDArray[np.bool_]) -> Rows:

@@ -20,7 +20,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import residual
-from uavbatt.diagnosis.blocks import Block, evidence_by_block
+from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
@@ -52,7 +52,7 @@ class Diagnosis:
     floor_V: float
     left: Shape
     findings: tuple[FoundEffect, ...] = ()
-    blocks: tuple[Block, ...] = ()  # where in the records the evidence lies
+    blocks: tuple[EvidenceBlock, ...] = ()  # where in the records the evidence lies
     hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
 

@@ -35,7 +35,7 @@ CONVERGED_SOC_SD = 0.10
 REFUSED_SOC_SD = 0.25
 
 
-class Summary(NamedTuple):
+class BeliefSummary(NamedTuple):
     """Means and standard deviations that estimates give of a belief: the same for all rows between two updates."""
 
     soc: float = NAN
@@ -53,11 +53,11 @@ class Filtered(NamedTuple):
     """The filter after one row: its belief (None before the first complete row), and the row against the model."""
 
     belief: Belief | None
-    summary: Summary
+    summary: BeliefSummary
     innovation: Innovation
 
 
-NOT_BEGUN = Filtered(None, Summary(), NOTHING)
+NOT_BEGUN = Filtered(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
@@ -132,14 +132,14 @@ def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list
     return found
 
 
-def summary(at: Moments) -> Summary:
+def summary(at: Moments) -> BeliefSummary:
     """Mean and spread of what is told of a belief."""
     weight = at.weight
     x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
     sd = np.sqrt(np.diag(covariance))
     resistance, capacity = float(x[X.LOG_RESISTANCE]), float(x[X.LOG_CAPACITY])
     shared = covariance[X.LOG_RESISTANCE, X.LOG_CAPACITY]
-    return Summary(
+    return BeliefSummary(
         soc=float(x[X.SOC]),
         soc_sd=float(sd[X.SOC]),
         core_temp_C=float(x[X.CORE]),

@@ -22,8 +22,8 @@ from uavbatt.estimation.sensors import (
     LOADED_C_RATE,
     REFUSED_STUCK_S,
     STUCK_S,
-    Load,
-    Readings,
+    LoadWatch,
+    SinceMoved,
 )
 from uavbatt.records import Estimate, Sample, Status
 
@@ -66,8 +66,8 @@ class Innovations(NamedTuple):
 class Monitor(NamedTuple):
     """The monitor holds the readings seen so far, and the doubts and refusals that follow from them."""
 
-    readings: Readings = Readings()
-    load: Load = Load()
+    readings: SinceMoved = SinceMoved()
+    load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
     is_settled: bool = False  # the knee has shown how much a pack holds that is not what is stated
@@ -82,7 +82,7 @@ class Monitor(NamedTuple):
             return self
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         readings = self.readings.after(time_s, volts, amps, cells)
-        least = Load(voltage_V=LEAST_RISE_CELL_V * cells, current_A=LOADED_C_RATE * capacity_Ah)
+        least = LoadWatch(voltage_V=LEAST_RISE_CELL_V * cells, current_A=LOADED_C_RATE * capacity_Ah)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, least)
         innovations = self.innovations.after(time_s, estimate.nis)
         still = (

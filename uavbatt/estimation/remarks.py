@@ -6,8 +6,8 @@ import math
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.sizing import PackSize, certificate_remark
-from uavbatt.estimation.filter import Summary
+from uavbatt.battery.sizing import PackSize
+from uavbatt.estimation.filter import BeliefSummary
 from uavbatt.records import Sample
 
 NOTICED_WEAR, WEAR_IS_SURE = 0.15, 3.0
@@ -15,11 +15,10 @@ BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer t
 
 
 def remarks(
-    battery: BatteryFile, size: PackSize, sample: Sample, known: Summary, pack: Pack, *, is_metered: bool
+    battery: BatteryFile, size: PackSize, sample: Sample, known: BeliefSummary, pack: Pack, *, is_metered: bool
 ) -> tuple[str, ...]:
     """The remarks about a sample and what is known after it; without a meter nothing tells wear."""
-    remark = certificate_remark(battery, size)
-    found = [remark] if remark else []
+    found = [size.uncertified] if size.uncertified else []
     validated, core_C = battery.certificate.validated_ambient_C, known.core_temp_C
     if validated and math.isfinite(core_C):
         low_C, high_C = min(validated) - BELOW_VALIDATED_K, max(validated) + ABOVE_VALIDATED_K
@@ -34,7 +33,7 @@ def remarks(
     return tuple(found)
 
 
-def is_worn(known: Summary, battery: BatteryFile) -> bool:
+def is_worn(known: BeliefSummary, battery: BatteryFile) -> bool:
     """True if the pack surely has more resistance than the packs of its type are spread by."""
     unusual = math.hypot(NOTICED_WEAR, battery.parameters.resistance_scale_sd)
     return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd

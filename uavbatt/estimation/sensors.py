@@ -50,7 +50,7 @@ class Still(NamedTuple):
         return time_s - self.since_s if math.isfinite(self.since_s) else 0.0
 
 
-class Readings(NamedTuple):
+class SinceMoved(NamedTuple):
     """Voltage and current since they last moved: what was drawn meanwhile, how often the voltage turned."""
 
     time_s: float = math.nan
@@ -61,7 +61,7 @@ class Readings(NamedTuple):
     is_rising: bool = False
     turns: int = 0  # since the current last moved
 
-    def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> Readings:
+    def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> SinceMoved:
         """The same with one more row."""
         dt_s = max(time_s - self.time_s, 0.0) if math.isfinite(self.time_s) else 0.0
         voltage, current = self.voltage.after(time_s, voltage_V), self.current.after(time_s, current_A)
@@ -72,7 +72,7 @@ class Readings(NamedTuple):
             turn_V = voltage_V
         elif abs(step_V) > TURN_CELL_V * cells:
             turn_V, is_rising, turns = voltage_V, not is_rising, turns + 1
-        return Readings(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
+        return SinceMoved(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
 
     def stuck_voltage_s(self, cells: float, capacity_Ah: float) -> float:
         """For how long the voltage has stood still although it must have moved [s]; 0 when it is sound."""
@@ -87,7 +87,7 @@ class Readings(NamedTuple):
         return self.current.age_s(self.time_s) if is_stuck else 0.0
 
 
-class Load(NamedTuple):
+class LoadWatch(NamedTuple):
     """The load of the last seconds, and since when the current is gone from under it while the voltage stays down."""
 
     time_s: float = math.nan
@@ -96,14 +96,16 @@ class Load(NamedTuple):
     owed_V: float = math.nan  # what the cells give back when the load is gone
     gone_since_s: float = math.nan
 
-    def after(self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, least: Load) -> Load:
+    def after(
+        self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, least: LoadWatch
+    ) -> LoadWatch:
         """The same with one more row; `least` holds the load that counts and the rise that shows."""
-        fresh = Load(time_s, voltage_V, current_A)
+        fresh = LoadWatch(time_s, voltage_V, current_A)
         if not math.isfinite(self.current_A):
             return fresh
         if self.current_A < least.current_A or current_A > DEAD_SHARE * self.current_A:
             keep = math.exp(-max(time_s - self.time_s, 0.0) / RECENT_TAU_S)
-            return Load(
+            return LoadWatch(
                 time_s,
                 voltage_V + keep * (self.voltage_V - voltage_V),
                 current_A + keep * (self.current_A - current_A),

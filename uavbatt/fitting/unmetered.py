@@ -11,17 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from uavbatt.battery import model
-from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.model import Array
 from uavbatt.fitting import prior
+from uavbatt.fitting.limiter import limited_discharge
+from uavbatt.fitting.most_probable import most_probable
 from uavbatt.fitting.prior import Posterior, Slot
 
 STEP_S = 5.0
 LEAST_VOLTAGE_SD_V = 0.02  # a pack's voltmeter, read by hand
 SURFACE_SD_K = 0.25
-NUDGE = 1e-4
 
 LOAD_SLOTS = (
     Slot("c_rate", 8.0, 1.5),
@@ -43,29 +43,6 @@ class MeanTest:
     ambient_C: float
 
 
-def limited_test(p: Parameters, start: State, rate: Array, limit_V: Array, ambient_C: float, time_s: Array) -> Array:
-    """Discharge at constant C-rate, current cut back so that the cell never falls below `limit_V`.
-
-    Returns [2, instants, batch]: cell voltage [V] and sensor temperature [°C]. The instant 0 is before the load.
-    """
-    out = np.empty((2, time_s.size, start.soc.size))
-    state, now_s = start, 0.0
-    for k, until_s in enumerate(time_s):
-        while now_s < until_s - 1e-9:
-            dt_s = min(STEP_S, until_s - now_s)
-            state = model.step(p, state, _limited(p, state, rate, limit_V), ambient_C, dt_s)
-            now_s += dt_s
-        asked = _limited(p, state, rate, limit_V) if until_s > 0.0 else np.zeros_like(rate)
-        out[0, k], out[1, k] = model.cell_voltage(p, state, asked), state.sensor_C
-    return out
-
-
-def _limited(p: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
-    room = (model.electromotive_force(p, state) - limit_V) / model.resistance(p, state.soc, state.core_C)
-    held: Array = np.clip(room, 0.0, rate)
-    return held
-
-
 def slots_of(effects: tuple[str, ...]) -> tuple[Slot, ...]:
     """Cell slots, then those of the unknown load."""
     return (*prior.cell_slots(effects), *LOAD_SLOTS)
@@ -79,7 +56,8 @@ def predict_unmetered(
     load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
     start = model.rested(np.minimum(load["start_soc"], 1.0), test.ambient_C + load["start_offset_K"])
     cell = prior.cell(slots, x, effects)
-    out = limited_test(cell, start, load["c_rate"], load["limit_cell_V"], test.ambient_C, time_s)
+    rate, limit_V = load["c_rate"], load["limit_cell_V"]
+    out = limited_discharge(lambda _: cell, start, rate, limit_V, test.ambient_C, time_s, STEP_S)
     out[0] *= test.cells
     return out
 
@@ -89,20 +67,13 @@ def fit_unmetered(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS)
     slots = slots_of(effects)
     sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
 
-    def evaluate(u: Array) -> Array:
+    def residuals(u: Array) -> Array:
         x = prior.values(slots, u)
         volts, surface = predict_unmetered(slots, effects, x, test, test.time_s)
         misfit_V = (volts - test.voltage_V[:, None]) / sigma_V[:, None]
         misfit_K = np.nan_to_num(surface - test.surface_C[:, None]) / SURFACE_SD_K
-        return np.concatenate([misfit_V, misfit_K, prior.monotonicity_penalty(slots, x).T, u.T])
+        return np.concatenate([misfit_V.T, misfit_K.T, prior.monotonicity_penalty(slots, x), u], axis=1)
 
-    def objective(u: Array) -> Array:
-        return evaluate(u[None])[:, 0]
-
-    def jacobian(u: Array) -> Array:
-        values = evaluate(np.vstack([u, u + NUDGE * np.eye(u.size)]))
-        return (values[:, 1:] - values[:, :1]) / NUDGE
-
-    found = least_squares(objective, np.zeros(len(slots)), jacobian, max_nfev=60, xtol=1e-6, ftol=1e-8)
+    found = most_probable(residuals, np.zeros(len(slots)), evaluations=60, xtol=1e-6, ftol=1e-8)
     slopes = np.asarray(found.jac, dtype=float)
     return Posterior(slots=slots, effects=effects, u=found.x, covariance_u=np.linalg.inv(slopes.T @ slopes))

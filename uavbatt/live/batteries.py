@@ -127,7 +127,7 @@ class Batteries:
         if not batteries:
             return
         known = self._reader.parameters.items()
-        content = state.State(
+        content = state.SavedState(
             battery_sha256=self._battery.certificate.content_sha256,
             link=self._config.link.endpoint,
             vehicle=self._vehicle,
@@ -141,10 +141,10 @@ class Batteries:
             self._problem = f"state not saved: {error}"
 
     @property
-    def _vehicle(self) -> state.Vehicle:
+    def _vehicle(self) -> state.SavedVehicle:
         """The vehicle whose batteries are estimated, as far as it is known."""
         reader = self._reader
-        return state.Vehicle(system=reader.system or 0, component=reader.component or 0, hardware=reader.hardware)
+        return state.SavedVehicle(system=reader.system or 0, component=reader.component or 0, hardware=reader.hardware)
 
     def _saved(self, now_s: float) -> dict[str, SavedBattery]:
         return {

@@ -18,7 +18,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
-from uavbatt.live.listener import Frame, Listener, tell
+from uavbatt.live.listener import HeardFrame, Listener, tell
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
 from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board
@@ -110,7 +110,7 @@ class Daemon:
         for link in (self._link, *self._stations):
             link.close()
 
-    def _take(self, frame: Frame, now_s: float) -> None:
+    def _take(self, frame: HeardFrame, now_s: float) -> None:
         """One whole frame that counts."""
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
@@ -137,7 +137,7 @@ class Daemon:
         if self._recorder is not None and self._reader.followed is not None:
             self._recorder.begin_anew(self._reader.followed.words)
 
-    def _record(self, frame: Frame, now_s: float) -> None:
+    def _record(self, frame: HeardFrame, now_s: float) -> None:
         assert self._recorder is not None
         if not self._recorder.remembers(PERIOD_NAME.encode()):
             own = Outgoing(frame.header.system, self.config.link.own_component)

@@ -22,7 +22,7 @@ MOST_SENDERS = 32
 MOST_TOLD = 100  # notes that go to the log
 
 
-class Frame(NamedTuple):
+class HeardFrame(NamedTuple):
     """A whole frame that counts, and who sent it."""
 
     data: bytes
@@ -45,7 +45,7 @@ class Listener:
         self._signing: dict[tuple[int, int], bool] = {}  # whose battery messages are signed
         self._told: set[str] = set()
 
-    def frames(self, pieces: Iterable[Chunk]) -> Iterator[Frame]:
+    def frames(self, pieces: Iterable[Chunk]) -> Iterator[HeardFrame]:
         """The frames in what has come in, in order."""
         for data, sender in pieces:
             if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
@@ -63,7 +63,7 @@ class Listener:
                     continue
                 if header.message_id == framing.BATTERY_STATUS:
                     self._signing[header.system, header.component] = framing.is_signed(frame)
-                yield Frame(frame, header, sender)
+                yield HeardFrame(frame, header, sender)
 
     def notes(self) -> list[str]:
         """Notes for the operator about the link."""

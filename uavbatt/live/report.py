@@ -34,7 +34,7 @@ class Display:
     remaining_alarm_s: float
 
 
-class Endurance(NamedTuple):
+class EnduranceNow(NamedTuple):
     """The time in the air of a flight that would begin now [s]: median, 5 % and 95 % point; NaN is unknown."""
 
     median_s: float = NAN
@@ -50,7 +50,7 @@ class Endurance(NamedTuple):
         return f"waiting for take-off; about {middle} min ({lo} to {hi}) from this charge"
 
 
-UNKNOWN = Endurance()
+UNKNOWN = EnduranceNow()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Report:
     battery: str = ""
     certificate: str = ""
     flying_since_s: float = NAN  # on the monotonic clock; NaN on the ground
-    endurance: Endurance = UNKNOWN  # before take-off
+    endurance: EnduranceNow = UNKNOWN  # before take-off
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the row was received."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from uavbatt.live.saved import SavedBattery
-from uavbatt.live.state import Found, State, Vehicle
+from uavbatt.live.state import Found, SavedState, SavedVehicle
 
 
 class Resumption:
@@ -13,10 +13,10 @@ class Resumption:
 
     def __init__(self, found: Found[SavedBattery]) -> None:
         self.age_s = found.age_s  # when this process began
-        self._state: State[SavedBattery] | None = found.state
+        self._state: SavedState[SavedBattery] | None = found.state
         self._left = dict(found.state.batteries) if found.state is not None else {}
         self._why_not = found.why_not
-        self._met: Vehicle | None = None
+        self._met: SavedVehicle | None = None
 
     @property
     def note(self) -> str:
@@ -26,12 +26,12 @@ class Resumption:
         why_not = self._why_not or self._mismatch(self._met)
         return f"not resumed: {why_not}" if why_not else ""
 
-    def meet(self, vehicle: Vehicle) -> Mapping[str, float]:
+    def meet(self, vehicle: SavedVehicle) -> Mapping[str, float]:
         """A vehicle whose batteries are to be estimated: its saved parameters, if the state is of it."""
         self._met = vehicle
         return self._state.parameters if self._state is not None and not self._mismatch(vehicle) else {}
 
-    def is_contradicted(self, vehicle: Vehicle) -> bool:
+    def is_contradicted(self, vehicle: SavedVehicle) -> bool:
         """True if what is known of the vehicle by now shows that what it was handed was another's."""
         if self._state is None or self._met is None or self._mismatch(self._met):
             return False
@@ -42,7 +42,7 @@ class Resumption:
         """The saved battery of the vehicle that was met; None where there is none, or it was handed out before."""
         return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
 
-    def _mismatch(self, vehicle: Vehicle | None) -> str:
+    def _mismatch(self, vehicle: SavedVehicle | None) -> str:
         """Return the reason why the state is not of this vehicle, as far as that is known; empty if it is."""
         if self._state is None or vehicle is None:
             return ""

@@ -12,7 +12,7 @@ NOTHING, CONVERGING, OK = 0, 1, 2
 SILENT_AFTER_S = 3.0
 
 
-class Known(NamedTuple):
+class LastEstimate(NamedTuple):
     """The last words of the estimator about one battery."""
 
     status: int
@@ -25,7 +25,7 @@ class Rewriter:
     """Knows what is left of each battery, and puts it into the frames that may carry it."""
 
     def __init__(self, soc: bool) -> None:
-        self.known: dict[tuple[int, int, int], Known] = {}
+        self.known: dict[tuple[int, int, int], LastEstimate] = {}
         self.rewritten = 0
         self.replaced: dict[tuple[int, int, int], tuple[int, int]] = {}  # autopilot's own time, and ours [s]
         self._soc = soc
@@ -34,7 +34,7 @@ class Rewriter:
         """An estimate, as the control socket carries it."""
         if len(body) == struct.calcsize(ESTIMATE_LAYOUT):
             system, component, battery, *rest = struct.unpack(ESTIMATE_LAYOUT, body)
-            self.known[system, component, battery] = Known(*rest)
+            self.known[system, component, battery] = LastEstimate(*rest)
 
     def frame(self, frame: bytes, now_s: float) -> bytes:
         """The frame as the ground station shall see it."""

@@ -36,7 +36,7 @@ Parameter = Annotated[float, msgspec.Meta(ge=-LARGEST_PARAMETER, le=LARGEST_PARA
 Battery = TypeVar("Battery")
 
 
-class Vehicle(msgspec.Struct, frozen=True, kw_only=True):
+class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
     """Whose batteries these are: the autopilot's address, and its serial number where the link has told it."""
 
     system: Byte
@@ -44,12 +44,12 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True):
     hardware: Name = ""
 
 
-class State(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
+class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
     """The content of the file but for when it was written; `battery_sha256` and `link` are of the process."""
 
     battery_sha256: Name
     link: Annotated[str, msgspec.Meta(max_length=1000)]
-    vehicle: Vehicle
+    vehicle: SavedVehicle
     parameters: Annotated[dict[Name, Parameter], msgspec.Meta(max_length=1000)]
     batteries: Annotated[dict[Annotated[str, msgspec.Meta(pattern="^[0-9]{1,3}$")], Battery],
                          msgspec.Meta(max_length=256)]  # fmt: skip
@@ -71,7 +71,7 @@ class _Written(msgspec.Struct, frozen=True, kw_only=True):
 class Found(NamedTuple, Generic[Battery]):
     """The state and its age [s], or None and the reason why there is none; no reason if nothing was ever saved."""
 
-    state: State[Battery] | None
+    state: SavedState[Battery] | None
     age_s: float
     why_not: str
 
@@ -119,7 +119,7 @@ def _agrees(hardware_clock: Path, wall_s: float) -> bool:
     return abs(shown_s - wall_s) <= CLOCKS_AGREE_S
 
 
-def write_state(path: Path, content: State[Any], now: Clock) -> None:
+def write_state(path: Path, content: SavedState[Any], now: Clock) -> None:
     """Save atomically. Raises OSError or UavbattError when the disk does not take it."""
     head = {"version": VERSION, **msgspec.to_builtins(now)}
     with atomic_write(path) as file:
@@ -147,7 +147,7 @@ def read_state(
         content = json.loads(raw)
         if msgspec.convert(content, _Written).version != VERSION:
             return none("saved state is of another version")
-        was, found = msgspec.convert(content, Clock), msgspec.convert(content, State[kind])  # type: ignore[valid-type]
+        was, found = msgspec.convert(content, Clock), msgspec.convert(content, SavedState[kind])  # type: ignore[valid-type]
     except RecursionError:
         return none("saved state is damaged: too deeply nested")
     except Exception as error:  # whatever a file can hold, the process goes on without it

@@ -18,7 +18,7 @@ from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
 from uavbatt.limits import Seen
-from uavbatt.live.report import UNKNOWN, Endurance
+from uavbatt.live.report import UNKNOWN, EnduranceNow
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -76,7 +76,7 @@ class TrackedBattery:
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
             return refused(sample, where + " ".join(str(error).split()))
 
-    def endurance(self, time_s: float) -> Endurance:
+    def endurance(self, time_s: float) -> EnduranceNow:
         """Return the time in the air if it took off now; worked out anew every few seconds, unknown where it cannot."""
         if not 0.0 <= time_s - self._endurance_s < ENDURANCE_PERIOD_S:
             try:
@@ -84,7 +84,7 @@ class TrackedBattery:
             except Exception:  # as in `step`: a number beside the row must not end the process
                 found = None
             self._endurance_s = time_s
-            self._endurance = Endurance(found.median_s, found.lo_s, found.hi_s) if found is not None else UNKNOWN
+            self._endurance = EnduranceNow(found.median_s, found.lo_s, found.hi_s) if found is not None else UNKNOWN
         return self._endurance
 
     def saved(self, facts: PackFacts) -> SavedBattery | None:

@@ -105,7 +105,7 @@ def is_signed(frame: bytes) -> bool:
     return frame[0] == V2 and bool(frame[2] & SIGNED)
 
 
-class Battery(NamedTuple):
+class BatteryStatusParts(NamedTuple):
     """The parts of a BATTERY_STATUS that a rewriter needs."""
 
     id: int
@@ -113,7 +113,7 @@ class Battery(NamedTuple):
     time_remaining_s: int  # 0: not provided
 
 
-def battery_of(frame: bytes) -> Battery | None:
+def battery_of(frame: bytes) -> BatteryStatusParts | None:
     """The battery of an unsigned v2 BATTERY_STATUS with a good checksum; None for any other frame."""
     if len(frame) < V2_OVERHEAD or frame[0] != V2 or frame[2] != 0 or frame[7:10] != b"\x93\x00\x00":
         return None
@@ -122,7 +122,7 @@ def battery_of(frame: bytes) -> Battery | None:
         return None
     payload = frame[V2_HEADER:end].ljust(TIME_END, b"\0")
     percent, left_s = struct.unpack_from("<bi", payload, PERCENT_AT)
-    return Battery(payload[ID_AT], percent, left_s)
+    return BatteryStatusParts(payload[ID_AT], percent, left_s)
 
 
 def with_battery(frame: bytes, time_remaining_s: int, percent: int | None = None) -> bytes:

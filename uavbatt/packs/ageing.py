@@ -119,7 +119,7 @@ def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -
     return np.array(found)
 
 
-class Course(NamedTuple):
+class AgeingState(NamedTuple):
     """The state of the slow filter: the belief, and what it needs to think again."""
 
     known: Known
@@ -133,22 +133,22 @@ class Course(NamedTuple):
 def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
     """The belief after each flight of a pack; `flights` in order of time."""
     found: list[Remembered] = []
-    course: Course | None = None
+    course: AgeingState | None = None
     for flight in flights:
         course, findings = _begun(flight) if course is None else _next(course, flight)
         found.append(Remembered(flight, course.known, (*findings, *odd.by_itself(flight))))
     return found
 
 
-def _begun(flight: FlightRecord) -> tuple[Course, tuple[PackFinding, ...]]:
-    return Course(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
+def _begun(flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
+    return AgeingState(first_known(flight), _first(flight, USED_MEAN, USED_SD), flight), ()
 
 
 def _taken(expected: Known, flight: FlightRecord) -> Known:
     return updated(expected, flight.told.mean, flight.told.matrix)
 
 
-def _next(course: Course, flight: FlightRecord) -> tuple[Course, tuple[PackFinding, ...]]:
+def _next(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
     """One flight more: as expected, damaged since the last one, or not this pack at all."""
     beside = odd.between(course.last, flight)
     expected = later(course.known, days_between(course.last, flight.start_utc_s))
@@ -159,11 +159,11 @@ def _next(course: Course, flight: FlightRecord) -> tuple[Course, tuple[PackFindi
     elif max(z[OHM], -z[CHARGE]) > ODD_ALONE:
         said = odd.sudden(z, change)
         known = _taken(_shaken(expected, z), flight)
-        course = Course(known, expected, flight, undamaged=expected, is_settled=False)
+        course = AgeingState(known, expected, flight, undamaged=expected, is_settled=False)
     elif course.is_settled and (both := _odd_together(course, flight)) is not None:
         course, said = both
     else:
-        return Course(_taken(expected, flight), expected, flight, course.undamaged), beside
+        return AgeingState(_taken(expected, flight), expected, flight, course.undamaged), beside
     return course, (said, *beside)
 
 
@@ -173,20 +173,24 @@ def _shaken(expected: Known, z: Array) -> Known:
     return Known(expected.mean, expected.covariance + np.diag(sd**2))
 
 
-def _improved(course: Course, expected: Known, flight: FlightRecord, said: PackFinding) -> tuple[Course, PackFinding]:
+def _improved(
+    course: AgeingState, expected: Known, flight: FlightRecord, said: PackFinding
+) -> tuple[AgeingState, PackFinding]:
     """A flight better than the pack can be: set aside, unless it is the pack from before, or the new one again."""
     old = course.undamaged
     if old is not None and np.abs(oddness(later(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
         again = "as before the damage: the flights in between were another pack's"
-        return Course(_taken(later(old, 0.0), flight), old, flight, is_settled=False), PackFinding(said.kind, again)
+        return AgeingState(_taken(later(old, 0.0), flight), old, flight, is_settled=False), PackFinding(
+            said.kind, again
+        )
     if course.aside is not None:
         anew = first_known(course.aside)
         said = PackFinding(said.kind, "again another pack: remembered anew under this name")
-        return Course(_taken(later(anew, 0.0), flight), anew, flight, is_settled=False), said
-    return Course(expected, expected, course.last, aside=flight, is_settled=False), said
+        return AgeingState(_taken(later(anew, 0.0), flight), anew, flight, is_settled=False), said
+    return AgeingState(expected, expected, course.last, aside=flight, is_settled=False), said
 
 
-def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, PackFinding] | None:
+def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, PackFinding] | None:
     """Two flights in a row that say the same: damage, of which one alone was not sure, or faster ageing.
 
     The belief holds both, each as likely as the two flights make it, so that later flights decide.
@@ -201,7 +205,7 @@ def _odd_together(course: Course, flight: FlightRecord) -> tuple[Course, PackFin
     likely *= [_likelihood(a, course.last) * _likelihood(b, flight) for a, b in zip(begun, between, strict=True)]
     known = _together(likely / likely.sum(), [_taken(one, flight) for one in between])
     said = odd.sudden(z, change, " since the flight before", "damaged, or ageing fast?")
-    return Course(known, between[0], flight, undamaged=course.expected, is_settled=False), said
+    return AgeingState(known, between[0], flight, undamaged=course.expected, is_settled=False), said
 
 
 def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:

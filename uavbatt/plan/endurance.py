@@ -17,7 +17,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
-from uavbatt.battery.sizing import PackOptions, PackSize, certificate_remark, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack
 from uavbatt.battery.state_space import SIZE, Belief, X, voltage
 from uavbatt.battery.statements import check_statements, size_from_rows
 from uavbatt.errors import UsageError
@@ -92,7 +92,7 @@ def make_plan(
     def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
         return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc, remembered) for t in ambients_C)
 
-    curve, remark = at(CURVE_C), certificate_remark(battery, resolved)
+    curve = at(CURVE_C)
     rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
     doubt = None
     if isinstance(load[0], ConstantLoad):
@@ -100,7 +100,7 @@ def make_plan(
         doubt = rate_doubt(f"{load[1]} on {resolved.cells}S {resolved.capacity_Ah:g} Ah is", at_rate)
     if doubt is not None and doubt.is_certain:
         raise UsageError(doubt.words)
-    warnings = (*filter(None, (remark, doubt.words if doubt is not None else "")), *resolved.notices)
+    warnings = (*filter(None, (resolved.uncertified, doubt.words if doubt is not None else "")), *resolved.notices)
     return Plan(resolved, load[1], start_soc, _headline(battery, at([ambient_C])[0]), rows, curve, warnings)
 
 

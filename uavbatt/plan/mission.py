@@ -16,7 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers
 from uavbatt.battery.remembered import PackHealth, with_reaction
 from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackSize, certificate_remark
+from uavbatt.battery.sizing import PackSize
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
@@ -121,7 +121,7 @@ def make_route_plan(
     here, flying = fit(ambient_C)
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
-    warnings = (*filter(None, (certificate_remark(battery, resolved), _speeds_remark(planned))), *resolved.notices)
+    warnings = (*filter(None, (resolved.uncertified, _speeds_remark(planned))), *resolved.notices)
     turning = ahead.point(turn_s) if math.isfinite(turn_s) else None
     return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying), turning, rows, warnings)
 

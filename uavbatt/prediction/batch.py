@@ -17,7 +17,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
 from uavbatt.prediction.route_forecast import RouteAsked
 from uavbatt.prediction.take_off import AtTakeOff
-from uavbatt.prediction.time_to_end import EndTimes, Wander, time_to_end
+from uavbatt.prediction.time_to_end import EndTimes, Normals, time_to_end
 
 SIDE_BY_SIDE = 16  # more do not fit the cache
 
@@ -79,7 +79,7 @@ def _together(few: list[Question]) -> list[EndTimes]:
         each(q.ambient_C for q in few),
         on(q.dt_s for q in few)[:, :, None],
         few[0].reserve_soc,
-        Wander(drawn.bias[:, None], drawn.row[:, None]),
+        Normals(drawn.bias[:, None], drawn.row[:, None]),
         few[0].by_rows,
         each(q.dt_s.size for q in few),
     )

@@ -59,10 +59,13 @@ def above_cutoff_V(going: Going, power_W: Array) -> Array:
 
 
 def _drawn(going: Going, power_W: Array) -> tuple[Array, Array, Array]:
-    """Open-circuit voltage with the model's error, resistance [ohm·Ah] and C-rate under a power."""
+    """Open-circuit voltage with the model's error, resistance [ohm·Ah] and C-rate under a power.
+
+    A pack far beyond empty, whose voltage has turned round, gives nothing: it must not be charged by the way.
+    """
     installation = going.installation
     emf_V, r_ohmAh = model.source(going.cell, going.state)
     emf_V = emf_V + going.bias_V
     size = installation.cells * installation.present_capacity_Ah
     rate = model.rate_at_power(going.cell, emf_V, series_resistance(installation, r_ohmAh), power_W / size)
-    return emf_V, r_ohmAh, rate
+    return emf_V, r_ohmAh, np.maximum(rate, 0.0)

@@ -86,7 +86,7 @@ class FlightLessons(NamedTuple):
         return timed and self.level_s >= 0.0 and self.level_sum_s >= 0.0
 
 
-class Flown(NamedTuple):
+class Movement(NamedTuple):
     """The aircraft's movement at one row."""
 
     airspeed_ms: float
@@ -198,7 +198,7 @@ class Progress(NamedTuple):
             return self._replace(arrived_s=time_s)
         return self if is_there else self._replace(arrived_s=NAN)
 
-    def flown(self, time_s: float, navigation: Navigation) -> Flown | None:
+    def flown(self, time_s: float, navigation: Navigation) -> Movement | None:
         """Return how the aircraft flies now: by its position, else by the plan of its leg; None where neither tells."""
         position = navigation.position
         if position is not None and time_s - position.time_s <= STALE_POSITION_S and math.isfinite(position.up_ms):
@@ -207,13 +207,13 @@ class Progress(NamedTuple):
             north_ms, east_ms = position.north_ms - self.wind[0], position.east_ms - self.wind[1]
             over_home = navigation.mode is Mode.RETURN and _is_over_home(navigation)
             landing = navigation.mode is Mode.LAND or over_home or self._phase(navigation) is Phase.LANDING
-            return Flown(math.hypot(north_ms, east_ms), position.up_ms, self._takes_off(navigation), landing)
+            return Movement(math.hypot(north_ms, east_ms), position.up_ms, self._takes_off(navigation), landing)
         if navigation.mode is not Mode.MISSION or not 0 <= self.at < len(self.path.legs):
             return None
         leg = self.path.legs[self.at]
         if not leg.moving_s > 0.0 or overdue(self, time_s, navigation):
             return None
-        return Flown(
+        return Movement(
             leg.run_m / leg.moving_s,
             leg.rise_m / leg.moving_s,
             leg.phase is Phase.TAKE_OFF or self.at == 0,

@@ -13,7 +13,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.state_space import SIZE, Belief, X
-from uavbatt.prediction.time_to_end import Wander
+from uavbatt.prediction.time_to_end import Normals
 
 DRAWS = 128
 LONGEST = 1024
@@ -30,10 +30,10 @@ def normals() -> Array:
 
 
 @cache
-def wander() -> Wander:
+def wander() -> Normals:
     """Standard normals for LONGEST steps of DRAWS ways: of the model's wandering error and of the rows' noise."""
     half = np.random.default_rng(_SEED + 1).standard_normal((2, LONGEST, DRAWS // 2))
-    return Wander(*np.concatenate([half, -half], axis=2))
+    return Normals(*np.concatenate([half, -half], axis=2))
 
 
 @cache

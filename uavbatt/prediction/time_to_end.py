@@ -38,7 +38,7 @@ class EndTimes(NamedTuple):
     low_s: Array
 
 
-class Wander(NamedTuple):
+class Normals(NamedTuple):
     """Standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
 
     bias: Array
@@ -52,7 +52,7 @@ def time_to_end(
     ambient_C: Number,
     dt_s: Array,
     reserve_soc: float = 0.0,
-    wander: Wander | None = None,
+    wander: Normals | None = None,
     by_rows: bool = False,
     own_steps: Number = np.inf,
 ) -> EndTimes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uavbatt import __version__
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.effects import unit_words
-from uavbatt.diagnosis.blocks import Block
+from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass
 from uavbatt.diagnosis.close import Closed
 from uavbatt.diagnosis.diagnosis import Diagnosis
@@ -107,7 +107,7 @@ def _suspect(one: EffectClass) -> Html:
     )
 
 
-def evidence_figure(blocks: tuple[Block, ...]) -> Html:
+def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
     """Bars of chi-square saved in each part of the flights; below zero the data of that part speak against it."""
     names, saved = [b.name for b in blocks], np.array([b.saved for b in blocks])
 

@@ -53,26 +53,26 @@ class Change:
         return max(2.0 * self.difference_sd, 0.05) / max(self.early, 1e-3)
 
 
-class Verdict(NamedTuple):
+class AgeingVerdict(NamedTuple):
     """A judgement about one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
 
     kind: str
     words: str
 
 
-def verdict(group: Group, resistance: Change | None, capacity: Change | None) -> Verdict:
+def verdict(group: Group, resistance: Change | None, capacity: Change | None) -> AgeingVerdict:
     """Judge the health of a group; a change that could not have been seen is not called steady."""
     if not group.is_identified:
-        return Verdict("cannot tell", "one folder is not one aircraft: give --by or --aircraft")
+        return AgeingVerdict("cannot tell", "one folder is not one aircraft: give --by or --aircraft")
     if resistance is None or capacity is None:
-        return Verdict("cannot tell", "too few flights")
+        return AgeingVerdict("cannot tell", "too few flights")
     if resistance.is_certain and resistance.difference > 0.0:
-        return Verdict("grown", f"ohms grown by {resistance.difference / resistance.early:.0%}")
+        return AgeingVerdict("grown", f"ohms grown by {resistance.difference / resistance.early:.0%}")
     if capacity.is_certain and capacity.difference < 0.0:
-        return Verdict("lost", f"capacity lost: {-capacity.difference / capacity.early:.0%}")
+        return AgeingVerdict("lost", f"capacity lost: {-capacity.difference / capacity.early:.0%}")
     if resistance.at_most <= STEADY:
-        return Verdict("steady", f"steady to within {resistance.at_most:.0%}")
-    return Verdict("cannot tell", f"cannot tell: growth below {resistance.visible:.0%} is not visible")
+        return AgeingVerdict("steady", f"steady to within {resistance.at_most:.0%}")
+    return AgeingVerdict("cannot tell", f"cannot tell: growth below {resistance.visible:.0%} is not visible")
 
 
 @dataclass(slots=True)

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.scoring.metrics import FloatArray, binomial_interval, crps_quantiles, mass_within
 
-__all__ = ["FlightScore", "Instant", "Pooled", "ScoreRow", "end_of_flight", "pool", "score_flight"]
+__all__ = ["FlightScore", "Instant", "PooledScores", "ScoreRow", "end_of_flight", "pool", "score_flight"]
 
 BEFORE_END_S = (360.0, 240.0, 120.0, 60.0)
 OF_FLIGHT = (0.25, 0.5, 0.75)
@@ -237,7 +237,7 @@ class ScoreRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Pooled:
+class PooledScores:
     """Scores over flights; a pair is (mean, standard error over flights)."""
 
     flights: int
@@ -252,7 +252,7 @@ class Pooled:
     alarm_least_s: float  # the latest alarm: least true time left when raised (0: one was never raised)
 
 
-def pool(scores: Iterable[FlightScore]) -> Pooled:
+def pool(scores: Iterable[FlightScore]) -> PooledScores:
     """All flights together. A flight counts once in each row, so lines of one flight never pass for evidence.
 
     Flights of one aircraft are not independent either: pool each group too and look at the difference.
@@ -262,7 +262,7 @@ def pool(scores: Iterable[FlightScore]) -> Pooled:
         raise ValueError("expected at least one scored flight")
     labels = [f"{left_s:g} s" for left_s in BEFORE_END_S] + [f"{part:.0%}" for part in OF_FLIGHT]
     reached = {label: [score.at[label] for score in every if label in score.at] for label in labels}
-    return Pooled(
+    return PooledScores(
         flights=len(every),
         rows=tuple(_row(label, instants) for label, instants in reached.items() if instants),
         alpha_lambda={a: sum(score.alpha_lambda[a] >= BETA for score in every) for a in ALPHAS},

@@ -35,7 +35,7 @@ LONGEST_S = 6 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
+class SimulatedFlight:
     """The flight to simulate: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
 
     power_W: float
@@ -67,7 +67,7 @@ def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
 
 def simulate_flight(
     pack: Pack,
-    mission: Mission,
+    mission: SimulatedFlight,
     power_W: Callable[[float], float] | None = None,
     lands_s: float = math.inf,
 ) -> list[Sample]:

@@ -20,7 +20,7 @@ _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
 BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
 
 
-class Doubt(NamedTuple):
+class HeardOnce(NamedTuple):
     """A change of a parameter that was heard once, and the sequence number of the frame that said it."""
 
     value: float
@@ -37,7 +37,7 @@ class HeardParameters:
 
     def __init__(self) -> None:
         self.known: dict[str, float] = {}
-        self.doubted: dict[str, Doubt] = {}
+        self.doubted: dict[str, HeardOnce] = {}
         self.version = 0  # grows with every change
         self._resumed: set[str] = set()  # of the known ones, those that only an earlier process heard
 
@@ -51,7 +51,7 @@ class HeardParameters:
         if was is not None and is_armed and name.startswith(BATTERY_NAMES):
             doubt = self.doubted.get(name)
             if doubt is None or not _is_same(doubt.value, value) or doubt.sequence == sequence:
-                self.doubted[name] = Doubt(value, sequence)
+                self.doubted[name] = HeardOnce(value, sequence)
                 return False
         self.doubted.pop(name, None)
         self._resumed.discard(name)

@@ -25,7 +25,7 @@ MOST_SENDERS, MOST_BATTERIES, MOST_ROWS = 4, 8, 64
 APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0, 0.02
 
 
-class Said(NamedTuple):
+class SenderRow(NamedTuple):
     """A row of one sender."""
 
     time_s: float
@@ -40,7 +40,7 @@ class Senders:
     def __init__(self) -> None:
         self._believed: object = self  # nobody yet
         self._heard_s = self._spoke_s = -math.inf
-        self._rows: dict[int, dict[object, deque[Said]]] = {}
+        self._rows: dict[int, dict[object, deque[SenderRow]]] = {}
         self._conflicts: dict[int, tuple[float, str]] = {}
 
     def admits(self, sender: object, time_s: float, is_battery: bool) -> bool:
@@ -66,7 +66,7 @@ class Senders:
             if len(by_sender) >= MOST_SENDERS:
                 return
         own = by_sender.setdefault(sender, deque(maxlen=MOST_ROWS))
-        own.append(Said(time_s, battery.voltage_V, battery.current_A, battery.consumed_Ah))
+        own.append(SenderRow(time_s, battery.voltage_V, battery.current_A, battery.consumed_Ah))
         if len(by_sender) == 1:
             return
         for other, rows in by_sender.items():
@@ -84,7 +84,7 @@ class Senders:
         return [(number, words) for number in self._conflicts if (words := self.conflict(number, time_s))]
 
 
-def apart(one: Iterable[Said], other: Iterable[Said]) -> str:
+def apart(one: Iterable[SenderRow], other: Iterable[SenderRow]) -> str:
     """The quantity in which two sources of one battery cannot be the same; empty when they can."""
     a, b = list(one), list(other)
     for name, share, least in (
@@ -102,7 +102,7 @@ def apart(one: Iterable[Said], other: Iterable[Said]) -> str:
     return ""
 
 
-def _recent(rows: Iterable[Said], time_s: float) -> list[Said]:
+def _recent(rows: Iterable[SenderRow], time_s: float) -> list[SenderRow]:
     return [row for row in rows if time_s - row.time_s <= WINDOW_S]
 
 

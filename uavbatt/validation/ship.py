@@ -10,12 +10,12 @@ from uavbatt.battery.battery_file import (
     Battery,
     BatteryFile,
     Certificate,
+    CorridorSection,
     Discrepancy,
     EffectEntry,
     ParameterTable,
     Verdict,
 )
-from uavbatt.battery.battery_file import Corridor as CorridorEntry
 from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
@@ -136,8 +136,8 @@ def _held_out_discrepancy(held: HeldOut, dataset: DataSet) -> Discrepancy:
     )
 
 
-def _entry(corridor: Corridor) -> CorridorEntry:
-    return CorridorEntry(
+def _entry(corridor: Corridor) -> CorridorSection:
+    return CorridorSection(
         ambient_C=corridor.ambient_C,
         time_s=[rounded(t) for t in corridor.at],
         mean_V=[rounded(v) for v in corridor.mean],

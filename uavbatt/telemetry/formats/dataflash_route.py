@@ -22,7 +22,7 @@ import numpy as np
 
 from uavbatt.navigation import Home, MissionItem, Mode, Navigation
 from uavbatt.telemetry.columns import Column, Order, latest_before
-from uavbatt.telemetry.formats.dataflash_rows import Clock, Table
+from uavbatt.telemetry.formats.dataflash_rows import DataflashClock, Table
 from uavbatt.telemetry.route.builder import POSITION_STEP_S, NavigationBuilder
 from uavbatt.telemetry.route.commands import Fields, is_flown, mission, mission_item
 from uavbatt.telemetry.route.events import Event, one_each, play
@@ -38,7 +38,7 @@ Told = tuple[int, Event]  # place in the log, event
 
 
 def navigation(
-    tables: Sequence[Table], clock: Clock, firmware: str, parameters: Sequence[tuple[float, str, float]]
+    tables: Sequence[Table], clock: DataflashClock, firmware: str, parameters: Sequence[tuple[float, str, float]]
 ) -> tuple[Navigation, ...]:
     """Return what a DataFlash log tells of route and place.
 
@@ -140,7 +140,7 @@ def _homes(table: Table, time_s: Column, builder: NavigationBuilder) -> Iterator
 
 
 def _positions(
-    table: Table, time_s: Column, fixes: Sequence[Table], clock: Clock, builder: NavigationBuilder
+    table: Table, time_s: Column, fixes: Sequence[Table], clock: DataflashClock, builder: NavigationBuilder
 ) -> Iterator[Told]:
     """POS with the velocity of the last fix; a log that goes on would tell if another item were flown."""
     height = next((label for label in ("RelHomeAlt", "RelAlt") if label in table.numbers), "RelHomeAlt")
@@ -153,7 +153,7 @@ def _positions(
         yield place, (when_s, builder.still_current, ())
 
 
-def _velocities(order: Order, at_s: Column, fixes: Sequence[Table], clock: Clock) -> list[Column]:
+def _velocities(order: Order, at_s: Column, fixes: Sequence[Table], clock: DataflashClock) -> list[Column]:
     """Velocity north, east and up [m/s] by the last fix before each place, NaN where that is old."""
     found = [np.full(len(order), np.nan) for _ in range(3)]
     for fix in fixes:

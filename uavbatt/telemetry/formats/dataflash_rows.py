@@ -80,7 +80,7 @@ class Moment(NamedTuple):
     raw_s: float
 
 
-class Clock(NamedTuple):
+class DataflashClock(NamedTuple):
     """Records by which the log's time is told: their places, what the log's own clock says [s], the time [s]."""
 
     order: Order
@@ -117,7 +117,7 @@ class _Change(NamedTuple):
         return np.append(self.value, before)[latest_before(order, self.order)]
 
 
-def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> Clock:
+def fold(tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder) -> DataflashClock:
     """Push every battery row, parameter and arming change of `tables` into `log`, in order; return the log's clock.
 
     first, last: of the records of any kind, wanted or not, that carry a time.
@@ -169,17 +169,17 @@ def _change(parts: Sequence[tuple[Order, NDArray[Any]]]) -> _Change:
 
 def _with_times(
     tables: Sequence[Table], first: Moment | None, last: Moment | None, log: LogBuilder
-) -> tuple[Clock, list[_Timed]]:
+) -> tuple[DataflashClock, list[_Timed]]:
     """Every table with its times; what carries no time is as late as the latest record before it."""
     moments = [(np.array([m.order]), np.array([m.raw_s])) for m in (first, last) if m is not None]
     clocks = [(t.order, t.column(t.layout.labels[0]) / t.layout.ticks_per_s) for t in tables if t.layout.ticks_per_s]
     told = _change(moments + clocks)
-    clock = Clock(told.order, told.value, times_s(log, told.value))
+    clock = DataflashClock(told.order, told.value, times_s(log, told.value))
     told = told._replace(value=clock.time_s)
     counted = _counted([t for t in tables if _BATTERY.match(t.layout.name) and not t.layout.ticks_per_s])
     log.now_s = max(log.now_s, float(counted.value.max(initial=0.0)))
     if not len(told.order):
-        clock = Clock(*counted, np.maximum.accumulate(counted.value))
+        clock = DataflashClock(*counted, np.maximum.accumulate(counted.value))
     both = _change([told, counted])
     now = both._replace(value=np.maximum.accumulate(both.value))
 

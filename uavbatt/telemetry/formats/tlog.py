@@ -24,7 +24,7 @@ from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import is_recording
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
-from uavbatt.telemetry.formats.tlog_route import LAYOUTS, Clock, navigation
+from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
 
@@ -65,7 +65,7 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
     _add_packs(own, log)
     _add_rows(own, time_s, beats, log)
     if chosen != _NOBODY:
-        clock = Clock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
+        clock = TlogClock(own.start, own.time_s, time_s, np.isin(own.message_id, _BATTERY_IDS))
         log.navigation = navigation(found, of_source, chosen, clock, log.parameters)
     return log
 

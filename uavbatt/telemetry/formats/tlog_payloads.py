@@ -34,7 +34,7 @@ AUTOPILOT_VERSION = np.dtype({"names": ["uid", "flight_sw"], "formats": ["<u8", 
 _SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
 
 
-class Said(NamedTuple):
+class BatteryMessages(NamedTuple):
     """The content of battery messages, one entry each; `cells_V` has one row each, or is None if none tells cells."""
 
     instance: NDArray[np.int64]
@@ -45,19 +45,19 @@ class Said(NamedTuple):
     reported_soc: Column
     cells_V: NDArray[np.float64] | None = None
 
-    def at(self, chosen: Any) -> Said:
+    def at(self, chosen: Any) -> BatteryMessages:
         """Some of the messages."""
         columns: Any = [None if column is None else column[chosen] for column in self]
-        return Said(*columns)
+        return BatteryMessages(*columns)
 
 
 class Kind(NamedTuple):
     """One battery message: its layout, and what payloads of it say."""
 
     layout: np.dtype[Any]
-    read: Callable[[Any], Said]
+    read: Callable[[Any], BatteryMessages]
 
-    def said(self, payloads: Bytes) -> Said:
+    def said(self, payloads: Bytes) -> BatteryMessages:
         """Read the payloads."""
         return self.read(payloads.view(self.layout)[:, 0])
 
@@ -94,16 +94,16 @@ def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, f
         yield fields.parameter(_Parameter(text, value, kind), px4)
 
 
-def together(parts: Sequence[Said]) -> Said:
+def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
     """Messages of several kinds one behind the other."""
     width = max(0 if p.cells_V is None else p.cells_V.shape[1] for p in parts)
     cells = [np.full((len(p.instance), width), np.nan) if p.cells_V is None else p.cells_V for p in parts]
     columns: list[Any] = [np.concatenate(same) for same in zip(*(p[:-1] for p in parts), strict=True)]
     columns.append(np.concatenate(cells) if width else None)
-    return Said(*columns)
+    return BatteryMessages(*columns)
 
 
-def _battery_status(said: Any) -> Said:
+def _battery_status(said: Any) -> BatteryMessages:
     mV, ext_mV = said["voltages"].astype(np.int64), said["voltages_ext"].astype(np.int64)
     # zeros are fillers of careless senders: a cell at 0 V does not fly
     filled = (mV != 0) & (mV != 65535)
@@ -114,7 +114,7 @@ def _battery_status(said: Any) -> Said:
     total_mV = np.sum(all_mV, axis=1, where=all_filled)
     has_cells = (np.count_nonzero(all_filled, axis=1) > 1) & ~is_split
     cells_V = np.where(all_filled & has_cells[:, None], all_mV / 1000, np.nan) if has_cells.any() else None
-    return Said(
+    return BatteryMessages(
         instance=said["id"].astype(np.int64),
         voltage_V=np.where(is_known, total_mV / 1000, np.nan),
         current_A=_current_A(said["current"]),
@@ -125,18 +125,20 @@ def _battery_status(said: Any) -> Said:
     )
 
 
-def _sys_status(said: Any) -> Said:
+def _sys_status(said: Any) -> BatteryMessages:
     unknown = np.full(len(said), np.nan)
     instance = np.zeros(len(said), np.int64)
-    return Said(
+    return BatteryMessages(
         instance, _voltage_V(said["voltage"]), _current_A(said["current"]), unknown, unknown, _soc(said["remaining"])
     )
 
 
-def _battery2(said: Any) -> Said:
+def _battery2(said: Any) -> BatteryMessages:
     unknown = np.full(len(said), np.nan)
     instance = np.ones(len(said), np.int64)
-    return Said(instance, _voltage_V(said["voltage"]), _current_A(said["current"]), unknown, unknown, unknown)
+    return BatteryMessages(
+        instance, _voltage_V(said["voltage"]), _current_A(said["current"]), unknown, unknown, unknown
+    )
 
 
 KINDS = {

@@ -78,7 +78,7 @@ _MICROSECOND_S = 1e-6
 _LONGEST_STEP_S = 60.0  # a stamp is not covered by a checksum: one that leaps further is damaged
 
 
-class Clock(NamedTuple):
+class TlogClock(NamedTuple):
     """The frames that the log's clock goes by: places in the file, stamps [s], times [s], which are battery rows."""
 
     start: Places
@@ -100,7 +100,7 @@ class Clock(NamedTuple):
 
 
 def navigation(
-    found: FrameTable, own: FrameTable, source: int, clock: Clock, parameters: list[tuple[float, str, float]]
+    found: FrameTable, own: FrameTable, source: int, clock: TlogClock, parameters: list[tuple[float, str, float]]
 ) -> tuple[Navigation, ...]:
     """Return what a log tells of route and place.
 
@@ -114,7 +114,7 @@ def navigation(
     return listener.builder.timeline()
 
 
-def _of_autopilot(own: FrameTable, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
+def _of_autopilot(own: FrameTable, clock: TlogClock, listener: NavigationListener) -> list[tuple[int, Event]]:
     """The autopilot's messages with their places in the file; of heartbeats those that differ from the one before."""
     told = []
     for message_id in LAYOUTS.keys() & {messages.HEARTBEAT, *messages.OF_AUTOPILOT}:
@@ -126,7 +126,9 @@ def _of_autopilot(own: FrameTable, clock: Clock, listener: NavigationListener) -
     return told
 
 
-def _of_others(found: FrameTable, source: int, clock: Clock, listener: NavigationListener) -> list[tuple[int, Event]]:
+def _of_others(
+    found: FrameTable, source: int, clock: TlogClock, listener: NavigationListener
+) -> list[tuple[int, Event]]:
     """Return what other stations said of missions to the autopilot."""
     others = found.at((found.source != source) & np.isin(found.message_id, list(messages.OF_OTHERS)))
     told = []
@@ -137,7 +139,7 @@ def _of_others(found: FrameTable, source: int, clock: Clock, listener: Navigatio
     return told
 
 
-def _said(frames: FrameTable, message_id: int, clock: Clock) -> Iterator[tuple[int, float, Any]]:
+def _said(frames: FrameTable, message_id: int, clock: TlogClock) -> Iterator[tuple[int, float, Any]]:
     """Place in the file, time [s] and message of each frame."""
     return zip(frames.start.tolist(), clock.times_s(frames), _decoded(frames, message_id), strict=True)
 

@@ -13,11 +13,9 @@ told from R₀(soc).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from uavbatt.battery import model
 from uavbatt.battery.effects import EFFECTS
@@ -25,12 +23,13 @@ from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
+from uavbatt.fitting.limiter import limited_discharge
+from uavbatt.fitting.most_probable import most_probable
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
 STEP_S = 10.0
 MISFIT_SD_V = 0.08  # what such a model leaves: weighs the readings against the priors
-NUDGE = 1e-4
 COLD_C = -20.0
 EVALUATIONS = 30
 FRESH, START_SPREAD, SEED = 10, 0.6, 5725
@@ -102,18 +101,14 @@ def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: One
     series = np.tile(tests.series, batch)
     ln_load, ln_resistance = (_nuisance(what, at, series) for what in ("ln_load", "ln_resistance"))
     gain, rate = np.exp(ln_resistance), at["c_rate"] * np.exp(ln_load)
-    state, now_s = model.rested(np.minimum(at["start_soc"], 1.0), ambient), 0.0
-    out = np.empty((tests.time_s.size, batch * rows))
-    for k, until_s in enumerate(tests.time_s):
-        while now_s < until_s - 1e-9:
-            dt_s = min(STEP_S, until_s - now_s)
-            here = _steepened(cell, at, state, gain)
-            state = model.step(here, state, _held(here, state, rate, at["limit_cell_V"]), ambient, dt_s)
-            now_s += dt_s
-        here = _steepened(cell, at, state, gain)
-        asked = _held(here, state, rate, at["limit_cell_V"]) if until_s > 0.0 else np.zeros_like(rate)
-        out[k] = model.cell_voltage(here, state, asked)
-    return np.moveaxis(out.reshape(-1, batch, rows), 0, -1) * tests.cells
+    start = model.rested(np.minimum(at["start_soc"], 1.0), ambient)
+
+    def cell_in(state: State) -> Parameters:
+        return _steepened(cell, at, state, gain)
+
+    volts, _ = limited_discharge(cell_in, start, rate, at["limit_cell_V"], ambient, tests.time_s, STEP_S)
+    out: Array = np.moveaxis(volts.reshape(-1, batch, rows), 0, -1) * tests.cells
+    return out
 
 
 def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Array], rows: int) -> Parameters:
@@ -140,12 +135,6 @@ def _steepened(cell: Parameters, at: dict[str, Array], state: State, gain: Array
     at_25 = 1.0 / (REFERENCE_TEMP_C + KELVIN)
     x = (1.0 / (state.core_C + KELVIN) - at_25) / (1.0 / (COLD_C + KELVIN) - at_25)
     return cell._replace(resistance_gain=gain * np.exp(at["steeper_cold"] * np.clip(x, 0.0, 2.0) ** 2))
-
-
-def _held(cell: Parameters, state: State, rate: Array, limit_V: Array) -> Array:
-    room = (model.electromotive_force(cell, state) - limit_V) / model.resistance(cell, state.soc, state.core_C)
-    held: Array = np.clip(room, 0.0, rate)
-    return held
 
 
 def fit_cold_model(
@@ -179,18 +168,8 @@ def _solve(
         out: Array = np.concatenate([np.nan_to_num(gap).reshape(u.shape[0], -1) / MISFIT_SD_V, u], axis=1)
         return out
 
-    def objective(u: Array) -> Array:
-        out: Array = misfit(u[None])[0]
-        return out
-
-    def jacobian(u: Array) -> Array:
-        values = misfit(np.vstack([u, u + NUDGE * np.eye(u.size)]))
-        out: Array = ((values[1:] - values[0]) / NUDGE).T
-        return out
-
-    loss: Literal["soft_l1", "linear"] = "soft_l1" if robust else "linear"
     tolerance = 1e-3 if robust else 1e-4
-    found = least_squares(objective, u0, jacobian, loss=loss, max_nfev=EVALUATIONS, xtol=1e-4, ftol=tolerance)
+    found = most_probable(misfit, u0, is_robust=robust, evaluations=EVALUATIONS, xtol=1e-4, ftol=tolerance)
     return float(found.cost), np.asarray(found.x, dtype=float)
 
 
