@@ -61,8 +61,9 @@ UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE, UNKNOWN_MAKE_BIAS_SD_V = 0.1, 0.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
 # The standard error of a parameter is its own, whatever the others do; but a curve found too high at every charge goes
 # with ohms found too few, and the voltage of a flight is known far better than either. Of three makes whose curve is
-# known 11 mV were stated, and 4 mV of it changed from one charge to another.
-ALONE_SHARE = 0.4
+# known 11 mV were stated, and 4 mV of it changed from one charge to another. A certified file may come from tests whose
+# load nobody measured, as the study's: its errors hold what that leaves open.
+ALONE_SHARE = {"fitted": 0.4}
 # The discrepancy of a prior is that of its whole curve, whose knots state their own errors: this share is left.
 BESIDE_KNOTS = 0.45
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
@@ -157,7 +158,8 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
     installation = installation_of(file, cells, capacity_Ah)
     widening = WIDENING[file.status]
     left = file.discrepancy
-    unknown, ocv_sd_V = file.status == "generic", _ocv_sd_V(file)
+    unknown = file.status == "generic"
+    ocv_sd_V = _ocv_sd_V(file)
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
     return Pack(
@@ -171,7 +173,7 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, SERVICE_BIAS_TAU_S),
         ocv_sd_V=ocv_sd_V,
-        ocv_drift_sd_V=ocv_sd_V if unknown else _drift_sd_V(ocv_sd_V),
+        ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
         row_share=ROW_SHARE,
         lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
@@ -188,15 +190,15 @@ def _ocv_sd_V(file: BatteryFile) -> Array:
     return np.asarray(np.interp(SOC_GRID, np.array(table.ocv_soc), np.array(errors)))
 
 
-def _drift_sd_V(ocv_sd_V: Array) -> Array:
-    """Return what of the error of a fitted open-circuit voltage is not alike at every charge."""
+def _drift_sd_V(ocv_sd_V: Array, least: float) -> Array:
+    """Return what of the error of an open-circuit voltage is not alike at every charge; at least this share of it."""
     alike_V2 = np.median(ocv_sd_V) ** 2
-    return np.asarray(np.sqrt(np.maximum(ocv_sd_V**2 - alike_V2, (ALONE_SHARE * ocv_sd_V) ** 2)))
+    return np.asarray(np.sqrt(np.maximum(ocv_sd_V**2 - alike_V2, (least * ocv_sd_V) ** 2)))
 
 
 def _lag_share(file: BatteryFile, quantity: str) -> float:
     """Relative error of an effect's quantity, between 10 % and 80 %; alone, where it was fitted with the others."""
-    share = 1.0 if file.status == "generic" else ALONE_SHARE
+    share = ALONE_SHARE.get(file.status, 1.0)
     for entry in file.effects:
         if entry.parameters.get(quantity):
             error = share * entry.standard_error.get(quantity, 0.0)
