@@ -26,7 +26,7 @@ from uavbatt.live import config
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.records import Status
-from uavbatt.telemetry.formats import csv_table
+from uavbatt.telemetry.formats import airdata_csv, blackbox_csv, csv_table, dji_record_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
@@ -109,6 +109,13 @@ def test_the_telemetry_csv(tmp_path: Path) -> None:
     flight = uavbatt.read_log(written(tmp_path, "flight.csv") / "flight.csv")
     assert (len(flight.samples), flight.notes) == (3, ())
     assert documented("Telemetry CSV") == [*csv_table.REQUIRED, *csv_table.OPTIONAL]
+
+
+def test_the_tables_of_other_programs() -> None:
+    for number, module in enumerate((airdata_csv, dji_record_csv, blackbox_csv)):
+        of_one_cell = {k: v for k, v in module.COLUMNS.items() if not k.startswith("cell_") or k == "cell_1_V"}
+        names = [name for theirs in (*of_one_cell.values(), *getattr(module, "WORDS", {}).values()) for name in theirs]
+        agree(documented("DJI and blackbox CSV", number), names)
 
 
 def test_the_battery_file(tmp_path: Path) -> None:
@@ -239,3 +246,14 @@ def test_the_mission_file(tmp_path: Path) -> None:
     mission_file = pytest.importorskip("uavbatt.telemetry.formats.mission_file", reason="missions are not read yet")
     planned = mission_file.read_mission(written(tmp_path, "round.waypoints") / "round.waypoints")
     assert planned.home is not None and len(planned.mission.items) >= 3
+
+
+def test_the_image_copies_what_there_is_and_runs_a_command_as_nobody_special() -> None:
+    """No daemon builds it here: what can be read of it is."""
+    lines = (ROOT / "scripts" / "Dockerfile").read_text("utf-8").splitlines()
+    words = [line.split() for line in lines if line and not line.startswith("#")]
+    copied = [name for verb, *names in words if verb == "COPY" and "--from=build" not in names for name in names[:-1]]
+    assert copied and all((ROOT / name).exists() for name in copied)
+    assert [names for verb, *names in words if verb == "USER"] == [["uavbatt"]]
+    command = json.loads(next(line for line in lines if line.startswith("CMD")).partition(" ")[2])
+    assert command[0] in {str(known.name) for known in app.registered_commands}

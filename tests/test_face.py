@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
+from xml.etree import ElementTree
 
 import pytest
 from command import called
@@ -57,6 +59,24 @@ def test_big_values_show_one_short_line(flown: uavbatt.Replay) -> None:
     for value in (flown, flown.flight, battery_file.read_battery("lpab-3s"), load()):
         assert len(repr(value)) < 250 and "\n" not in repr(value)
     assert "short.tlog" in repr(flown.flight) and f"{len(flown.flight.samples)} rows" in repr(flown.flight)
+
+
+def test_a_notebook_shows_the_answer_and_the_time_left(flown: uavbatt.Replay) -> None:
+    shown = flown._repr_html_()
+    root, left = ElementTree.fromstring(shown), flown.outcome.landing
+    assert left is not None and len(shown) < 30_000
+    text = " ".join(root.itertext())
+    minutes = f"{round(left.remaining_s) // 60}:{round(left.remaining_s) % 60:02d} min"
+    assert minutes in text and "lipo-generic (generic)" in text and "4S" in text
+    (svg,) = root.iter("svg")
+    assert "Time left" in svg.attrib["aria-label"] and len(list(svg.iter("polyline"))) == 1
+
+
+def test_a_notebook_shows_a_replay_without_a_forecast(short_log: Path) -> None:
+    flight = uavbatt.read_log(short_log)
+    ground = uavbatt.replay(replace(flight, samples=flight.samples[:4]), cells=4, capacity_Ah=2.1)
+    shown = ground._repr_html_()
+    assert "<svg" not in shown and "none" in " ".join(ElementTree.fromstring(shown).itertext())
 
 
 def test_a_prompt_completes_the_public_names_alone() -> None:

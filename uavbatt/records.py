@@ -83,7 +83,7 @@ class Flight:
     """A log as read: the rows of the chosen battery, and what the vehicle said of it and when."""
 
     source: str
-    kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "csv" | "ulog"
+    kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "ulog" | "csv" | "airdata" | "dji-record" | "blackbox"
     samples: tuple[Sample, ...]
     instance: int = 0
     instances: tuple[int, ...] = (0,)
@@ -103,6 +103,24 @@ class Flight:
             f"<Flight {self.source}: {self.kind}, battery {self.instance}, {len(self.samples)} rows, "
             f"{self.duration_s:.0f} s>"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a small table and the voltage over the flight."""
+        from uavbatt.small_chart import CHART, captioned, small_chart, small_table
+
+        volts = [sample.voltage_V for sample in self.samples]
+        known = [value for value in volts if math.isfinite(value)]
+        facts = (
+            ("log", self.kind),
+            ("battery", f"{self.instance} of {', '.join(map(str, self.instances))}"),
+            ("rows", f"{len(self.samples)} in {self.duration_s:.0f} s"),
+            ("notes", "; ".join(self.notes) or "none"),
+        )
+        if not known:
+            return small_table(self.source, facts)
+        words = f"Voltage of the pack over the log: {min(known):.2f} to {max(known):.2f} V"
+        drawn = small_chart([sample.time_s for sample in self.samples], volts, alt=words, size=CHART)
+        return small_table(self.source, facts, captioned(drawn, words))
 
     def facts_at(self, time_s: float) -> PackFacts:
         """The facts known at `time_s` [s]; an empty `PackFacts` before the first."""

@@ -7,6 +7,7 @@ import json
 import math
 import subprocess
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from uavbatt.log_replay.outcome import Landing, Outcome, outcome
 from uavbatt.log_replay.run import steps
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
+from uavbatt.report.flight_limits import limits_of
 from uavbatt.telemetry import read_log
 
 LOGS = Path(__file__).parents[2] / "logs"
@@ -155,3 +157,28 @@ def test_the_packaged_batteries_are_listed(tmp_path: Path) -> None:
     done = called("batteries", "--json", "b.json", folder=tmp_path)
     assert "lipo-generic" in done.stdout and "lpab-3s" in done.stdout
     assert {b["battery"]["name"] for b in json.loads((tmp_path / "b.json").read_text())} == {"lipo-generic", "lpab-3s"}
+
+
+def test_plain_says_what_a_pilot_asks_and_no_more(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text(SHORT)
+    stated = ("replay", "f.csv", "--capacity-ah", "5", "--json")
+    plain = called(*stated, "plain.json", "--plain", folder=tmp_path)
+    whole = called(*stated, "whole.json", folder=tmp_path)
+    said = plain.stdout.splitlines()
+    assert plain.returncode == 0 and said[0] == whole.stdout.splitlines()[0]
+    assert any("charge left at the end of the log" in line for line in said)
+    assert not any(word in plain.stdout for word in ("rows", "cells", "lipo-generic", "NIS"))
+    assert (tmp_path / "plain.json").read_text() == (tmp_path / "whole.json").read_text()
+
+
+@pytest.mark.parametrize(("remaining_s", "is_said"), [(60.0, True), (700.0, False)])
+def test_a_short_time_on_a_charged_pack_is_explained(remaining_s: float, is_said: bool) -> None:
+    """About 14 min at 18 A are in 85 % of 5 Ah: where the forecast says a minute, the voltage is the reason."""
+    flight = Flight("f.csv", "csv", tuple(Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0) for k in range(200)))
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    run = list(steps(flight, estimator))
+    found, resolved = outcome(run, 13.2), estimator.pack_size
+    assert found.landing is not None and resolved is not None
+    said = limits_of(replace(found, landing=replace(found.landing, remaining_s=remaining_s)), resolved, run)
+    explained = [words for words in said if words.startswith("The voltage ends it, not the charge")]
+    assert len(explained) == is_said and all("falls below 13.20 V (cutoff_V)" in words for words in explained)

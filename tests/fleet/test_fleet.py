@@ -141,6 +141,22 @@ def test_an_existing_cluster(logs: Path, tmp_path: Path) -> None:
             process.wait(60)
 
 
+def test_logs_are_left_out_by_name_or_path(tmp_path: Path) -> None:
+    for name in ("a/flight.tlog", "a/bench_1.tlog", "b/flight.tlog"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+
+    def left(*without: str) -> list[str]:
+        return [str(Path(log.name).relative_to(tmp_path)) for log in find_logs([str(tmp_path)], without)]
+
+    assert left("bench*") == ["a/flight.tlog", "b/flight.tlog"]
+    assert left("*/b/*", "bench_?.tlog") == ["a/flight.tlog"]
+    with pytest.raises(UsageError, match=r"--exclude flight: expected a pattern .* it fits none"):
+        left("flight")
+    with pytest.raises(UsageError, match="all are left out"):
+        left("*.tlog")
+
+
 def test_no_scheduler_no_logs_no_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UsageError, match="expected a Dask scheduler that answers"), run.connected(1, "nowhere:?"):
         pass

@@ -69,6 +69,15 @@ def test_a_battery_with_a_serial_is_its_own_group_on_any_aircraft() -> None:
     assert one.name == "battery 77 (4S 5 Ah)" and one.flights == 8 and one.is_identified
 
 
+def test_a_pack_s_resistance_is_a_line_in_the_table_where_it_has_a_history() -> None:
+    page = fleet_report(gathered([*rows("heron", 0.4), *rows("plover", 0.4, flights=2)]), "x (fitted)")
+    root = ElementTree.fromstring(page.partition("\n")[2])
+    (line,) = [svg for svg in root.iter("svg") if svg.get("class") == "spark"]
+    assert str(line.get("aria-label")).startswith("Resistance of heron (4S 5 Ah): 1.0")
+    points = [point.split(",") for point in line.find("polyline").attrib["points"].split()]  # type: ignore[union-attr]
+    assert len(points) == 30 and float(points[-1][1]) < float(points[0][1])  # upwards
+
+
 def test_the_page_is_well_formed_whatever_files_are_called() -> None:
     bad = FlightRow(file="/x/<b>&\x07.BIN", status="bad", reason="expected <a log> & nothing else", look="x")
     scored = {"error_120_s": 30.0, "inside_120": True, "error_60_s": float("nan"), "inside_60": False}

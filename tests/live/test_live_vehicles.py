@@ -71,7 +71,7 @@ def test_wrong_vehicle_first_through_the_process() -> None:
     arguments = [f"udpin:127.0.0.1:{port}", "--gcs", f"udpout:127.0.0.1:{station.port}", "--capacity-ah", "5"]
     with running(*arguments) as process:
         link: Any = dialect.MAVLink(None, srcSystem=42, srcComponent=1)
-        assert process.stderr is not None and "listening" in process.stderr.readline()
+        assert process.stderr is not None and "waiting for telemetry" in process.stderr.readline()
         for system in (42, 42, 42, *[1] * 70):  # longer than the load takes to show itself
             link.srcSystem = system
             line.sendto(bytes(heartbeat(True).pack(link)), ("127.0.0.1", port))

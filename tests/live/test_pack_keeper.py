@@ -122,3 +122,11 @@ def test_a_name_that_is_stated_goes_before_the_serial(tmp_path, rows):
     flown(keeper(path, stated="left"), rows).close(rows[-1].time_s)
     with Ledger(path) as ledger:
         assert [pack.name for pack in ledger.packs()] == ["left"]
+
+
+def test_a_pack_without_a_name_is_said_once_it_flies(tmp_path, rows):
+    kept = flown(keeper(tmp_path / "packs.sqlite"), rows[:5], serial="")
+    assert kept.note == ""
+    flown(kept, rows[:60], serial="")
+    assert "battery 0 tells no serial" in kept.note and "--pack NAME" in kept.note
+    kept.close(rows[60].time_s)

@@ -55,6 +55,15 @@ def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
     assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_wind_that_nobody_flies_against_leaves_no_way_home() -> None:
+    found = planned(to(1, 0.0, 2000.0, 40.0), wind=Wind(0.0, 35.0))
+    assert "do not take off" in found.here.no_way_home
+    assert any("m/s through the air" in warning for warning in found.warnings)
+    calm = planned(to(1, 0.0, 6000.0, 40.0))
+    assert calm.here.no_way_home == ""
+    assert not any("through the air" in warning for warning in calm.warnings)
+
+
 def test_a_headwind_home_brings_the_turning_point_nearer() -> None:
     far = to(1, 0.0, 6000.0, 40.0)
     head, tail = (planned(far, wind=Wind(0.0, east_ms)) for east_ms in (6.0, -6.0))

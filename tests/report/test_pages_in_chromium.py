@@ -203,3 +203,53 @@ def test_the_cursor_moves_in_all_drawings_and_says_what_was_known_there(
     assert ground.startswith("At 0:0") and "no forecast" in ground
     assert "left (" in middle and "% charge" in middle and "V" in middle
     assert seen["lines"] == 7 and len(set(seen["places"])) == 3  # the two sizes of one chart, and five alike
+
+
+def test_a_span_of_time_is_shown_by_all_drawings_alike(browser: Browser, written: Callable[[str], str]) -> None:
+    """By keyboard, by button, by dragging; the marks move inside their frame, and the axis says the new times."""
+    browser.open(written("flight"), 1280, "light")
+    told = browser.evaluate(
+        """(() => {
+          document.querySelectorAll("details").forEach(d => { d.open = true; });
+          const slider = document.querySelector("#instant input"), wide = document.querySelector(".wide svg");
+          const key = k => slider.dispatchEvent(new KeyboardEvent("keydown", { key: k, bubbles: true }));
+          const seen = svg => [...svg.querySelectorAll(".ticks > g")].filter(g => getComputedStyle(g).display !== "none"
+            ? g.querySelector("use") : false).map(g => g.textContent.trim());
+          const words = () => [...wide.querySelectorAll(".words")].filter(g => getComputedStyle(g).display !== "none")
+            .map(g => g.textContent.trim());
+          const state = () => ({ words: words(), ticks: seen(wide), moved: [...document.querySelectorAll("svg .moves")]
+            .map(g => Number((g.getAttribute("transform") || "matrix(1").slice(7).split(" ")[0]).toFixed(3)) });
+          const drag = (from, to) => { const box = wide.getBoundingClientRect();
+            for (const [kind, share] of [["pointerdown", from], ["pointermove", to], ["pointerup", to]])
+              wide.dispatchEvent(new PointerEvent(kind, { clientX: box.left + share * box.width, clientY: box.top + 50,
+                bubbles: true, pointerType: "mouse" })); };
+          const found = { whole: state() };
+          slider.value = Math.floor(slider.max / 2); slider.dispatchEvent(new Event("input"));
+          key("+"); key("+"); found.closer = state();
+          key("0"); found.back = state();
+          document.querySelector("#instant button").click(); found.button = state();
+          drag(0.2, 0.6); found.dragged = state();
+          return JSON.stringify(found);
+        })()"""
+    )
+    found = json.loads(told)
+    assert set(found["closer"]["moved"]) == {"4.000"} and set(found["button"]["moved"]) == {"2.000"}
+    assert set(found["back"]["moved"]) == {"1.000"} and found["back"]["ticks"] == found["whole"]["ticks"]
+    minutes = [60 * int(m) + int(s) for m, s in (tick.split(":") for tick in found["closer"]["ticks"])]
+    assert 3 <= len(minutes) <= 9 and minutes == sorted(minutes) and minutes[-1] - minutes[0] < 300
+    assert set(found["closer"]["words"]) < set(found["whole"]["words"]) == set(found["back"]["words"])
+    assert len(set(found["dragged"]["moved"])) == 1 and float(found["dragged"]["moved"][0]) > 4.0
+
+
+@pytest.mark.parametrize("name", ["validation", "flight"])
+def test_what_is_folded_on_the_screen_is_printed(browser: Browser, written: Callable[[str], str], name: str) -> None:
+    browser.open(written(name), 1280, "light")
+    folded = """(() => { const all = [...document.querySelectorAll("details:not([open]) > :not(summary)")];
+        return JSON.stringify([all.length, all.filter(e => e.checkVisibility()).length]); })()"""
+    count, seen = json.loads(browser.evaluate(folded))
+    assert count > 1 and seen == 0
+    browser.ask("Emulation.setEmulatedMedia", media="print")
+    try:
+        assert json.loads(browser.evaluate(folded)) == [count, count]
+    finally:
+        browser.ask("Emulation.setEmulatedMedia", media="")

@@ -75,10 +75,9 @@ def fit(
         remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
         found = fit_battery(size, datasets, flights)
         content = found.file
-        for line in found.known:
-            say(f"  {line}")
-        for line in found.unknown:
-            say(f"not determined: {line}")
+        told = [*(f"  {line}" for line in found.known), *(f"not determined: {line}" for line in found.unknown)]
+        for line in told if output is not None else []:  # a vehicle file alone says nothing of a battery
+            say(line)
     if output is not None:
         say(f"{battery_file.write_battery(content, output)}: fitted to {content.discrepancy.source}; not certified")
     if vehicle is not None:

@@ -47,6 +47,10 @@ MOST_REASONS = 5
 def fleet(
     logs: Annotated[list[str], typer.Argument(metavar="GLOB...", help="Logs, folders, patterns or fsspec addresses.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the tables and the page.")],
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option("--exclude", metavar="GLOB", help="Leave out logs of such a name or path; may be repeated."),
+    ] = None,
     battery: BatteryOption = DEFAULT_BATTERY,
     cells: CellsOption = None,
     capacity_ah: CapacityOption = None,
@@ -77,7 +81,7 @@ def fleet(
     With --packs each flight of a pack with a serial is forecast with what the flights before it taught, and is
     remembered itself.
 
-    Example: uavbatt fleet logs/ -o fleet --by hardware
+    Example: uavbatt fleet logs/ -o fleet --by hardware --exclude '*bench*'
     """
     from uavbatt.battery import vehicle_file
     from uavbatt.fleet.run import check_extra
@@ -105,7 +109,7 @@ def fleet(
         by=_column(by),
         aircraft_pattern=_pattern(aircraft),
     )
-    found = find_logs(logs)
+    found = find_logs(logs, exclude or ())
 
     def crew() -> AbstractContextManager[Crew[Any]]:
         return run.connected(workers or len(os.sched_getaffinity(0)), scheduler)

@@ -45,7 +45,7 @@ def run(config: Config) -> None:
         from uavbatt.live.web import serve
 
         serve(config.http, lambda: daemon.board, time.monotonic)
-    said = f"uavbatt: listening on {config.link.endpoint}; {_feeds(config)}"
+    said = f"uavbatt: waiting for telemetry from {config.link.endpoint}; {_feeds(config)}"
     print(terminal_line(said), file=sys.stderr, flush=True)
     daemon.run(lambda: bool(stopped))
 
@@ -53,17 +53,27 @@ def run(config: Config) -> None:
 def _feeds(config: Config) -> str:
     words = [f"feed {', '.join(config.feed.kinds)} to {', '.join(config.link.gcs)}" if config.link.gcs else ""]
     words.append(f"page on http://{config.http.listen}/" if config.http.listen else "")
-    words.append(f"recording to {config.record.folder}" if config.record.folder else "")
+    words.append(_recording(Path(config.record.folder)) if config.record.folder else "")
     return "; ".join(word for word in words if word) or "no ground station (--gcs), no page (--http), no recording"
+
+
+def _recording(folder: Path) -> str:
+    """Say where the recording goes, or why it cannot yet; the folder is made when it is missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        return f"cannot record into {folder}: {error.strerror}, trying again"
+    return f"recording to {folder}" if os.access(folder, os.W_OK) else f"cannot record into {folder}: trying again"
 
 
 def _links(config: Config) -> tuple[Link, Sequence[Link]]:
     """The way to the autopilot and to the ground stations; behind the proxy both are its business."""
-    from uavbatt.mavlink.endpoint import parse
-    from uavbatt.mavlink.links import open_autopilot, open_link
+    from uavbatt.mavlink.links import check_endpoint, open_autopilot, open_link
 
-    for text in (config.link.endpoint, *config.link.gcs):
-        parse(text)
+    autopilot = check_endpoint(config.link.endpoint)
+    for text in config.link.gcs:
+        if check_endpoint(text)[1:3] == autopilot[1:3]:
+            raise UsageError(f"--gcs {text}: expected a ground station's address, it is the autopilot's ENDPOINT")
     if "proxy" not in config.feed.kinds:
         return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]
     from uavbatt.live.proxy import ProxySettings

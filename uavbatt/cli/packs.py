@@ -83,7 +83,9 @@ def _lines(found: list[PackRow], flights: list[Remembered]) -> list[str]:
     from uavbatt.packs.words import flight_line, pack_lines
 
     if not found:
-        return ["no packs are remembered yet: fly logs with `uavbatt replay LOG... --packs FILE`"]
+        return [
+            "no packs are remembered yet: `uavbatt replay LOG... --packs FILE` and `uavbatt live --packs FILE` do it"
+        ]
     return [line for pack in found for line in pack_lines(pack)] + [flight_line(after) for after in flights]
 
 

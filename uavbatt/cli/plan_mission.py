@@ -87,7 +87,9 @@ def _lines(plan: MissionPlan, name: str) -> list[str]:
         f"  touchdown after {clock(route.left_s)} with {_charge(route.soc, route.soc_lo, route.soc_hi)}; "
         f"hover left then {clock(here.spare_s)} [{clock(here.spare_lo_s)}, {clock(here.spare_hi_s)}]",
     ]
-    if math.isfinite(route.turn_back_s):
+    if here.no_way_home:
+        lines.append(f"  {here.no_way_home}")
+    elif math.isfinite(route.turn_back_s):
         lines.append(f"  turn back by {clock(route.turn_back_lo_s)} to be home with 95 %; {_turning(plan)}")
     lines.append(f"  {'item':>6}  {'after':>7}  {'height':>7}  charge at its end")
     shown = plan.legs if len(plan.legs) <= MOST_LEGS else (*plan.legs[: MOST_LEGS // 2], *plan.legs[-MOST_LEGS // 2 :])

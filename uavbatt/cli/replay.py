@@ -68,6 +68,7 @@ def replay(
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     png: Annotated[Path | None, typer.Option("--png", help="The chart of the time left as PNG.")] = None,
     svg: Annotated[Path | None, typer.Option("--svg", help="The same as SVG.")] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Say only what a pilot asks, in sentences.")] = False,
 ) -> None:
     """Replay flight logs: state of charge and remaining time at every row, and how good it was.
 
@@ -107,7 +108,7 @@ def replay(
             chosen, to_come, outputs_of_one = (instance, join, system), (load, flown), (*of_one, summary)
             stated = (options, reserve_soc)
             try:
-                results.append(_one(log, content, stated, to_come, chosen, memory, outputs_of_one, planned))
+                results.append(_one(log, content, stated, to_come, chosen, memory, outputs_of_one, planned, plain))
             except UavbattError as error:
                 if not several:
                     raise
@@ -130,7 +131,8 @@ def _one(
     chosen: tuple[int | None, str, int | None],
     memory: PackMemory,
     outputs: Sequence[Path | None],
-    planned: PlannedFlight | None = None,
+    planned: PlannedFlight | None,
+    is_plain: bool,
 ) -> dict[str, Any]:
     """One log: its lines, table and page written, its summary told and given back."""
     from uavbatt import output
@@ -169,7 +171,8 @@ def _one(
 
             write_page(report, flight_report(flight, run, resolved, found, content))
     learned = memory.learn(flight, content, options)
-    for line in [*flight_text.lines(flight, resolved, found, run), *learned.lines]:
+    lines = flight_text.plain_lines if is_plain else flight_text.lines
+    for line in [*lines(flight, resolved, found, run), *learned.lines]:
         say(line, *outputs)
     return {**flight_text.summary(flight, resolved, found, run, content), **learned.fields}
 

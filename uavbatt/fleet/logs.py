@@ -11,7 +11,8 @@ from __future__ import annotations
 import glob
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePath
 from typing import Any
 
 from uavbatt.errors import BadInput, UsageError
@@ -42,15 +43,31 @@ class LogFile:
             raise Unreadable(self.name, "", f"a log that can be read: {_words(error)}") from None
 
 
-def find_logs(patterns: Iterable[str]) -> list[LogFile]:
-    """Every log that the patterns name, each once, by name. Raises UsageError for a pattern that names nothing."""
+def find_logs(patterns: Iterable[str], without: Iterable[str] = ()) -> list[LogFile]:
+    """Every log that the patterns name, each once, by name.
+
+    without : patterns of what is left out, of a log's whole path or address, or of its file name alone
+    Raises UsageError for a pattern that names nothing, and when nothing is left.
+    """
     found: dict[str, LogFile] = {}
     for pattern in patterns:
         logs = list(_remote(pattern) if "://" in pattern else _local(pattern))
         if not logs:
             raise UsageError(f"{pattern}: expected the name of a log, a folder or a pattern of logs, found none")
         found |= {log.name: log for log in logs}
+    for pattern in without:
+        left_out = [name for name in found if _fits(name, pattern)]
+        if not left_out:
+            raise UsageError(f"--exclude {pattern}: expected a pattern of a log's name or whole path, it fits none")
+        for name in left_out:
+            del found[name]
+    if not found:
+        raise UsageError("--exclude: expected that some logs are left, all are left out")
     return sorted(found.values(), key=lambda log: log.name)
+
+
+def _fits(name: str, pattern: str) -> bool:
+    return fnmatchcase(name, pattern) or fnmatchcase(PurePath(name).name, pattern)
 
 
 def _local(pattern: str) -> Iterator[LogFile]:

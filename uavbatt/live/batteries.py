@@ -85,6 +85,8 @@ class Batteries:
         before, resolved = self.reports.get(instance), self.tracked[instance].estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
+        elif resolved is None and before is None:
+            tell(f"battery {instance}: no estimate yet: {remaining.reason}")
         report = Report(
             instance=instance,
             system=self._vehicle.system,

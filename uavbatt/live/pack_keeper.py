@@ -84,6 +84,8 @@ class PackKeeper:
     def step(self, instance: int, sample: Sample, now_s: float, cells: int, capacity_Ah: float) -> None:
         """One row of a battery, at a monotonic time [s]."""
         kept = self._kept.get(instance)
+        if kept is None and sample.armed and not self.note:
+            self.note = f"pack ledger: battery {instance} tells no serial and is not remembered: give --pack NAME"
         if kept is None or not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
             return
         kept.last_s = now_s

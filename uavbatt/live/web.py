@@ -15,6 +15,7 @@ import hmac
 import ipaddress
 import json
 import math
+import os
 import re
 import socket
 import sys
@@ -197,7 +198,8 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
     try:
         listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
-        raise UsageError(f"--http {settings.listen}: {error.strerror}") from None
+        said = os.strerror(error.errno) if error.errno else str(error)
+        raise UsageError(f"--http {settings.listen}: {said}") from None
     limits: dict[str, Any] = {"http": protocol(), "backlog": MOST_WAITING}
     quiet: dict[str, Any] = {"log_level": "warning", "access_log": False, "lifespan": "off", "ws": "none"}
     server = uvicorn.Server(uvicorn.Config(app, **limits, **quiet))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +23,15 @@ from uavbatt.packs.remembering import name_of, recalled, taught
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
+from uavbatt.small_chart import CHART, Span, captioned, small_chart, small_table
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.mission_file import read_mission
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+HEADROOM, SETTLED = 1.6, 0.8  # the axis holds so much more than what so many of the forecasts lie below
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,41 @@ class Replay:
     def __repr__(self) -> str:
         """Return one line: the steps are thousands."""
         return f"<Replay of {self.flight.source} on {self.pack.battery}: {len(self)} steps, {self.pack.words}>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a small table and the time left over the flight with its 90 % band."""
+        left = self.outcome.landing
+        said = "none"
+        if left is not None and math.isfinite(left.remaining_s):
+            said = (
+                f"{_minutes(left.remaining_s)} min ({_minutes(left.remaining_lo_s)} to {_minutes(left.remaining_hi_s)})"
+            )
+        end_s = self.outcome.end_of_flight_s
+        facts = (
+            ("battery", f"{self.pack.battery} ({self.pack.status})"),
+            ("pack", self.pack.words),
+            ("rows", f"{len(self)} in {_minutes(self.outcome.duration_s)} min"),
+            ("left at the last row in the air", said),
+            ("end of flight in the log", f"at {_minutes(end_s)} min" if math.isfinite(end_s) else "none"),
+        )
+        return small_table(self.flight.source, facts, self._chart())
+
+    def _chart(self) -> str:
+        shown = [step.remaining for step in self.steps if math.isfinite(step.remaining.remaining_s)]
+        if not shown:
+            return ""
+        known_s = sorted(said.remaining_s for said in shown)
+        top_s = HEADROOM * known_s[int(SETTLED * (len(known_s) - 1))]
+        drawn = small_chart(
+            [said.time_s for said in shown],
+            [said.remaining_s for said in shown],
+            alt="Time left over the flight, with its 90 % interval",
+            band=([said.remaining_lo_s for said in shown], [min(said.remaining_hi_s, 2.0 * top_s) for said in shown]),
+            shown=Span(0.0, max(top_s, 1.0)),
+            size=CHART,
+        )
+        over = f"{_minutes(shown[0].time_s)} to {_minutes(shown[-1].time_s)} min of the log"
+        return captioned(drawn, f"Time left with its 90 % interval, 0 to {_minutes(top_s)} min, over {over}")
 
     @property
     def rows(self) -> list[output.Line]:
@@ -135,6 +175,13 @@ def replay(
     if packs is not None:
         _remember(packs, pack, flight, content, options)
     return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V))
+
+
+def _minutes(seconds: float) -> str:
+    """Write seconds as minutes and seconds, `12:05`."""
+    if not math.isfinite(seconds):
+        return "unbounded" if math.isinf(seconds) else "not known"
+    return f"{round(seconds) // 60}:{round(seconds) % 60:02d}"
 
 
 def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: BatteryFile) -> PackHealth | None:

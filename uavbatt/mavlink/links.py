@@ -32,10 +32,18 @@ def open_link(text: str, silent_after_s: float = math.inf) -> Link:
 
     silent_after_s: a client of `tcpin` that has not spoken by then is dropped; a ground station may only listen.
     """
-    at = parse(text)
+    at = check_endpoint(text)
     if at.kind in ("udpin", "udpout"):
         return UdpLink(at)
     return TcpServer(at, silent_after_s) if at.kind == "tcpin" else StreamLink(at)
+
+
+def check_endpoint(text: str) -> Endpoint:
+    """Return an endpoint string taken apart; UsageError for one that no try will ever open."""
+    at = parse(text)
+    if at.kind == "serial":
+        _speed(at)
+    return at
 
 
 def open_autopilot(text: str) -> Link:
@@ -200,14 +208,22 @@ class StreamLink:
         return Pipe(made.fileno(), made)
 
 
+def _speed(at: Endpoint) -> int:
+    """The system's own number for a baud rate."""
+    import termios
+
+    speed: int | None = getattr(termios, f"B{at.port}", None)
+    if speed is None:
+        raise UsageError(f"endpoint `{at.text}`: {at.port} is no baud rate of this system")
+    return speed
+
+
 def _serial(at: Endpoint) -> int:
     """A raw, non-blocking serial line; OSError when it is not there or is no serial line."""
     import termios
     import tty
 
-    speed = getattr(termios, f"B{at.port}", None)
-    if speed is None:
-        raise UsageError(f"endpoint `{at.text}`: {at.port} is no baud rate of this system")
+    speed = _speed(at)
     fd = os.open(at.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         tty.setraw(fd)

@@ -34,6 +34,7 @@ from uavbatt.records import Route
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
 LEVELS = (0.05, 0.5, 0.95)
+FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,12 @@ class RouteFit:
         """Return True if the end of flight comes after touchdown with 95 % probability."""
         return self.route.risk <= IN_TIME
 
+    @property
+    def no_way_home(self) -> str:
+        """Words for a battery with which no turn, however early, leads home with 95 %; empty for another."""
+        is_hopeless = self.route.turn_back_lo_s <= 0.0
+        return "However early it turns, it is not home with 95 %: do not take off" if is_hopeless else ""
+
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
@@ -121,7 +128,7 @@ def make_route_plan(
     here, flying = fit(ambient_C)
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
-    warnings = (*filter(None, (resolved.uncertified, _speeds_remark(planned))), *resolved.notices)
+    warnings = (*filter(None, (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead))), *resolved.notices)
     turning = ahead.point(turn_s) if math.isfinite(turn_s) else None
     return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying), turning, rows, warnings)
 
@@ -174,6 +181,14 @@ def _ends_leg(ahead: Ahead, index: int) -> bool:
     """Return True if the next piece goes somewhere else: a wait belongs to the leg before it."""
     here, following = ahead.pieces[index], ahead.pieces[index + 1]
     return here.end != following.end or here.seq != following.seq
+
+
+def _air_remark(ahead: Ahead) -> str:
+    """A warning of legs that ask more speed through the air than multirotors have; empty without one."""
+    fastest_ms = max(piece.airspeed_ms for piece in ahead.pieces)
+    if fastest_ms <= FASTEST_USUAL_MS:
+        return ""
+    return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"
 
 
 def _speeds_remark(planned: Planned) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt import __version__
-from uavbatt.report.fleet_figures import errors_figure, scale_figure
+from uavbatt.report.fleet_figures import errors_figure, resistance_spark, scale_figure
 from uavbatt.report.fleet_groups import CHECKPOINTS, MOST_LISTED, Change, Group, Overview, change, verdict
 from uavbatt.report.page import (
     DASH,
@@ -27,6 +27,7 @@ from uavbatt.report.page import (
     paragraph,
     section,
     table,
+    together,
 )
 
 MOST_DRAWN = 6  # groups
@@ -127,8 +128,8 @@ def _health(ranked: Sequence[Ranked]) -> list[Html]:
     rows = [
         (
             g.name, _verdict(g, resistance, capacity), str(g.flights), number(g.flown_s / 3600.0, 1),
-            number(g.energy_Wh / g.flights, 0), *_dates(g), _changed(resistance, g.resistance),
-            _changed(capacity, g.capacity),
+            number(g.energy_Wh / g.flights, 0), *_dates(g),
+            together((_changed(resistance, g.resistance), resistance_spark(g)), ""), _changed(capacity, g.capacity),
         )
         for g, resistance, capacity in ranked
     ]  # fmt: skip

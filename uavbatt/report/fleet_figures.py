@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from uavbatt.report import plot
 from uavbatt.report.fleet_groups import CHECKPOINTS, Group
-from uavbatt.report.page import Html, figure
+from uavbatt.report.page import Html, figure, number
+from uavbatt.small_chart import small_chart, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_POINTS = 400  # of one figure: more are thinned evenly
+FEWEST_OF_A_LINE = 3  # flights
+LEAST_SHOWN = 0.4  # of a scale, so that scatter of a few percent does not fill the height
 DAY_S = 86_400.0
 _SPREAD = 0.28  # of the dots of one checkpoint, sideways
 
@@ -48,6 +51,17 @@ def scale_figure(group: Group, what: Literal["resistance", "capacity"]) -> Html:
     alt = f"{what.capitalize()} scale of {group.name} over its flights"
     svg = plot.panel(draw, alt, x="date" if group.is_dated else "flight", y=f"{what} scale")
     return figure(svg, f"{plot.literal(group.name)}: {what}")
+
+
+def resistance_spark(group: Group) -> Html:
+    """Draw the resistance of one group over its flights as a line for a table; nothing where there is no history."""
+    if group.flights < FEWEST_OF_A_LINE or not group.is_identified:
+        return Html("")
+    place, pairs = group.in_time(group.resistance)
+    scale, low, high = ((pairs[:, 0] + k * pairs[:, 1]).tolist() for k in (0.0, -2.0, 2.0))
+    alt = f"Resistance of {group.name}: {number(scale[0], 2)} at the first flight, {number(scale[-1], 2)} at the last"
+    shown = span(scale, least=LEAST_SHOWN)
+    return Html(small_chart(place.tolist(), scale, alt=alt, band=(low, high), shown=shown, css="spark"))
 
 
 def errors_figure(errors: Mapping[str, Sequence[float]]) -> Html:

@@ -13,13 +13,15 @@ from uavbatt.report.page import Html
 from uavbatt.report.series import Array, FlightSeries
 
 MOST_ROWS = 600
-LABEL = "Instant of the flight; the values follow"
+LABEL = "Instant of the flight; the values follow. Keys: + closer, − wider, 0 the whole flight"
+BUTTONS = (("0.5", "Closer"), ("2", "Wider"), ("0", "Whole flight"))  # factor of the span that is shown
 
 
 def cursor() -> Html:
-    """Return the slider with the place of its words; hidden until the script runs."""
+    """Return the slider with the place of its words, and what zooms; hidden until the script runs."""
     slider = f'<input type="range" min="0" value="0" aria-label="{escape(LABEL)}"/>'
-    return Html(f'<p id="instant" hidden="hidden">{slider} <output></output></p>')
+    buttons = " ".join(f'<button type="button" value="{factor}">{words}</button>' for factor, words in BUTTONS)
+    return Html(f'<p id="instant" hidden="hidden">{slider} <output></output> <span>{buttons}</span></p>')
 
 
 def cursor_script(rows: FlightSeries) -> Html:

@@ -13,12 +13,20 @@ from uavbatt.records import ALARM_RISK, Status
 from uavbatt.report.page import duration, number
 
 SD_90 = 1.64
+LAST_S, MUCH_LEFT_S = 60.0, 300.0
+VOLTAGE_SHARE = 0.4  # of the time that the charge alone would give, from which on the voltage is worth a sentence
 OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on the page in other words
 
 
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the sentences that stand under the first answer, the weightiest first."""
-    return [*_alarm(outcome, steps), _charge_words(outcome), *_doubts(outcome, steps), _checked(outcome, resolved)]
+    return [
+        *_alarm(outcome, steps),
+        _charge_words(outcome),
+        *_ended_by_voltage(outcome, resolved, steps),
+        *_doubts(outcome, steps),
+        _checked(outcome, resolved),
+    ]
 
 
 def _charge_words(outcome: Outcome) -> str:
@@ -27,6 +35,24 @@ def _charge_words(outcome: Outcome) -> str:
     low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-SD_90, SD_90))
     left, low_said, high_said = (number(100.0 * soc, 0) for soc in (outcome.end_soc, low, high))
     return f"{left} % charge left at the end of the log ({low_said} to {high_said} %)."
+
+
+def _ended_by_voltage(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
+    """Say what ends a flight long before its charge is used up: who reads a full pack and a short time doubts both."""
+    landing = outcome.landing
+    if landing is None or not math.isfinite(landing.remaining_s) or math.isfinite(outcome.end_of_flight_s):
+        return []
+    last = [s.estimate for s in steps if 0.0 <= landing.time_s - s.estimate.time_s <= LAST_S]
+    drawn = [e.current_A for e in last if math.isfinite(e.current_A)]
+    mean_A = sum(drawn) / len(drawn) if drawn else math.nan
+    by_charge_s = 3600.0 * last[-1].soc * resolved.capacity_Ah / mean_A if mean_A > 0.0 else math.nan
+    if not (by_charge_s > MUCH_LEFT_S and landing.remaining_s < VOLTAGE_SHARE * by_charge_s):
+        return []
+    cutoff = number(resolved.cutoff_V, 2, "V")
+    return [
+        f"The voltage ends it, not the charge, which would last {duration(by_charge_s)} at the last minute's current: "
+        f"under load it falls below {cutoff} ({resolved.cutoff_from})."
+    ]
 
 
 def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:

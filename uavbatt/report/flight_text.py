@@ -12,6 +12,7 @@ from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
 from uavbatt.log_replay.run import ReplayedRow, way_said
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
+from uavbatt.report.flight_limits import limits_of
 from uavbatt.report.page import duration
 
 JUST_S, NEAR_S = 30.0, 10.0
@@ -43,6 +44,12 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
     else:
         lines.append("  the log does not reach the end of flight: no forecast of it can be checked")
     return lines
+
+
+def plain_lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
+    """The answer for a pilot and the sentences that limit it, as on the flight's page; nothing else."""
+    answer = f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}"
+    return [answer, *(f"  {words}" for words in limits_of(found, resolved, run))]
 
 
 def dated_warnings(run: list[ReplayedRow]) -> list[str]:
@@ -80,7 +87,7 @@ def _charge(found: Outcome) -> str:
 def _given(refused_in_air: float) -> str:
     """The share of the flight in which a forecast was given."""
     if not math.isfinite(refused_in_air):
-        return "none: no flight of more than a minute"
+        return "not judged: less than a minute in the air"
     return "at all times in the air" if refused_in_air == 0.0 else f"{1.0 - refused_in_air:.1%} of the time in the air"
 
 

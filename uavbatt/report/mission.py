@@ -64,7 +64,9 @@ def _answer(plan: MissionPlan) -> Html:
     )
     spare = paragraph(f"Hover left at touchdown: {duration(here.spare_s)}, at worst (5 %) {duration(here.spare_lo_s)}.")
     turn = []
-    if math.isfinite(route.turn_back_lo_s):
+    if here.no_way_home:
+        turn = [paragraph(strong(f"{here.no_way_home}."))]
+    elif math.isfinite(route.turn_back_lo_s):
         words = f"Turn back by {duration(route.turn_back_lo_s)} after take-off to be home with 95 %."
         turn = [paragraph(strong(words))]
     quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")

@@ -112,7 +112,7 @@ def facts(pairs: Iterable[tuple[str, str]]) -> Html:
 
 
 def details(summary: str, *content: str) -> Html:
-    """Content that the reader opens when it is wanted; printed in full by most browsers when open."""
+    """Content that the reader opens when it is wanted; on paper it is always open."""
     return element("details", element("summary", summary), *content)
 
 

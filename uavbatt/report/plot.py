@@ -91,7 +91,7 @@ def panel(
     """Draw one pair of axes with its labels and its legend above; the left edges of all panels line up.
 
     left, right : room beside the axes, for the labels there
-    unit_s : seconds of a unit of the x axis; with it the page's cursor finds its place in the drawing
+    unit_s : seconds of a unit of the x axis; with it the page's cursor finds its place in the drawing, and zooms it
     """
     frames: list[str] = []
 
@@ -101,10 +101,19 @@ def panel(
         if unit_s > 0.0:
             first, last = (unit_s * limit for limit in axes.get_xlim())
             box = f"{left} {width - right} {top} {height - BOTTOM}"
-            frames.append(f' data-seconds="{first:.3f} {last:.3f}" data-box="{box}"')
+            frames.append(f' data-seconds="{first:.3f} {last:.3f}" data-unit="{unit_s:g}" data-box="{box}"')
+            _name_what_moves(axes)
 
     drawn = drawing(whole, alt, height, width)
     return Html(drawn.replace("<svg", f"<svg{frames[0]}", 1)) if frames else drawn
+
+
+def _name_what_moves(axes: Axes) -> None:
+    """Mark what the page's script moves when it zooms: marks of the flight, words beside them, the axis of time."""
+    kinds = {"moves": [*axes.lines, *axes.collections, *axes.patches], "words": axes.texts, "ticks": [axes.xaxis]}
+    for kind, artists in kinds.items():
+        for count, artist in enumerate(artists):
+            artist.set_gid(f"{kind}-{count}")
 
 
 def _drawn(figure: Figure, draw: Callable[[Axes], None], x: str, y: str) -> Axes:
@@ -186,7 +195,7 @@ def _inline(text: str, alt: str) -> Html:
     text = re.sub(r"\bfont: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
     for value, name in VARIABLES.items():
         text = text.replace(value, f"var(--{name})")
-    text = _own_ids(text.replace("xlink:href", "href"), alt)
+    text = _own_ids(_MOVING.sub(r' class="\1"', text.replace("xlink:href", "href")), alt)
     box = re.search(r'viewBox="[^"]+"', text)
     inner = text[text.index(">") + 1 :]
     described = escape(printable(alt), quote=True)
@@ -194,6 +203,7 @@ def _inline(text: str, alt: str) -> Html:
     return Html(opening + re.sub(r"\s*\n\s*", "\n", inner).strip())
 
 
+_MOVING = re.compile(r'\sid="(moves|words|ticks)-\d+"')
 _AN_ID = re.compile(r'\sid="([^"]*)"')
 
 

@@ -51,11 +51,11 @@ def validation_report(
     sections = [
         ("Claims", [claims_table(_at_home(v))]),
         ("Bias against the limits", _equivalence(v)),
-        ("What the tests say about themselves", [findings_list(v.found.findings)]),
+        ("What the tests say about themselves", findings_list(v.found.findings)),
         ("Curves and corridors", _corridors(v)),
         ("Over ambient temperature", _ambient(v)),
         *([("Before and after", _changes(v))] if v.changes or _conclusions(v) else []),
-        ("Precision", _precision(v)),
+        ("Precision", [details("s_r, s_L, s_R of every level, and the consistency of the samples", *_precision(v))]),
         ("Uncertainty budget", _budgets(v)),
         *([("Agreement with the study's printed tables", _agreement(v.paper))]
           if v.paper is not None and v.is_study else []),
@@ -136,17 +136,22 @@ def _equivalence(v: ValidationPage) -> list[Html]:
 
 
 def _corridors(v: ValidationPage) -> list[Html]:
-    drawn = [curves.family(v)]
+    shown, folded = [curves.family(v)], list[Html]()
     volts, heat = v.found.corridors.get(v.found.ambient_C), v.found.surface_corridors.get(v.found.ambient_C)
     if volts is not None:
         model = v.model.voltage_V
-        drawn += [curves.corridor(v, volts, model, 4), curves.departures(v, volts, model), curves.in_time(v)]
+        shown.append(curves.corridor(v, volts, model, 4))
+        folded += [curves.departures(v, volts, model), curves.in_time(v)]
     if heat is not None:
         warm = v.model.surface_C
-        drawn += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
+        folded += [curves.corridor(v, heat, warm, 5), curves.departures(v, heat, warm)]
     named = (("voltage", volts), ("surface temperature", heat))
     notes = bullets((f"{name}: {n}" for name, c in named if c is not None for n in c.notes), css="quiet")
-    return [grid(*drawn), notes]
+    named_more = "Departures from the mean, and the tests in time" + (
+        "; the surface temperature" if heat is not None else ""
+    )
+    more = details(named_more, grid(*folded))
+    return [grid(*shown), *([more] if folded else []), notes]
 
 
 def _ambient(v: ValidationPage) -> list[Html]:
@@ -154,7 +159,9 @@ def _ambient(v: ValidationPage) -> list[Html]:
     others = [c for c in v.found.claims if c.ambient_C != v.found.ambient_C]
     drawn = [curves.over_ambient(v, volts, "voltage_V", 6), curves.crossings(v)]
     drawn += [over_ambient(others), curves.over_ambient(v, heat, "surface_C", 7)]
-    return [*(elsewhere(others) if others else []), grid(*(d for d in drawn if d))]
+    known = [d for d in drawn if d]
+    folded = details("Curves, crossings and claims over ambient temperature", grid(*known))
+    return [*(elsewhere(others) if others else []), *([folded] if known else [])]
 
 
 def _changes(v: ValidationPage) -> list[Html]:
@@ -175,7 +182,8 @@ def _agreement(paper: PaperReplay) -> list[Html]:
         verdict = "reproduced" if claim.reproducible else "cannot be reproduced"
         nearest = f"the nearest ratio of any column is {claim.nearest:.2f}"
         notes.insert(0, f"F_emp = {claim.printed:g} is printed; {nearest}: {verdict}.")
-    return [*agreement(paper.agreements), bullets(notes)]
+    met, of = (sum(getattr(a, which) for a in paper.agreements) for which in ("agree", "total"))
+    return [details(f"{met} of {of} printed figures are met", *agreement(paper.agreements), bullets(notes))]
 
 
 def _precision(v: ValidationPage) -> list[Html]:
@@ -198,4 +206,4 @@ def _budgets(v: ValidationPage) -> list[Html]:
     if not with_budget:
         return [paragraph("No claim has a budget.", css="quiet")]
     tables = [budget_table(c, b) for c, b in with_budget]
-    return [*tables[:2], *([details("Budgets of the other claims", *tables[2:])] if tables[2:] else [])]
+    return [*tables[:1], *([details("Budgets of the other claims", *tables[1:])] if tables[1:] else [])]

@@ -37,6 +37,7 @@ FIGURE = re.compile(r"bias [-+]\S+( ± \S+)? (?=beyond)| \(largest [^)]*\)")
 # Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
+FOLDED_NOTES = 4  # so many and more
 SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
@@ -102,7 +103,7 @@ def elsewhere(claims: Sequence[Claim]) -> list[Html]:
     items = [
         together((badge(verdict), f" {claim}: {_listed(where)}"), "") for (claim, verdict), where in by_kind.items()
     ]
-    return [bullets(items), details(f"All {len(claims)} claims at other temperatures", claims_table(claims))]
+    return [bullets(items), details(f"Claims at other temperatures ({len(claims)})", claims_table(claims))]
 
 
 def _listed(ambients_C: Sequence[float]) -> str:
@@ -114,10 +115,18 @@ def _span(ambients_C: Sequence[float]) -> str:
     return f"{len(ambients_C)} temperatures, {celsius(min(ambients_C))} to {celsius(max(ambients_C))}"
 
 
-def findings_list(findings: Sequence[Finding]) -> Html:
-    """List the findings in their order, each with what it rests on."""
+def findings_list(findings: Sequence[Finding]) -> list[Html]:
+    """List the findings in their order, each with what it rests on; many notes are folded behind the others."""
     if not findings:
-        return paragraph("Nothing in the tests speaks against them.")
+        return [paragraph("Nothing in the tests speaks against them.")]
+    notes = [f for f in findings if f.severity == "note"]
+    if len(notes) < FOLDED_NOTES:
+        return [_findings(findings)]
+    weighty = [f for f in findings if f.severity != "note"]
+    return [*([_findings(weighty)] if weighty else []), details(f"{len(notes)} notes", _findings(notes))]
+
+
+def _findings(findings: Sequence[Finding]) -> Html:
     items = [
         together(
             (

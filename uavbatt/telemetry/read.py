@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from uavbatt.errors import BadInput, UsageError
 from uavbatt.records import Flight
 from uavbatt.telemetry.builder import LogBuilder, default_instance
+from uavbatt.telemetry.formats.logger_table import kind_of_table
 from uavbatt.telemetry.formats.packed import is_packed, unpacked
 from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
@@ -22,13 +23,14 @@ if TYPE_CHECKING:
 
 Content = bytes | memoryview  # of a file
 
-KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, telemetry CSV, PX4 .ulg)"
+KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI or blackbox)"
 STANDARD_INPUT = "-"
 _HEAD_BYTES = 65_536
 _FMT_LINE = re.compile(rb"^FMT\s*,", re.MULTILINE)
 _ADDRESS = re.compile(r"[a-z]{3,6}:/", re.IGNORECASE)
 _WORD = re.compile(r"[A-Za-z_]{2,}")
 _ULOG = b"ULog\x01\x12\x35"
+_BLACKBOX, _DJI_RECORD = b"H Product:Blackbox", "DJIFlightRecord"  # how the file begins, and its name
 _DATAFLASH = b"\xa3\x95\x80"  # the head of a FMT record, which begins a DataFlash log
 _ODD_IN_TEXT = bytes(byte for byte in range(32) if not 9 <= byte <= 13)
 
@@ -114,9 +116,14 @@ def _kind(source: str, data: Content) -> str:
     if _is_text(head):
         if _FMT_LINE.search(head):
             return "dataflash-text"
-        if PurePath(source).suffix.lower() == ".csv" or _is_table(head):
-            return "csv"
+        table = kind_of_table(head)
+        if table != "csv" or PurePath(source).suffix.lower() == ".csv" or _is_table(head):
+            return table
         raise BadInput(source, "", f"{KNOWN_KINDS}, found text of another kind")
+    if head.startswith(_BLACKBOX):
+        raise BadInput(source, "", f"{KNOWN_KINDS}, found an encoded blackbox log: decode it with blackbox_decode")
+    if PurePath(source).name.startswith(_DJI_RECORD):
+        raise BadInput(source, "", f"{KNOWN_KINDS}, found an encoded DJI flight record: convert it to CSV first")
     # a damaged head: a tlog before a DataFlash log, for it may carry one that was downloaded
     from uavbatt.telemetry.formats.tlog_frames import looks_like_tlog
 
@@ -174,6 +181,18 @@ def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilde
         from uavbatt.telemetry.formats.ulog import read_ulog
 
         return lambda source, data: read_ulog(source, bytes(data))
+    if kind == "airdata":
+        from uavbatt.telemetry.formats.airdata_csv import read_airdata
+
+        return lambda source, data: read_airdata(source, bytes(data))
+    if kind == "dji-record":
+        from uavbatt.telemetry.formats.dji_record_csv import read_dji_record
+
+        return lambda source, data: read_dji_record(source, bytes(data))
+    if kind == "blackbox":
+        from uavbatt.telemetry.formats.blackbox_csv import read_blackbox
+
+        return lambda source, data: read_blackbox(source, bytes(data))
     from uavbatt.telemetry.formats.csv_table import read_csv
 
     return lambda source, data: read_csv(source, bytes(data))

@@ -1,9 +1,10 @@
-"""Claims at the ambient temperatures that were tested once.
+"""Claims at the ambient temperatures that are not gated.
 
 One run has no dispersion, so that it decides nothing: its bias is shown and the verdict is not enough data. Runs one
 degree apart are nearly repeats (`series`): their scatter about a line in temperature gives the bias an interval. That
 scatter is of one series of one pack. How far that series lies from the repeats where both were tested enters the
-guard band (rectangular, per instant); where it was not tested there, nothing can be said.
+guard band (rectangular, per instant); where it was not tested there, nothing can be said. Repeats at a second
+temperature are one claim without a verdict: their runs were not held out by occasion.
 """
 
 from __future__ import annotations
@@ -23,21 +24,45 @@ from uavbatt.validation.judging.readings import Readings
 from uavbatt.validation.judging.series import QuasiReplicates
 
 NAME = "voltage bias at this temperature"
+SEVERAL_RUNS = 3
 
 
 def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Claim]:
     """Make one claim for each other ambient temperature, ascending; none of them gates."""
-    dataset, groups, series = readings.dataset, readings.near_repeats, readings.broken
+    dataset = readings.dataset
     claims = []
-    for single in sorted(held.singles, key=lambda s: s.ambient_C):
-        group = next((g for g in groups if np.any(np.abs(g.ambients_C - single.ambient_C) < 0.25)), None)
-        whole = group is not None and np.array_equal(group.time_s, single.time_s)
-        claims.append(
-            _near_repeats(dataset, held, single, group, limits, bool(series))
-            if group is not None and whole
-            else _one_run(dataset, single, limits)
-        )
+    for ambient_C in sorted({s.ambient_C for s in held.singles}):
+        found = [s for s in held.singles if s.ambient_C == ambient_C]
+        if len(found) >= SEVERAL_RUNS:
+            claims.append(_several_runs(dataset, found, limits))
+        else:
+            claims += [_single(single, readings, held, limits) for single in found]
     return claims
+
+
+def _single(single: Single, readings: Readings, held: HeldOut, limits: Limits) -> Claim:
+    """The claim of one run: as one of its near repeats where it has some, else alone."""
+    dataset, groups = readings.dataset, readings.near_repeats
+    group = next((g for g in groups if np.any(np.abs(g.ambients_C - single.ambient_C) < 0.25)), None)
+    if group is None or not np.array_equal(group.time_s, single.time_s):
+        return _one_run(dataset, single, limits)
+    return _near_repeats(dataset, held, single, group, limits, bool(readings.broken))
+
+
+def _several_runs(dataset: DataSet, runs: list[Single], limits: Limits) -> Claim:
+    """The claim of repeats at a temperature that is not the gated one: their mean bias, no verdict."""
+    time_s = runs[0].time_s
+    differences = np.array([np.interp(time_s, s.time_s, s.model_V - s.measured_V) for s in runs])
+    at = _judged(dataset, np.mean([np.interp(time_s, s.time_s, s.measured_V) for s in runs], axis=0), limits)
+    bias, unknown = differences.mean(axis=0)[at], np.full(int(at.sum()), math.nan)
+    largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
+    rmse = float(np.sqrt(np.mean(differences[:, at] ** 2))) if bias.size else math.nan
+    reason = (
+        f"{len(runs)} runs; of the repeated temperatures one is gated, and this is another (largest mean difference "
+        f"{largest:+.3f} V, RMSE {rmse:.3f} V)"
+    )
+    return Claim(NAME, runs[0].ambient_C, "not enough data", reason, False, time_s[at], bias, unknown, unknown,
+                 limits.voltage_V, "V", statistics={"rmse_V": rmse, "largest_bias": largest})  # fmt: skip
 
 
 def _judged(dataset: DataSet, voltage_V: Array, limits: Limits) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.dataset import DataSet, Levels, Run, whole_minutes
 from uavbatt.validation.judging.fast_records import at_minutes
 from uavbatt.validation.judging.series import Break, QuasiReplicates, breaks, quasi_replicates, single_series
@@ -57,6 +58,5 @@ def read_once(dataset: DataSet) -> Readings:
 
 
 def repeated_ambient(dataset: DataSet) -> float:
-    """The ambient temperature with the most runs [°C]: the one that a gate can judge."""
-    counts = {t: len(dataset.at(t)) for t in dataset.ambients_C}
-    return max(counts, key=lambda t: counts[t])
+    """The ambient temperature with the most runs [°C], of several the nearest to 25 °C: the one that a gate judges."""
+    return max(dataset.ambients_C, key=lambda t: (len(dataset.at(t)), -abs(t - REFERENCE_TEMP_C)))

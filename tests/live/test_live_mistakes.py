@@ -1,0 +1,50 @@
+"""Mistakes in a call of `uavbatt live`: said in one true sentence, before anything else is said."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from command import run
+from live_rig import free_port, running
+
+HERE = "udpin:127.0.0.1:{port}"
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (("/dev/ttyS0,57601",), "endpoint `/dev/ttyS0,57601`: 57601 is no baud rate of this system"),
+        ((HERE, "--gcs", "udpout:127.0.0.1:{port}"), "it is the autopilot's ENDPOINT"),
+        ((HERE, "--http", "127.0.0.1:{taken}"), "--http 127.0.0.1:{taken}: Address already in use"),
+        ((HERE, "--state", "gone/state.json"), "--state gone/state.json: expected an existing folder to write into"),
+        (("udpin:127.0.0.1:{taken_udp}",), "endpoint `udpin:127.0.0.1:{taken_udp}`: Address already in use"),
+    ],
+)
+def test_a_call_that_cannot_be_is_one_line_and_nothing_else(tmp_path: Path, call: tuple[str, ...], words: str) -> None:
+    with (
+        closing(socket.create_server(("127.0.0.1", 0))) as taken,
+        closing(socket.socket(type=socket.SOCK_DGRAM)) as udp,
+    ):
+        udp.bind(("127.0.0.1", 0))
+        ports = {"port": free_port(), "taken": taken.getsockname()[1], "taken_udp": udp.getsockname()[1]}
+        done = run("live", *(word.format(**ports) for word in call), folder=tmp_path)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2 and line.endswith(words.format(**ports)) and not done.stdout
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (("/dev/ttyNOPE",), ("waiting for telemetry from /dev/ttyNOPE", "cannot open /dev/ttyNOPE: No such file")),
+        (("udpin:127.0.0.1:{port}", "--record", "/proc/nope"), ("cannot record into /proc/nope: No such file",)),
+    ],
+)
+def test_what_may_come_right_is_waited_for_and_never_said_to_work(call: tuple[str, ...], said: tuple[str, ...]) -> None:
+    with running(*(word.format(port=free_port()) for word in call)) as process:
+        assert process.stderr is not None
+        lines = [process.stderr.readline() for _ in said]
+    assert all(words in line for words, line in zip(said, lines, strict=True))
+    assert not any("listening" in line or "recording to" in line for line in lines)
