@@ -17,10 +17,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scoring import wrong_cases, wrong_judged
-from scoring.other_pack import CUTOFF_V, FULL_AH, Flown
+from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, MAKES, SOC, Flown, Make
 from scoring.wrong_cases import FITTED, GENERIC, ISSUE_AH, Case
 from scoring.wrong_judged import Judged
 
+from uavbatt.battery import model
+from uavbatt.battery.scaling import pack_of
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.records import Flight
 
@@ -183,3 +185,16 @@ def test_the_sample_is_as_wide_as_it_says() -> None:
     gains = [c.sensors.current_gain for c in drawn]
     assert min(gains) < 0.6 and max(gains) > 1.2
     assert replace(drawn[0], name="x").flown().end_s > 200.0
+
+
+# --- what a fitted curve is doubted by -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", MAKES, ids=lambda make: make.name)
+def test_what_changes_of_a_fitted_curves_error_is_what_the_flight_doubts(make: Make) -> None:
+    """A fit takes a part of the ohms for voltage, alike at every charge: that is no drift."""
+    made = pack_of(wrong_judged.battery(FITTED, make), CELLS, FULL_AH, CUTOFF_V, math.nan)
+    soc = np.linspace(0.2, 0.9, 15)
+    error_V = model.open_circuit_voltage(made.cell, soc) - np.interp(soc, SOC, make.ocv_V)
+    stated_V, doubted_V = (np.interp(soc, model.SOC_GRID, sd) for sd in (made.ocv_sd_V, made.ocv_drift_sd_V))
+    assert 0.3 * np.mean(doubted_V) < np.std(error_V) < 1.5 * np.mean(doubted_V) < 0.75 * np.mean(stated_V)

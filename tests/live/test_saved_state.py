@@ -106,6 +106,7 @@ def certain() -> Callable[[dict[str, Any]], None]:
 
 # Of the memory of the forecaster: recent load (time_s, mean_W, window_W, variance, ...), energy, lessons of the route.
 LOAD, FLOWN_J, LESSONS = ("past", 0, 0, 0), ("past", 0, 0, 8), ("past", 0, 1)
+TAKE_OFF = ("past", 0, 2)  # when, power, ends, low-voltage warnings
 DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "batteries null": put("batteries", value=None),
     "batteries a list": put("batteries", value=[]),
@@ -157,6 +158,13 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "timing of legs that knows nothing": of_battery(*LESSONS, 0, value=[0.0] * 5),
     "timing of legs nan": of_battery(*LESSONS, 1, 0, value=math.nan),
     "power level of negative seconds": of_battery(*LESSONS, 4, value=-1.0),
+    "take-off with a text": of_battery(*TAKE_OFF, value="early"),
+    "take-off at negative power": of_battery(*TAKE_OFF, 1, value=-1.0),
+    "take-off without ends": of_battery(*TAKE_OFF, 2, value=[]),
+    "take-off with ends out of order": of_battery(*TAKE_OFF, 2, value=[900.0, 300.0]),
+    "take-off with negative ends": of_battery(*TAKE_OFF, 3, value=[-900.0, 300.0]),
+    "take-off with ends nan": of_battery(*TAKE_OFF, 2, value=[300.0, math.nan]),
+    "take-off with 100 000 ends": of_battery(*TAKE_OFF, 2, value=[300.0] * 100_000),
     "another version": put("version", value=2),
     "of another file": put("battery_sha256", value="0" * 64),
 }  # fmt: skip
@@ -215,6 +223,21 @@ def test_a_sound_state_is_resumed_and_said_so(kept: tuple[str, float], tmp_path:
     assert notes(bench) == "battery 0: resumed from a state 2 s old"
     assert bench.daemon.board.reports[0].remaining.status == "ok"
     assert bench.daemon._reader.parameters["BATT_CAPACITY"] == 5000.0
+
+
+def test_a_restart_in_the_first_minutes_keeps_what_was_expected_at_take_off(
+    kept: tuple[str, float], tmp_path: Path
+) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(kept[0])
+    bench = restarted(path, kept[1])
+    bench.play(flight()[FLOWN + 2 : FLOWN + 8])
+    saved = battery(json.loads(kept[0]))
+    before_belief_s, power_W, ends_s, low_s = saved["past"][0][2]
+    found = bench.daemon.batteries.tracked[0].estimator.past.forecaster.at_take_off
+    assert (found.power_W, list(found.end_s), list(found.low_s)) == (power_W, ends_s, low_s)
+    flown_s = bench.daemon.board.reports[0].estimate.time_s - found.take_off_s
+    assert flown_s == pytest.approx(saved["since_row_s"] - before_belief_s + SILENT_S + 3.0, abs=1.5)
 
 
 def test_a_process_with_a_damaged_state_flies_on(tmp_path: Path) -> None:

@@ -55,7 +55,8 @@ def forecast(
 def plain_pack(ocv_V: Array, r0_ohmAh: float = 1e-9) -> Pack:
     """A pack of 4 cells of 5 Ah with this OCV on the grid, hardly any resistance and no model error."""
     cell = Parameters(ocv_V=ocv_V, r0_ohmAh=np.full(SOC_GRID.size, r0_ohmAh))
-    sure = pack()._replace(bias_sd_V=1e-9, ocv_sd_V=np.zeros(SOC_GRID.size))
+    known_V = np.zeros(SOC_GRID.size)
+    sure = pack()._replace(bias_sd_V=1e-9, ocv_sd_V=known_V, ocv_drift_sd_V=known_V)
     return sure._replace(cell=cell, installation=Installation(4, 5.0), low_V=NAN)
 
 

@@ -15,7 +15,7 @@ from uavbatt.prediction.take_off import FORGOTTEN_S, AtTakeOff, before_take_off,
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import Remaining
 
-EXPECTED_S = np.linspace(300.0, 1800.0, 64)
+EXPECTED_S = tuple(np.linspace(300.0, 1800.0, 64).tolist())
 
 
 def joined(fresh_s: np.ndarray, at_s: float) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_the_power_that_is_flown_takes_over_from_the_one_that_was_expected() -> 
     expected = AtTakeOff(100.0, 250.0, EXPECTED_S, EXPECTED_S)
     at_first, later = (expected.at_power(time_s, 500.0).end_s for time_s in (100.0, 200.0))
     np.testing.assert_array_equal(at_first, EXPECTED_S)
-    np.testing.assert_allclose(later, EXPECTED_S / 2.0, rtol=0.01)
+    np.testing.assert_allclose(later, np.array(EXPECTED_S) / 2.0, rtol=0.01)
 
 
 def test_only_a_load_that_nobody_states_is_expected() -> None:

@@ -112,12 +112,13 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
 def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     """Variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
 
-    The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another.
+    The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another,
+    as far as it changes at all.
     """
     position = (soc - model.LOWEST_SOC) / model.GRID_STEP
     index = eq.segment(position, model.LAST_POSITION)
     share = np.minimum(np.maximum(position, 0.0), model.LAST_POSITION) - index
-    return eq.interpolated(pack.ocv_sd_V, index, share) ** 2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
+    return eq.interpolated(pack.ocv_drift_sd_V, index, share) ** 2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:

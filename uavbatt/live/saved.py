@@ -125,6 +125,9 @@ def _implausible_memory(was: SavedBattery) -> str:
         return f"a memory of {flown.flown_J:g} J in {flown.flown_s:g} s"
     if not was.past.forecaster.route.is_possible:
         return "a memory of a route that no flight teaches"
+    expected = was.past.forecaster.at_take_off
+    if expected is not None and not expected.is_possible:
+        return "a memory of a take-off that no forecast gives"
     if flown.load.variance < 0.0 or flown.load.gust_variance < 0.0:
         return "a memory of a load with a negative variance"
     return ""

@@ -81,10 +81,12 @@ class Memory(NamedTuple):
 
     flown: Flown
     route: FlightLessons
+    at_take_off: AtTakeOff | None = None
 
     def moved(self, shift_s: float) -> Memory:
         """The same past on a clock that shows `shift_s` more."""
-        return self._replace(flown=self.flown.moved(shift_s))
+        expected = self.at_take_off and self.at_take_off.moved(shift_s)
+        return self._replace(flown=self.flown.moved(shift_s), at_take_off=expected)
 
 
 class Forecaster:
@@ -104,11 +106,11 @@ class Forecaster:
     @property
     def memory(self) -> Memory:
         """The past as far as forecasts need it."""
-        return Memory(self._flown, self._progress.lessons)
+        return Memory(self._flown, self._progress.lessons, self._at_take_off)
 
     def recall(self, memory: Memory) -> None:
         """Go on from a past that was saved."""
-        self._flown = memory.flown
+        self._flown, self._at_take_off = memory.flown, memory.at_take_off
         self._progress = self._progress.recall(memory.route)
 
     def step(
@@ -206,7 +208,7 @@ class Forecaster:
             return None
         power_W = load.typical_W(self._now(belief, take_off_s, NOWHERE))
         ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question))
-        return AtTakeOff(take_off_s, power_W, *ends)
+        return AtTakeOff(take_off_s, power_W, *(tuple(times_s.tolist()) for times_s in ends))
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
         """A fresh forecast; None when no end is in sight."""

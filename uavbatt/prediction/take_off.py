@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,7 @@ FORGOTTEN_S = 240.0
 NEAR_S = 120.0  # a pack that is this near its end shows it
 LOW_RANKS, SHORT_RANKS, SHORT_S = 0.25, 0.6, 240.0
 SHOWN_TAU_S, MOST_CHANGE = 20.0, 4.0
+MOST_ENDS = 1024
 TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a factor of two
 
 
@@ -81,18 +83,32 @@ def before_take_off(load: Load, pack: Pack) -> Load:
 
 
 class AtTakeOff(NamedTuple):
-    """The end of the flight as it was expected at take-off: ends and low-voltage warnings of draws [s since then]."""
+    """The end of the flight as it was expected at take-off: ends and low-voltage warnings of draws [s since then].
+
+    A value of plain numbers: it is saved with the memory of the forecaster.
+    """
 
     take_off_s: float
     power_W: float  # that was expected
-    end_s: Array  # sorted
-    low_s: Array  # sorted
+    end_s: tuple[float, ...]  # sorted
+    low_s: tuple[float, ...]  # sorted
+
+    @property
+    def is_possible(self) -> bool:
+        """True if a forecast can have given this: a saved file may hold anything."""
+        return self.power_W > 0.0 and all(_is_forecast(ends) for ends in (self.end_s, self.low_s))
+
+    def moved(self, shift_s: float) -> AtTakeOff:
+        """Return the same expectation on a clock that shows `shift_s` more."""
+        return self._replace(take_off_s=self.take_off_s + shift_s)
 
     def at_power(self, time_s: float, flight_W: float) -> AtTakeOff:
         """Return the same charge at the mean power that the flight has shown so far [W], as far as it is believed."""
         trust = 1.0 - math.exp(-max(time_s - self.take_off_s, 0.0) / SHOWN_TAU_S)
         longer = min(max(self.power_W / flight_W, 1.0 / MOST_CHANGE), MOST_CHANGE) ** trust
-        return self._replace(end_s=longer * self.end_s, low_s=longer * self.low_s)
+        return self._replace(
+            end_s=tuple(longer * end_s for end_s in self.end_s), low_s=tuple(longer * low_s for low_s in self.low_s)
+        )
 
     def share(self, time_s: float) -> float:
         """Return how much it still counts, 0 to 1: the flight itself tells more and more."""
@@ -104,9 +120,14 @@ class AtTakeOff(NamedTuple):
         if not share > 0.0:
             return fresh
         return EndTimes(
-            _joined(fresh.end_s, self.end_s - age_s, share),
-            _joined(fresh.low_s, self.low_s - age_s, share),
+            _joined(fresh.end_s, np.array(self.end_s) - age_s, share),
+            _joined(fresh.low_s, np.array(self.low_s) - age_s, share),
         )
+
+
+def _is_forecast(ends_s: tuple[float, ...]) -> bool:
+    """True if these can be the sorted ends of draws [s]."""
+    return 0 < len(ends_s) <= MOST_ENDS and ends_s[0] >= 0.0 and all(a <= b for a, b in pairwise(ends_s))
 
 
 def _joined(fresh_s: Array, expected_s: Array, share: float) -> Array:
