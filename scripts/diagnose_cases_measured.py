@@ -28,6 +28,7 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.log_replay.run import engine_for
+from uavbatt.records import Flight
 from uavbatt.telemetry import read_log
 from uavbatt.validation.gating import temperatures
 from uavbatt.validation.gating.gate import Limits
@@ -36,7 +37,7 @@ from uavbatt.validation.judging.readings import read_once
 Array = NDArray[np.float64]
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 STUDY = Path(__file__).resolve().parents[1] / "uavbatt" / "data" / "study"
-M100_CELLS, M100_AH, M100_CUTOFF_V = 6, 5.45, 21.6
+M100_CELLS, M100_AH, M100_CUTOFF_V = 6, 5.7, 21.6
 ENERTECH_AH, ENERTECH_AMBIENT_C, TURNIGY_AH, PIECES = 2.336, 25.0, 5.0, 4
 HEAD = "| data | plain model | found | voltage, left out [mV] | left unexplained |\n|---|---|---|---|---|"
 
@@ -110,19 +111,25 @@ def study() -> None:
     print("\n" + "\n".join(f"- {said}" for said in loop.conclusions))
 
 
+def enertech_records(rates: tuple[str, ...]) -> list[Observed]:
+    """Discharges of the pouch cell at these C-rates."""
+    records = []
+    for rate in rates:
+        c = columns(DATA / "bench" / f"enertech_pouch_{rate}C.csv")
+        kept = slice(None, None, 5)
+        temp_C = ENERTECH_AMBIENT_C + c.get("surface_rise_k", np.full(c["time_s"].size, np.nan))
+        fields = (c["time_s"], c["voltage_v"], c["current_a"], temp_C)
+        records.append(Observed(f"{rate}C", *(x[kept] for x in fields), ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
+    return records
+
+
 def enertech() -> None:
     """The pouch cell: OCV from 0.1 C, one resistance from 0.5 C."""
     slow = columns(DATA / "bench" / "enertech_pouch_0.1C.csv")
     knots = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
     soc = 1.0 - slow["time_s"] * slow["current_a"] / 3600.0 / ENERTECH_AH
     ocv = (knots, np.interp(knots, soc[::-1], slow["voltage_v"][::-1]))
-    records = []
-    for rate in ("0.5", "1"):
-        c = columns(DATA / "bench" / f"enertech_pouch_{rate}C.csv")
-        kept = slice(None, None, 5)
-        temp_C = ENERTECH_AMBIENT_C + c["surface_rise_k"]
-        fields = (c["time_s"], c["voltage_v"], c["current_a"], temp_C)
-        records.append(Observed(f"{rate}C", *(x[kept] for x in fields), ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
+    records = enertech_records(("0.5", "1"))
     half = records[0]
     drawn = np.interp(1.0 - half.time_s * half.current_A / 3600.0 / ENERTECH_AH, *ocv)
     ohm_Ah = float(np.median((drawn - half.voltage_V) / half.current_A)) * ENERTECH_AH
@@ -130,11 +137,8 @@ def enertech() -> None:
     print(row("Enertech pouch, 0.5 C and 1 C", "OCV at 0.1 C, one resistance", records, file, 3.0))
 
 
-def turnigy() -> None:
-    """The drive cycle in pieces: OCV as others derived it, one resistance from the first piece."""
-    table = columns(DATA / "bench" / "turnigy_soc_ocv_derived.csv")
-    at = table["T"] == 25.0
-    ocv = (table["SOC"][at][::-1], table["OCV"][at][::-1])
+def turnigy_records() -> list[Observed]:
+    """The drive cycle in PIECES of equal charge."""
     c = columns(DATA / "bench" / "turnigy_la92_25c.csv")
     current_A = c["current_a"] if float(np.mean(c["current_a"])) > 0.0 else -c["current_a"]
     drawn = np.abs(c["ah"])
@@ -144,21 +148,39 @@ def turnigy() -> None:
         part = slice(edges[i], edges[i + 1])
         columns_ = (c["time_s"], c["voltage_v"], current_A, c["surface_c"])
         records.append(Observed(f"piece {i + 1}", *(x[part] for x in columns_), 25.0, 1, TURNIGY_AH))
-    first = slice(edges[0], edges[1])
-    sag = np.interp(1.0 - drawn[first] / TURNIGY_AH, *ocv) - c["voltage_v"][first]
-    ohm_Ah = float(np.polyfit(current_A[first], sag, 1)[0]) * TURNIGY_AH
+    return records
+
+
+def turnigy() -> None:
+    """The drive cycle in pieces: OCV as others derived it, one resistance from the first piece."""
+    table = columns(DATA / "bench" / "turnigy_soc_ocv_derived.csv")
+    at = table["T"] == 25.0
+    ocv = (table["SOC"][at][::-1], table["OCV"][at][::-1])
+    records = turnigy_records()
+    first = records[0]
+    drawn = np.cumsum(first.current_A * np.diff(first.time_s, prepend=first.time_s[0])) / 3600.0
+    sag = np.interp(1.0 - drawn / TURNIGY_AH, *ocv) - first.voltage_V
+    ohm_Ah = float(np.polyfit(first.current_A, sag, 1)[0]) * TURNIGY_AH
     file = plain("turnigy", ocv, ohm_Ah, TURNIGY_AH, 3.0)
     print(row("Turnigy LA92 cycle at 25 °C, 4 pieces", "derived OCV, one resistance", records, file, 3.0))
 
 
-def m100() -> None:
-    """Two aircraft teach the battery, the third is diagnosed."""
+def m100_flights() -> dict[str, list[Flight]]:
+    """The flights of each aircraft."""
     with (DATA / "flights" / "m100" / "index.csv").open() as stream:
         index = list(csv.DictReader(stream))
-    logs = {r["file"]: read_log(DATA / "flights" / "m100" / r["file"]) for r in index}
-    for aircraft in sorted({r["aircraft"] for r in index}):
-        others = [logs[r["file"]] for r in index if r["aircraft"] != aircraft]
-        mine = [from_flight(logs[r["file"]], M100_CELLS, M100_AH) for r in index if r["aircraft"] == aircraft]
+    by_aircraft: dict[str, list[Flight]] = {}
+    for r in index:
+        by_aircraft.setdefault(r["aircraft"], []).append(read_log(DATA / "flights" / "m100" / r["file"]))
+    return dict(sorted(by_aircraft.items()))
+
+
+def m100() -> None:
+    """Two aircraft teach the battery, the third is diagnosed."""
+    flights = m100_flights()
+    for aircraft, own in flights.items():
+        others = [f for name, flown in flights.items() if name != aircraft for f in flown]
+        mine = [from_flight(f, M100_CELLS, M100_AH) for f in own]
         mine = [replace(r, name=Path(r.name).name) for r in mine]
         size = Size(f"without {aircraft}", M100_CELLS, M100_AH, M100_CUTOFF_V)
         file = fit_battery(size, [], others).file

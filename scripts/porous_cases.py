@@ -1,16 +1,17 @@
 #!/usr/bin/env python3
 """Labelled flights of a porous-electrode pack, to diagnose: made by a simulator that shares nothing with ours.
 
-Run: PYTHON scripts/porous_cases.py FOLDER      (a Python of its own with `pip install pybamm`; some 3 s a flight)
+Run: PYTHON scripts/porous_cases.py FOLDER [--seed N]   (a Python of its own with `pip install pybamm`; 3 s a flight)
 A Doyle-Fuller-Newman pouch cell (PyBaMM, parameters of Ai et al. 2020) in 4S with 2.2 in parallel: on the loads of the
 shared truth it shows the same voltage to 1 mV on a fine mesh, to 7 mV on the one used. Writes FOLDER/CASE/flight_K.csv
 (telemetry CSV) and FOLDER/labels.json, and keeps what the simulator gave in FOLDER/flown/*.csv, so that a second run
 only writes the readings anew. Odd numbers are to build on, even ones to look at once. FOLDER/healthy/ holds flights in
-which nothing is wrong.
+which nothing is wrong. With --seed the cases are drawn: effect, sign and size by chance, on flights of their own.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import zlib
@@ -118,6 +119,83 @@ def cases() -> list[Case]:
     return [replace(case, group=k % HEALTHY_GROUPS) for k, case in enumerate(listed)]
 
 
+# Of each effect: what it changes, the neutral value, and the value at a clear size; with `either`, of either sign.
+CLEAR: dict[str, tuple[str, float, float]] = {
+    "current_gain": ("current_gain", 1.0, 1.08),
+    "current_offset": ("current_offset_A", 0.0, 1.0),
+    "unmetered_load": ("unmetered_W", 0.0, 21.0),
+    "voltage_gain": ("voltage_gain", 1.0, 1.015),
+    "voltage_offset": ("voltage_offset_V", 0.0, 0.2),
+    "temperature_offset": ("temp_offset_K", 0.0, 10.0),
+    "temperature_lag": ("temp_lag_s", LAG_S, 120.0),
+    "current_delay": ("current_delay_s", 0.0, 3.0),
+    "harness_resistance": ("harness_ohm", 0.0, 0.0125),
+    "hysteresis": ("hysteresis_V", 0.0, 0.025),
+    "capacity_fade": ("capacity", 1.0, 0.88),
+    "resistance_growth": ("exchange", 1.0, 0.5),
+    "airflow_cooling": ("cooling", 1.0, 4.0),
+    "slow_diffusion": ("diffusivity", 1.0, 0.45),
+    "weak_cell": ("weakest", 1.0, 0.85),
+    "partial_charge": ("start_soc", 1.0, 0.78),
+}
+EITHER = ("current_gain", "voltage_gain", "voltage_offset", "temperature_offset")
+NAMELESS = (
+    "converter_drift",
+    "saturating_current",
+    "load_now_and_then",
+    "voltage_creeps",
+    "gain_drifts",
+    "contact_opens",
+)
+PAIRS = (
+    ("current_gain", "temperature_offset"), ("voltage_offset", "current_gain"), ("capacity_fade", "resistance_growth"),
+    ("harness_resistance", "temperature_offset"), ("temperature_lag", "unmetered_load"),
+    ("capacity_fade", "voltage_offset"), ("airflow_cooling", "current_gain"), ("voltage_gain", "temperature_offset"),
+    ("resistance_growth", "temperature_offset"), ("current_delay", "current_gain"),
+    ("harness_resistance", "voltage_offset"), ("airflow_cooling", "unmetered_load"),
+)  # fmt: skip
+SHARES = {"clear": 1.0, "half": 0.5, "quarter": 0.25}
+QUARTERS = (
+    "current_gain", "current_offset", "unmetered_load", "voltage_gain", "voltage_offset", "temperature_offset",
+    "harness_resistance", "capacity_fade", "resistance_growth", "temperature_lag", "airflow_cooling",
+)  # fmt: skip
+
+
+def drawn(seed: int) -> list[Case]:
+    """Forty cases about as a user would meet them: effect, sign and size are drawn."""
+    random = np.random.default_rng(seed)
+    every, quarters = (
+        random.permutation(list(CLEAR)),
+        random.permutation(list(QUARTERS)),
+    )
+    more = random.permutation([name for name in CLEAR if name != "slow_diffusion"])
+    pairs = [PAIRS[i] for i in random.permutation(len(PAIRS))[:6]]
+    listed = [_drawn((str(name),), "clear", random) for name in every[:10]]
+    listed += [_drawn((str(name),), "half", random) for name in more[:9]]
+    listed += [_drawn((str(name),), "quarter", random) for name in quarters[:6]]
+    listed += [_drawn(pair, "clear", random) for pair in pairs]
+    others = random.permutation(list(NAMELESS))[:4]
+    listed += [Case("undeclared", "clear", sensors=Sensors(other=str(name))) for name in others]
+    listed += [Case("none", "clear") for _ in range(5)]
+    return [replace(case, group=k % HEALTHY_GROUPS) for k, case in enumerate(listed)]
+
+
+def _drawn(names: tuple[str, ...], size: str, random: np.random.Generator) -> Case:
+    """One or two effects, each of 0.8 to 1.2 of its size."""
+    cell, sensors = Cell(), Sensors()
+    for name in names:
+        quantity, neutral, clear = CLEAR[name]
+        share = SHARES[size] * random.uniform(0.8, 1.2) * (random.choice([-1.0, 1.0]) if name in EITHER else 1.0)
+        value = neutral + share * (clear - neutral)
+        if quantity in ("exchange", "diffusivity", "cooling"):  # factors: half of the size is the root
+            value = clear ** abs(share)
+        if hasattr(cell, quantity):
+            cell = replace(cell, **{quantity: round(value, 3)})
+        else:
+            sensors = replace(sensors, **{quantity: round(value, 4)})
+    return Case("+".join(names), size, cell, sensors)
+
+
 def load_A(random: np.random.Generator) -> Array:
     """A multirotor's current at 1 Hz [A]: legs of a minute or two, gusts of twenty seconds, after the idle."""
     count = int(LONGEST_S)
@@ -220,6 +298,10 @@ def _other(name: str, time_s: Array, volts: Array, amps: Array, temps: Array) ->
         return volts, amps - np.where(np.sin(2.0 * np.pi * flying_s / 420.0) > 0.2, 30.0, 0.0) / volts
     if name == "voltage_creeps":
         return volts + 0.25 * np.sin(2.0 * np.pi * flying_s / 700.0), amps
+    if name == "gain_drifts":
+        return volts, amps * (1.0 + 0.15 * flying_s / max(float(flying_s[-1]), 1.0))
+    if name == "contact_opens":
+        return volts - np.where(flying_s > 0.45 * flying_s[-1], 0.03, 0.0) * amps, amps
     return volts, amps
 
 
@@ -232,23 +314,40 @@ def write(path: Path, table: Array) -> None:
 
 def main() -> int:
     """Write the cases and the healthy flights."""
-    folder, labels = Path(sys.argv[1]), {}
-    for number, case in enumerate(cases(), start=1):
-        name = f"n{number:02d}"
-        first = 100 * case.group if case.cell == Cell() else 10_000 + 100 * number
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    folder, seed, labels = given.folder, given.seed, {}
+    for number, case in enumerate(drawn(seed) if seed else cases(), start=1):
+        name = f"s{seed}x{number:02d}" if seed else f"n{number:02d}"
+        first = 1_000_000 * seed + (100 * case.group if case.cell == Cell() else 10_000 + 100 * number)
         for k in range(1, FLIGHTS + 1):
             random = np.random.default_rng(zlib.crc32(f"{name} {k}".encode()))
             table = readings(flown(folder / "flown", case.cell, first + k), case.sensors, random)
             write(folder / name / f"flight_{k}.csv", table)
-        labels[name] = {"effect": case.effect, "size": case.size}
+        labels[name] = {"effect": case.effect, "size": case.size, "cell": changed(case.cell)}
+        labels[name]["sensors"] = changed(case.sensors)
         (folder / "labels.json").write_text(json.dumps(labels, indent=1) + "\n")
         print(name, case.effect, case.size, flush=True)
+    if not seed:
+        write_healthy(folder)
+    return 0
+
+
+def changed(values: Cell | Sensors) -> dict[str, object]:
+    """The fields that are not as they should be."""
+    usual = type(values)()
+    return {name: value for name, value in vars(values).items() if value != getattr(usual, name)}
+
+
+def write_healthy(folder: Path) -> None:
+    """Flights in which nothing is wrong, one file each."""
     seeds = [100 * g + k for g in range(HEALTHY_GROUPS) for k in range(1, FLIGHTS + 1)]
     seeds += [5_000 + k for k in range(HEALTHY_MORE)]
     for seed in seeds:
         random = np.random.default_rng(90_000 + seed)
         write(folder / "healthy" / f"{seed}.csv", readings(flown(folder / "flown", Cell(), seed), Sensors(), random))
-    return 0
 
 
 if __name__ == "__main__":

@@ -53,6 +53,17 @@ def test_the_length_of_a_step_does_not_matter(step_s: float) -> None:
     assert volts[0] == pytest.approx(volts[1], abs=1e-3)
 
 
+def test_an_empty_surface_costs_the_slope_of_the_ocv() -> None:
+    """0.02 h at 3 C lack 0.06 of the charge; at 0.8 V per unit that is 48 mV once the lag has passed."""
+    p = cell(polarisation_tau_s=20.0, surface_h=0.02)
+    at_once = float(model.cell_voltage(p, model.rested(0.9, 25.0), 3.0))
+    assert at_once == pytest.approx(float(model.cell_voltage(cell(), model.rested(0.9, 25.0), 3.0)))
+    late = end_state(p, model.rested(0.9, 25.0), 3.0, 25.0, 1.0, 200.0)
+    assert float(late.polarisation_V) == pytest.approx(0.8 * 0.06, rel=1e-3)
+    assert float(model.depletion(p, 0.02, 1e6)) == pytest.approx(0.8 * 0.07)  # no more than there is in the table
+    assert float(model.depletion(p, -0.4, 1e6)) == 0.0
+
+
 @pytest.mark.parametrize("step_s", STEPS_S)
 def test_one_rc_pair_under_constant_current(step_s: float) -> None:
     """v(t) = I R k (1 - exp(-t/tau)), exactly, however it is stepped, when nothing makes R change."""

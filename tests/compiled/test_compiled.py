@@ -201,6 +201,7 @@ def test_the_open_loop_of_many_columns() -> None:
         resistance_gain=random.uniform(0.7, 1.6, batch),
         airflow_gain_h=random.uniform(0.0, 0.5, batch),
         hysteresis_V=random.uniform(0.0, 0.03, batch),
+        surface_h=random.uniform(0.0, 0.04, batch),
         rate_gain_h=0.01,
     )
     start = model.rested(np.full(batch, 0.97), 20.0)

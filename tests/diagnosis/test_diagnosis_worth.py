@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import msgspec
@@ -12,8 +13,9 @@ from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
 from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
-from uavbatt.diagnosis.rivals import FAMILIES
+from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of
+from uavbatt.diagnosis.rivals import FAMILIES, seated
 from uavbatt.fitting.observed import Observed
 
 # The planted flights are of this very model: what it leaves is the sensors' noise, and a little.
@@ -104,3 +106,19 @@ def _from(record: Observed, soc: float) -> Observed:
         record.cells,
         record.capacity_Ah,
     )
+
+
+def test_slower_diffusion_is_news_to_a_file_that_has_a_slow_lag() -> None:
+    options = {c.name: c for c in options_of(found([flight(k) for k in range(3)]).problem, KNOWN, ())}
+    diffusion, polarisation = options["slow_diffusion"], options["polarisation"]
+    assert [QUANTITIES[f.index].name for f in diffusion.freed] == ["surface_h"] and not diffusion.resized
+    assert [QUANTITIES[f.index].name for f in polarisation.freed] == ["polarisation_ratio"] and polarisation.resized
+
+
+def test_a_weak_cell_is_seated_beside_a_faded_pack() -> None:
+    fits = found([flight(k) for k in range(3)]).before
+    names = ("capacity_fade", "unmetered_load", "voltage_offset", "weak_cell")
+    apart = [replace(fits, candidate=Candidate((n,), (), (0,)), residual=fits.residual + 10.0 * k)
+             for k, n in enumerate(names)]  # fmt: skip
+    assert [names[i] for i in seated(apart)] == ["capacity_fade", "weak_cell", "unmetered_load"]
+    assert seated(apart[1:]) == [0, 1, 2]

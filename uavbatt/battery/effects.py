@@ -26,6 +26,7 @@ class Quantity:
     prior: float
     prior_sd: float
     log: bool = False
+    fitted: bool = True  # False: `fit` leaves it neutral (it earned no place there), diagnosis alone moves it
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,11 @@ CELL_EFFECTS = (
         "slow_diffusion",
         "voltage that sinks and recovers over minutes",
         "cell",
-        (_ratio("diffusion_ratio", 0.8), _tau("diffusion_tau_s", 60.0, 20000.0, 400.0)),
+        (
+            _ratio("diffusion_ratio", 0.8),
+            _tau("diffusion_tau_s", 60.0, 20000.0, 400.0),
+            Quantity("surface_h", "h", 0.0, 0.0, 0.2, 0.0, 0.01, fitted=False),
+        ),
     ),
     Effect(
         "temperature_resistance",

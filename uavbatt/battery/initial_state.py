@@ -37,9 +37,10 @@ def state_under_load(p: Parameters, soc: Number, temp_C: Number, c_rate: Number)
     rate = np.maximum(c_rate, 1e-6)
     drained_s = np.maximum(1.0 - at_rest.soc, 0.0) * eq.SECONDS_PER_HOUR / rate
     drop_V = rate * model.resistance(p, at_rest.soc, at_rest.core_C)
+    fast_V = drop_V * p.polarisation_ratio + model.depletion(p, at_rest.soc, rate)
     sluggish = eq.arrhenius(at_rest.core_C, p.diffusion_activation_K)
     return at_rest._replace(
-        polarisation_V=eq.relax(0.0, drop_V * p.polarisation_ratio, drained_s, p.polarisation_tau_s),
+        polarisation_V=eq.relax(0.0, fast_V, drained_s, p.polarisation_tau_s),
         diffusion_V=eq.relax(0.0, drop_V * p.diffusion_ratio * sluggish, drained_s, p.diffusion_tau_s),
     )
 

@@ -2,7 +2,7 @@
 
     soc'  = -c/3600                                      coulomb counting
     R     = R0(soc) exp(E (1/T - 1/T_ref))               resistance at once [ohm·Ah]
-    v_f'  = (c R k_f - v_f)/tau_f                        polarisation (seconds)
+    v_f'  = (c R k_f + OCV(soc) - OCV(soc - c h_s) - v_f)/tau_f    polarisation (seconds)
     v_s'  = (c R k_s - v_s)/tau_s                        slow diffusion (minutes)
     T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
     V     = OCV(soc) - h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
@@ -10,6 +10,7 @@
 
 h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
 drawn since is 1 - soc. That holds its memory without a state of its own; a pack charged in part is not told apart.
+h_s is the charge that the surface of the particles lacks per C of load, beside what the rest of the model has of it.
 k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect
 that is off leaves its parameters at the neutral default of `Parameters`: one model, no second code path.
 """
@@ -45,6 +46,7 @@ class Parameters(NamedTuple):
     diffusion_tau_s: Number = 120.0
     activation_K: Number = 0.0
     diffusion_activation_K: Number = 0.0  # on top of activation_K
+    surface_h: Number = 0.0  # charge that the surface of the particles lacks per C of load
     heat_gain: Number = 0.0  # 1 with self_heating; 0 leaves only the exchange with the ambient
     heat_capacity_JpKAh: Number = 40.0
     cooling_WpKAh: Number = 0.1
@@ -137,6 +139,20 @@ def rate_at_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh
     return eq.current_at_power(emf_V, series_ohmAh + sluggish_ohmAh, power_WpAh)
 
 
+def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
+    """Return what the voltage falls to when the surface of the particles lacks charge: OCV(soc) - OCV(soc - c h) [V].
+
+    Diffusion in the particles carries the current from a surface that is emptier than their mean (Newman & Balsara
+    2021, chapter 22); where the OCV is steep that costs most.
+    """
+    if not eq.is_on(p.surface_h):
+        return 0.0
+    surface = np.maximum(
+        soc - c_rate * p.surface_h, np.minimum(soc, LOWEST_SOC)
+    )  # it has no more to lose than there is
+    return open_circuit_voltage(p, soc) - open_circuit_voltage(p, surface)
+
+
 class Lags(NamedTuple):
     """The share of a deviation that is left after one step, `equations.decay` for each lag."""
 
@@ -186,10 +202,11 @@ def step_cell(
     slow_V = drop_V * p.diffusion_ratio
     if eq.is_on(p.diffusion_activation_K):
         slow_V = slow_V * eq.arrhenius(s.core_C, p.diffusion_activation_K)
+    fast_V = drop_V * p.polarisation_ratio + depletion(p, s.soc, c_rate)
     drained = c_rate * (p.charge_gain * eq.load_factor(p.rate_gain_h, c_rate))
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),
-        polarisation_V=eq.relax_to(s.polarisation_V, drop_V * p.polarisation_ratio, lags.polarisation),
+        polarisation_V=eq.relax_to(s.polarisation_V, fast_V, lags.polarisation),
         diffusion_V=eq.relax_to(s.diffusion_V, slow_V, lags.diffusion),
         core_C=_core_C(p, s.core_C, p.heat_gain * c_rate * lost_V, c_rate, ambient_C, dt_s, lags.core),
         sensor_C=s.sensor_C,

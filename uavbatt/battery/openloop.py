@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.equations import Number
-from uavbatt.battery.model import Array, Parameters, State, cell_voltage, step
+from uavbatt.battery.model import Array, Parameters, State, cell_voltage, lags, step_with_decay
 
 States = Callable[[Parameters, State, Array, Array, Number], State]
 
@@ -40,10 +40,12 @@ def simulate(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C:
 def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Number) -> State:
     """Step the model along all rows; returns the state at every row, [rows, batch] each (arguments: `simulate`)."""
     out = State(*np.empty((len(State._fields), *c_rate.shape)))
-    state = start
+    state, known, known_s = start, lags(p, dt_s[0]), dt_s[0]
     for k in range(c_rate.shape[0]):
+        if not np.array_equal(dt_s[k], known_s):  # most steps are as long as the one before
+            known, known_s = lags(p, dt_s[k]), dt_s[k]
         if k:
-            state = step(p, state, c_rate[k], ambient_C, dt_s[k])
+            state = step_with_decay(p, state, c_rate[k], ambient_C, dt_s[k], known)
         for column, value in zip(out, state, strict=True):
             column[k] = value
     return out

@@ -59,9 +59,12 @@ def walk(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Arr
     for j in range(batch):
         cell = column(p, j)
         s = State(start.soc[j], start.polarisation_V[j], start.diffusion_V[j], start.core_C[j], start.sensor_C[j])
+        lags, lags_s = model.lags(cell, dt_s[j, 0]), dt_s[j, 0]
         for k in range(rows):
+            if dt_s[j, k] != lags_s:
+                lags, lags_s = model.lags(cell, dt_s[j, k]), dt_s[j, k]
             if k > 0:
-                s = model.step(cell, s, c_rate[j, k], ambient_C[j], dt_s[j, k])
+                s = model.step_with_decay(cell, s, c_rate[j, k], ambient_C[j], dt_s[j, k], lags)
             out[0, j, k], out[1, j, k], out[2, j, k] = s.soc, s.polarisation_V, s.diffusion_V
             out[3, j, k], out[4, j, k] = s.core_C, s.sensor_C
     return out

@@ -26,6 +26,7 @@ UNITS = {q.name: q.unit for q in QUANTITIES}
 ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion", "temperature_resistance")
 PACKS_OWN = ("temperature_lag", "charge_transfer")  # how the sensor is mounted, how the pack has aged: news, if changed
 ONE_WAY = ("fade", "growth")  # packs age in one direction
+SLOWING = ("transfer_V",)  # and so do reactions, from where the file has them
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
 
@@ -170,12 +171,14 @@ def candidates(
             continue
         if effect.name in NEEDS_TEMPERATURE and not has_temperature:
             continue
-        free = [q for q in effect.quantities if q.prior_sd > 0.0]
-        free = free[:1] if effect.name in listed else free  # another size of what is there, not another shape
+        free = [q for q in effect.quantities if q.prior_sd > 0.0 and q.fitted]
+        if effect.name in listed:  # another size of what is there, not another shape
+            free = [q for q in effect.quantities if not q.fitted] or free[:1]
         freed = tuple(_freed(q, base[INDEX[q.name]], effect) for q in free)
         if effect.name == "current_offset":
             freed = (replace(freed[0], high=min(freed[0].high, max(idle_A, freed[0].start))),)
-        resized = (effect.name,) if effect.name in listed and effect.name not in PACKS_OWN else ()
+        has_it = effect.name in listed and base[INDEX[free[0].name]] != free[0].neutral
+        resized = (effect.name,) if has_it and effect.name not in PACKS_OWN else ()
         own_start = effect.name == "initial_charge"  # each flight was charged by itself
         found.append(Candidate((effect.name,), freed, (len(freed),), own_start, resized))
     return found
@@ -188,4 +191,5 @@ def _freed(quantity: Quantity, base: float, effect: Effect) -> Freed:
     log = quantity.log and start > 0.0
     scale = quantity.prior_sd if log or not quantity.log else max(quantity.prior, 1e-6)
     low = max(quantity.low, 1e-3 * start) if log else 0.0 if quantity.name in ONE_WAY else quantity.low
+    low = max(low, base) if quantity.name in SLOWING else low
     return Freed(INDEX[quantity.name], float(start), scale, low, quantity.high, log)

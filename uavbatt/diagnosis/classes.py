@@ -83,11 +83,11 @@ def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
     """The members, with the other name of what goes by two.
 
     A lag of a minute is the fast end of diffusion as much as the slow end of polarisation. A pack that is only ever
-    discharged shows its branch of the hysteresis as it would show a lag of minutes. And slower reactions are how the
-    resistance of most packs grows: a charger that reads it shows both.
+    discharged shows its branch of the hysteresis as it would show a lag of minutes, and the other way round. And
+    slower reactions are how the resistance of most packs grows: a charger that reads it shows both.
     """
     slow = float(np.max(problem.pack.cell.polarisation_tau_s)) >= SLOWEST_POLARISATION_S
-    twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion"}
+    twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion", "slow_diffusion": "hysteresis"}
     if slow:
         twins["polarisation"] = "slow_diffusion"
     first, others = members[0], members[1:]

@@ -9,6 +9,7 @@ the file at its most probable value; then, or when a value differs from record t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -21,7 +22,7 @@ from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import residual
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
-from uavbatt.diagnosis.candidates import NOTHING, PACKS_OWN, Candidate, base_values, candidates, nuisances
+from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
@@ -105,7 +106,7 @@ def diagnose(
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
-    reasons = doubts(problem, findings, best, left, {e.name for e in file.effects}, floor_V(file, problem))
+    reasons = doubts(problem, findings, best, left, floor_V(file, problem))
     found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
@@ -155,7 +156,18 @@ def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tel
     known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
-    return _Searched(problem, nothing, *search(problem, options, nothing, tell))
+    floor = floor_V(file, problem)
+
+    def explained(fit: Refit, is_named: bool) -> bool:
+        return explains(problem, fit, floor if is_named else math.inf)
+
+    return _Searched(problem, nothing, *search(problem, options, nothing, explained, tell))
+
+
+def explains(problem: Problem, fit: Refit, floor: float) -> bool:
+    """Return True if a refit leaves no more than the file's own model does; raw no more than FAR times `floor` [V]."""
+    after, left = residual.residuals(problem.evidence, at_best(problem, fit)), left_per_number(problem, fit)
+    return residual.size_V(after) <= FAR * floor and not max(left.voltage, left.temperature) > LEFT
 
 
 def floor_V(file: BatteryFile, problem: Problem) -> float:
@@ -193,9 +205,7 @@ def per_number(problem: Problem, fit: Refit) -> Left:
     return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def doubts(
-    problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, listed: set[str], floor: float
-) -> tuple[str, ...]:
+def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float) -> tuple[str, ...]:
     """Return why the model after all is not believed to be complete; empty when it is."""
     found = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
@@ -220,6 +230,6 @@ def doubts(
         its = finding.worth.constancy
         if its is not None and not finding.steady:
             found.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
-        if {m.candidate.name for m in finding.members} <= listed - set(PACKS_OWN):
+        if all(m.candidate.name in m.candidate.resized for m in finding.members):
             found.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")
     return tuple(found)

@@ -97,8 +97,7 @@ def follow(
         best = trace.effect.members[0]
     tell("residual")
     left = left_per_number(problem, best)
-    listed = {e.name for e in file.effects}
-    why = doubts(problem, [t.effect for t in traces], best, left, listed, floor_V(file, problem))
+    why = doubts(problem, [t.effect for t in traces], best, left, floor_V(file, problem))
     verdict: Verdict = "undeclared_effect" if why else "effect_found" if traces else "no_missing_effect"
     return Follow(
         verdict=verdict,

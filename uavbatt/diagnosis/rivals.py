@@ -74,10 +74,13 @@ def same(one: Refit, other: Refit) -> bool:
 def seated(fits: Sequence[Refit]) -> list[int]:
     """Places of the refits that a class has room for, likeliest first.
 
-    What is the same as the best comes first, then one of each family, then the rest.
+    What is the same as the best comes first, then one of each family, then the rest. A pack that has faded and one with
+    a weak cell differ in the last minute only: where one is named, so is the other, if it is a rival at all.
     """
     names = [f.candidate.name for f in fits]
     twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
+    if "capacity_fade" in [names[i] for i in twins]:
+        twins += [i for i, name in enumerate(names) if name == "weak_cell"]
     first = [i for i, name in enumerate(names) if i not in twins and not related((name,), names[:i])]
     others = [i for i in range(len(fits)) if i not in twins and i not in first]
     return (twins + first + others)[:LARGEST_CLASS]

@@ -18,9 +18,11 @@ from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
-EARNED = 6.0  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EARNED = 3.5  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
-EARNED_IN_PART = 24.0  # beside a start in part, which the file's own error was not learned on
+EARNED_IN_PART = 24.0  # beside a start in part
+EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
@@ -68,36 +70,57 @@ class Trial:
         places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
-        # What leaves the same as the best by another name is a rival whatever it is worth alone.
-        return [i for i in possible if i in worthy or (worthy and same(self.fits[i], self.fits[worthy[0]]))]
+        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name.
+        first = worthy[0] if worthy else -1
+        return [
+            i
+            for i in possible
+            if i in worthy or (i < first and self.worths[i].value > EARNED) or (worthy and self._is_same(i, first))
+        ]
+
+    def _is_same(self, i: int, first: int) -> bool:
+        return same(self.fits[i], self.fits[first])
 
 
 def search(
-    problem: Problem, options: list[Candidate], nothing: Refit, tell: Callable[[str], None]
+    problem: Problem,
+    options: list[Candidate],
+    nothing: Refit,
+    explains: Callable[[Refit, bool], bool],
+    tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
-    """The best model with what was found, most evidence first, and the trial of the single effects."""
+    """The best model with what was found, most evidence first, and the trial of the single effects.
+
+    explains : whether a model, and is it more than a suspect, leaves no more than the file's own; two effects are asked
+    for less where no one does.
+    """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
-    least = EARNED_IN_PART if in_part else EARNED
-    if singles.most < least:
-        return nothing, [], singles
-    first = finding(problem, singles, least)
-    best = first.members[0]
-    tell(f"pairs of effects beside {best.candidate.name}")
-    pair = _best_pair(problem, options, singles, best)
+    found: list[FoundEffect] = []
+    best, least = nothing, EARNED_IN_PART if in_part else EARNED
+    if singles.most >= least:
+        found = [finding(problem, singles, max(least, EVEN))]
+        best = found[0].members[0]
+    is_explained = explains(best, singles.most >= EVEN)
+    if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
+        return best, found, singles
+    tell("pairs of effects")
+    pair = _best_pair(problem, options, singles, best, is_explained)
     if pair is None:
-        return best, [first], singles
+        return best, found, singles
     trials = []
     for name in pair.candidate.names:
         kept = next(n for n in pair.candidate.names if n != name)
         alone = next(f for f in singles.fits if f.candidate.name == kept)
         trials.append(trial(problem, alone, options, FURTHER_TURNS))
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
-        return best, [first], singles
-    found = [finding(problem, t, EARNED_BESIDE) for t in trials]
-    best = min((f.members[0] for f in found), key=lambda f: f.total)
-    return best, sorted(found, key=lambda f: -f.worth.value), singles
+        return best, found, singles
+    both = [finding(problem, t, earned_beside(problem, pair.candidate, is_explained=True)) for t in trials]
+    if any(f.worth.value < EARNED for f in both):
+        return best, found, singles
+    best = min((f.members[0] for f in both), key=lambda f: f.total)
+    return best, sorted(both, key=lambda f: -f.worth.value), singles
 
 
 def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int) -> Trial:
@@ -133,11 +156,22 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     )
 
 
+def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:
+    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen, and
+    less where no single effect explains the flights.
+    """
+    if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
+        return EARNED_IN_PART
+    return EARNED_BESIDE if is_explained else EARNED
+
+
 def _steady(found: Constancy | None) -> bool:
     return found is None or found.spread <= UNSTEADY
 
 
-def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Refit | None:
+def _best_pair(
+    problem: Problem, options: list[Candidate], singles: Trial, best: Refit, is_explained: bool
+) -> Refit | None:
     """The two effects that explain most, each of which earns its place beside the other; None if no two do."""
     most = singles.before.total - singles.fits[0].total
     gains = [singles.before.total - f.total for f in singles.fits]
@@ -152,14 +186,15 @@ def _best_pair(problem: Problem, options: list[Candidate], singles: Trial, best:
                 starts.append(seed)
     fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
     alone = {f.candidate.name: f for f in singles.fits}
-    least = float(np.sum(left_out_chi2(best))) - EARNED_BESIDE
+    one_leaves, together = float(np.sum(left_out_chi2(best))), EARNED_TOGETHER if is_explained else EARNED_BESIDE
     earned = []
     for fit in fits:
         one, other = fit.candidate.names
-        if at_bound(fit) or float(np.sum(left_out_chi2(fit))) > least:
+        if at_bound(fit) or one_leaves - float(np.sum(left_out_chi2(fit))) < together:
             continue
+        least = earned_beside(problem, fit.candidate, is_explained=is_explained)
         beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
-        if all(w.value > EARNED_BESIDE and _steady(w.constancy) for w in beside):
+        if all(w.value > least and _steady(w.constancy) for w in beside):
             earned.append(fit)
     if not earned:
         return None

@@ -51,7 +51,7 @@ def effect_entries(
     at = {s.name: i for i, s in enumerate(slots)}
     entries = []
     for name in effects:
-        quantities = EFFECTS[name].quantities
+        quantities = [q for q in EFFECTS[name].quantities if q.fitted]
         entries.append(
             EffectEntry(
                 name=name,

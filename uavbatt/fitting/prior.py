@@ -73,7 +73,7 @@ def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.na
         Slot(q.name, q.prior, q.prior_sd, q.log, q.low, q.high)  # what a battery file may hold
         for name in effects
         for q in EFFECTS[name].quantities
-        if q.prior_sd > 0.0
+        if q.prior_sd > 0.0 and q.fitted
     ]
     return (*ocv, *shape, level, *quantities)
 
