@@ -154,6 +154,7 @@ def whitened(evidence: Evidence, shown: Simulated, width: int) -> Array:
     return out
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a trial whose pack runs away is no number, and is not taken
 def refit(
     problem: Problem,
     candidates: list[Candidate],
@@ -202,7 +203,7 @@ def _scanned(batch: _Batch, u: Array, v: Array) -> Array:
             k = len(batch.columns[i]) - c.last
             us[:, i, :, k] = np.clip(np.array(SCAN)[:, None] + u[i, :, k], batch.low[i, k], batch.high[i, k])
     values, _ = batch.residuals(us, np.repeat(v[None], len(SCAN), axis=0))
-    best = np.argmin(np.sum(values**2, axis=(2, 3)), axis=0)
+    best = np.argmin(np.nan_to_num(np.sum(values**2, axis=(2, 3)), nan=np.inf), axis=0)
     chosen: Array = us[best, np.arange(len(batch.candidates))]
     return chosen
 
