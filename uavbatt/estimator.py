@@ -42,7 +42,8 @@ from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Names
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
-from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings, Memory
+from uavbatt.prediction.forecast import Forecast
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
 from uavbatt.prediction.last_wall import LastWall
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power

@@ -22,7 +22,8 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.estimator import Estimator
-from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
+from uavbatt.prediction.forecast import Forecast
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status

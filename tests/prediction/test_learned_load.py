@@ -11,7 +11,8 @@ from factories import generic_pack
 from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.prediction.flown import Flown
-from uavbatt.prediction.forecaster import Forecast, Forecaster, ForecastSettings
+from uavbatt.prediction.forecast import Forecast
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import (
     GUST_MEMORY_S,
     MANOEUVRE_MEMORY_S,

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
@@ -22,6 +21,7 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.flown import Flown
+from uavbatt.prediction.forecast import LEVELS, Forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
@@ -29,7 +29,7 @@ from uavbatt.prediction.route_forecast import Flying
 from uavbatt.prediction.route_progress import FlightLessons, Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
-from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Sample, Status
+from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
 SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
@@ -37,9 +37,6 @@ SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: 
 # move the end by less than 0.3 %.
 STEPS, LONGEST_STEP_S = 100, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
-STEADY_TAU_S = 20.0
-LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
-LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
 SHORTEST_STEP_S = 1.0
 LONGEST_HORIZON_S = 6 * 3600.0
 LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
@@ -61,19 +58,6 @@ class ForecastSettings:
         check_stated(reserve_soc=self.reserve_soc)
         if not self.forecast_period_s >= 0.0:
             raise UsageError(f"forecast_period_s={self.forecast_period_s}: expected 0 s or more")
-
-
-class Forecast(NamedTuple):
-    """One forecast, at the time it was made [s]."""
-
-    time_s: float
-    median_s: float
-    lo_s: float
-    hi_s: float
-    low_warning_s: float
-    alarm_s: float
-    ends_s: Array  # sorted
-    route: Route | None = None
 
 
 class Memory(NamedTuple):
@@ -155,7 +139,7 @@ class Forecaster:
         if refusal or self._last is None:
             self._last = None
             return _refused(sample.time_s, refusal)
-        return _counted_down(self._last, sample.time_s, estimate)
+        return self._last.counted_down(sample.time_s, estimate)
 
     def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
         """The forecast to simulate from the belief and the load to come; None when no end is in sight."""
@@ -221,28 +205,13 @@ class Forecaster:
         fresh = EndTimes(*(np.sort(np.minimum(times_s, horizon_s)) for times_s in ends))
         if question.at_take_off is not None:
             fresh = question.at_take_off.joined(time_s, fresh)
-        ends_s = self._steadied(fresh.end_s, time_s)
-        lo_s, alarm_s, median_s, hi_s = (_quantile(ends_s, level) for level in LEVELS)
+        ends_s = self._last.steadied(fresh.end_s, time_s) if self._last is not None else fresh.end_s
+        lo_s, alarm_s, median_s, hi_s = (quantile(ends_s, level) for level in LEVELS)
         known_low = math.isfinite(self.pack.low_V)
-        low_s = _quantile(fresh.low_s, 0.5) if known_low else NAN
+        low_s = quantile(fresh.low_s, 0.5) if known_low else NAN
         route = question.route and route_forecast.route_answer(question.route, ends.end_s)
         low_s = min(low_s, median_s) if known_low else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
-
-    def _steadied(self, fresh_s: Array, time_s: float) -> Array:
-        """The fresh ends blended, rank by rank, with the last ones less their age, so that a person can read them.
-
-        A change too large to be jitter is a change of load: it is shown at once.
-        """
-        if self._last is None:
-            return fresh_s
-        age_s = time_s - self._last.time_s
-        aged_s = np.maximum(self._last.ends_s - age_s, 0.0)
-        aged_median_s = _quantile(aged_s, 0.5)
-        if abs(_quantile(fresh_s, 0.5) - aged_median_s) > max(LARGEST_JITTER_S, LARGEST_JITTER * aged_median_s):
-            return fresh_s
-        keep = math.exp(-age_s / STEADY_TAU_S)
-        return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
 
     @property
     def cutoff_V(self) -> float:
@@ -298,28 +267,5 @@ def _step_s(load: Load, typical_s: float) -> float:
     return min(max(typical_s / steps, SHORTEST_STEP_S), longest_s)
 
 
-def _quantile(ordered: Array, level: float) -> float:
-    """Quantile of values in ascending order, linear between them, as numpy's: which sorts anew each time."""
-    position = level * (ordered.size - 1)
-    below = int(position)
-    above = min(below + 1, ordered.size - 1)
-    return float(ordered[below] + (position - below) * (ordered[above] - ordered[below]))
-
-
 def _refused(time_s: float, reason: str) -> Remaining:
     return Remaining(time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)
-
-
-def _counted_down(last: Forecast, time_s: float, estimate: Estimate) -> Remaining:
-    age_s = time_s - last.time_s
-    return Remaining(  # what is not known, NaN, stays so: it is the first of the two
-        time_s=time_s,
-        remaining_s=max(last.median_s - age_s, 0.0),
-        remaining_lo_s=max(last.lo_s - age_s, 0.0),
-        remaining_hi_s=max(last.hi_s - age_s, 0.0),
-        remaining_to_low_s=max(last.low_warning_s - age_s, 0.0),
-        status=estimate.status,
-        reason=estimate.reason,
-        remaining_alarm_s=max(last.alarm_s - age_s, 0.0),
-        route=last.route and last.route.later(age_s),
-    )

@@ -1,0 +1,64 @@
+"""A forecast as a value: the ends of its draws, their quantiles, and what is left of it while it counts down."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.records import ALARM_RISK, Estimate, Remaining, Route
+
+STEADY_TAU_S = 20.0
+LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
+LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
+
+
+class Forecast(NamedTuple):
+    """One forecast, at the time it was made [s]."""
+
+    time_s: float
+    median_s: float
+    lo_s: float
+    hi_s: float
+    low_warning_s: float
+    alarm_s: float
+    ends_s: Array  # sorted
+    route: Route | None = None
+
+    def counted_down(self, time_s: float, estimate: Estimate) -> Remaining:
+        """Return what is left at a later time [s], with the words of the estimate there."""
+        age_s = time_s - self.time_s
+        return Remaining(  # what is not known, NaN, stays so: it is the first of the two
+            time_s=time_s,
+            remaining_s=max(self.median_s - age_s, 0.0),
+            remaining_lo_s=max(self.lo_s - age_s, 0.0),
+            remaining_hi_s=max(self.hi_s - age_s, 0.0),
+            remaining_to_low_s=max(self.low_warning_s - age_s, 0.0),
+            status=estimate.status,
+            reason=estimate.reason,
+            remaining_alarm_s=max(self.alarm_s - age_s, 0.0),
+            route=self.route and self.route.later(age_s),
+        )
+
+    def steadied(self, fresh_s: Array, time_s: float) -> Array:
+        """Return fresh ends [s, sorted] blended, rank by rank, with these less their age: a person has to read them.
+
+        A change too large to be jitter is a change of load: it is shown at once.
+        """
+        age_s = time_s - self.time_s
+        aged_s = np.maximum(self.ends_s - age_s, 0.0)
+        aged_median_s = quantile(aged_s, 0.5)
+        if abs(quantile(fresh_s, 0.5) - aged_median_s) > max(LARGEST_JITTER_S, LARGEST_JITTER * aged_median_s):
+            return fresh_s
+        keep = math.exp(-age_s / STEADY_TAU_S)
+        return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
+
+
+def quantile(ordered: Array, level: float) -> float:
+    """Quantile of values in ascending order, linear between them, as numpy's: which sorts anew each time."""
+    position = level * (ordered.size - 1)
+    below = int(position)
+    above = min(below + 1, ordered.size - 1)
+    return float(ordered[below] + (position - below) * (ordered[above] - ordered[below]))
