@@ -63,8 +63,19 @@ def tree(pid: int) -> list[int]:
 
 
 def reader(path: Path, pid: int) -> int:
-    """The process below this one that has the file open; 0 when none has."""
-    return next((one for one in tree(pid)[1:] if str(path) in opened(one)), 0)
+    """The process below this one that has opened the file; 0 when none has.
+
+    One that was forked a moment ago still holds what its parent holds, and goes by its parent's name.
+    """
+    ours = command_line(pid)
+    return next((one for one in tree(pid)[1:] if str(path) in opened(one) and command_line(one) != ours), 0)
+
+
+def command_line(pid: int) -> bytes:
+    """Of a process; empty when it is gone."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    return b""
 
 
 def opened(pid: int) -> set[str]:
