@@ -68,7 +68,7 @@ def reader(path: Path, pid: int) -> int:
     One that was forked a moment ago still holds what its parent holds, and goes by its parent's name.
     """
     ours = command_line(pid)
-    return next((one for one in tree(pid)[1:] if str(path) in opened(one) and command_line(one) != ours), 0)
+    return next((one for one in tree(pid)[1:] if command_line(one) not in (b"", ours) and str(path) in opened(one)), 0)
 
 
 def command_line(pid: int) -> bytes:
