@@ -28,8 +28,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.known_size import KnownSize, nothing_seen
 from uavbatt.battery.openloop import States, states
 from uavbatt.battery.remembered import PackHealth, prior_of, unlike, with_reaction
-from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
 from uavbatt.estimation.assumed_load import unmetered_pack
@@ -313,7 +313,7 @@ class Estimator:
         return HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
 
     def _pack(self, size: PackSize) -> Pack:
-        pack = pack_of(self.battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
+        pack = sized(self.battery, size)
         if self._cleaner.guessed:
             pack = unmetered_pack(pack, is_stated=math.isfinite(self._cleaner.stated_power_W))
         pack = with_reaction(pack, self.remembered)

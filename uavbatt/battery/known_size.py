@@ -18,7 +18,7 @@ from uavbatt.records import NAN, PackFacts, Sample
 
 
 class KnownSize(NamedTuple):
-    """What is stated of a pack, what its vehicle says, and its size by all that; `after` holds one more row against it.
+    """A pack's size by what is stated of it and what its vehicle says; `after` holds one more row against all that.
 
     size is None before the first voltage. stated_W: lowest and highest power [W] stated of this aircraft.
     """

@@ -146,7 +146,11 @@ def size_of_pack(
 
 def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:
     """The battery file scaled to a pack whose cells and capacity the caller states."""
-    size = size_of_pack(battery, given, PackFacts(), battery.battery.cells_series, "battery file")
+    return sized(battery, size_of_pack(battery, given, PackFacts(), battery.battery.cells_series, "battery file"))
+
+
+def sized(battery: BatteryFile, size: PackSize) -> Pack:
+    """Return the battery file scaled to a pack of this size."""
     return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
 
 
@@ -230,7 +234,7 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
 
 
 def _uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:
-    """What of a pack of this size the certificate does not cover; empty when it covers it."""
+    """Return in words how a pack of this size goes beyond the certificate; empty when it does not."""
     typed = battery.battery
     if battery.caveat:
         return battery.caveat

@@ -72,7 +72,8 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 
     autopilot = check_endpoint(config.link.endpoint)
     for text in config.link.gcs:
-        if check_endpoint(text)[1:3] == autopilot[1:3]:
+        station = check_endpoint(text)
+        if (station.host, station.port) == (autopilot.host, autopilot.port):
             raise UsageError(f"--gcs {text}: expected a ground station's address, it is the autopilot's ENDPOINT")
     if "proxy" not in config.feed.kinds:
         return open_autopilot(config.link.endpoint), [open_link(text) for text in config.link.gcs]

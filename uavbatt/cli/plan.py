@@ -29,6 +29,7 @@ from uavbatt.cli.options import (
     say,
     stated_pack,
 )
+from uavbatt.cli.plan_mission import clock, plan_mission
 from uavbatt.errors import NotEnoughData, UsageError
 
 if TYPE_CHECKING:
@@ -86,8 +87,6 @@ def plan(
     with pack_memory.opened(packs, pack, only_read=True) as memory:
         remembered = memory.recalled_now(content)
     if mission is not None and vehicle is not None:
-        from uavbatt.cli.plan_mission import plan_mission
-
         conditions = (ambient_c, start_soc, reserve_soc)
         plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary), remembered)
         return
@@ -140,7 +139,7 @@ def _lines(plan: Plan) -> list[str]:
         f"  {'ambient':>8}  {'median':>8}  {'5 %':>8}  {'95 %':>8}",
     ]
     for e in plan.rows:
-        times = "  ".join(f"{_clock(value_s):>8}" for value_s in (e.median_s, e.lo_s, e.hi_s))
+        times = "  ".join(f"{clock(value_s):>8}" for value_s in (e.median_s, e.lo_s, e.hi_s))
         lines.append(f"  {e.ambient_C:>5.0f} °C  {times}  {e.remark}".rstrip())
     return lines
 
@@ -149,17 +148,9 @@ def _headline(here: Endurance) -> str:
     """The endurance at the planned temperature, or why it is not known."""
     if not math.isfinite(here.median_s):
         return here.remark or "not known"
-    said = f"{_clock(here.median_s)} [{_clock(here.lo_s)}, {_clock(here.hi_s)}]"
-    said += f"; low-voltage warning after {_clock(here.to_low_s)}" if math.isfinite(here.to_low_s) else ""
+    said = f"{clock(here.median_s)} [{clock(here.lo_s)}, {clock(here.hi_s)}]"
+    said += f"; low-voltage warning after {clock(here.to_low_s)}" if math.isfinite(here.to_low_s) else ""
     return said + (f"; {here.remark}" if here.remark else "")
-
-
-def _clock(seconds: float) -> str:
-    """Minutes and seconds."""
-    if not math.isfinite(seconds):
-        return "unknown"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
 
 
 def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:

@@ -1,4 +1,4 @@
-"""What came of a replay: the flight in figures, its landing, and the forecasts against the end that the log shows."""
+"""Outcome of a replay: the flight in figures, its landing, and the forecasts against the end that the log shows."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import UNKNOWN, PackHealth, health_of, type_ohm
-from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.statements import size_from_rows
 from uavbatt.estimator import Estimator
@@ -72,7 +72,7 @@ def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught
     if facts.sag_compensated:
         return Taught(None, "the autopilot reports sag-compensated voltage, which hides the ohms")
     size = size_from_rows(battery, options, replace(flight, samples=tuple(rows)), facts)
-    pack = pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
+    pack = sized(battery, size)
     estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
     estimator.update_facts(facts)
     first, loaded = _run(estimator, rows[: last_loaded + 1])

@@ -15,9 +15,9 @@ import numpy as np
 from uavbatt.battery import model
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth, prior_of, with_reaction
-from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
-from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize, size_of_pack, sized
 from uavbatt.battery.state_space import SIZE, Belief, X, voltage
 from uavbatt.battery.statements import check_statements, size_from_rows
 from uavbatt.errors import UsageError
@@ -121,8 +121,7 @@ def endurance(
     remembered: PackHealth | None = None,
 ) -> Endurance:
     """Time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
-    pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
-    pack = with_reaction(pack, remembered)
+    pack = with_reaction(sized(battery, resolved), remembered)
     forecaster = Forecaster(pack, ForecastSettings(load, max(reserve_soc, EMPTY_SOC)))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
     if found is None:

@@ -15,8 +15,8 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers
 from uavbatt.battery.remembered import PackHealth, with_reaction
-from uavbatt.battery.scaling import Pack, pack_of
-from uavbatt.battery.sizing import PackSize
+from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
@@ -118,8 +118,7 @@ def make_route_plan(
 ) -> MissionPlan:
     """Return the whole plan, of a pack that was met before if `remembered` tells it."""
     ahead, way = planned.ahead()
-    pack = pack_of(battery, resolved.cells, resolved.capacity_Ah, resolved.cutoff_V, resolved.low_V)
-    pack = with_reaction(pack, remembered)
+    pack = with_reaction(sized(battery, resolved), remembered)
 
     def fit(at_C: float) -> tuple[RouteFit, Flying]:
         belief = rested(pack, start_soc, at_C, remembered)

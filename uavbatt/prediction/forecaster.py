@@ -207,10 +207,8 @@ class Forecaster:
             fresh = question.at_take_off.joined(time_s, fresh)
         ends_s = self._last.steadied(fresh.end_s, time_s) if self._last is not None else fresh.end_s
         lo_s, alarm_s, median_s, hi_s = (quantile(ends_s, level) for level in LEVELS)
-        known_low = math.isfinite(self.pack.low_V)
-        low_s = quantile(fresh.low_s, 0.5) if known_low else NAN
         route = question.route and route_forecast.route_answer(question.route, ends.end_s)
-        low_s = min(low_s, median_s) if known_low else NAN
+        low_s = min(quantile(fresh.low_s, 0.5), median_s) if math.isfinite(self.pack.low_V) else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 
     @property

@@ -57,7 +57,7 @@ def _sample(time_s: float, row: Row) -> Sample:
 
 
 def _state(log: LogBuilder, time_s: float, row: Row, sample: Sample) -> None:
-    """What the pack states of itself first goes by the names of the parameters that say the same of other packs."""
+    """Add the first cells and capacity that the pack states, by the names of the parameters of other packs."""
     stated = {
         "BAT1_N_CELLS": float(len(sample.cell_voltages_V)),
         ardupilot_prefix(0) + "CAPACITY": row.values.get("capacity_mAh", NAN),
