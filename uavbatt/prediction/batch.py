@@ -58,6 +58,8 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 
 def _together(few: list[Question]) -> list[EndTimes]:
     """Side by side in a batch [questions, draws]; a shorter one goes on as it ended, unseen."""
+    if len(few) == 1:  # in flight: arrays of one dimension less
+        return [end_times(few[0])]
     steps = max(q.dt_s.size for q in few)
 
     def on(values: Iterable[Array]) -> Array:

@@ -21,13 +21,13 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import X, ocv_doubt, unpack
+from uavbatt.battery.state_space import X, drift_variance, unpack
 
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
-# Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
-SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain")
+# Numbers that meet arrays at every step: as arrays of no dimension they cost numpy a third less than as floats.
+MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
 
 
@@ -64,20 +64,21 @@ def time_to_end(
     which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon.
     """
     cell, installation, state = unpack(pack, x)
-    cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
+    cell = cell._replace(**{name: np.asarray(getattr(cell, name)) for name in MET_AT_EVERY_STEP if getattr(cell, name)})
     steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
     harness_ohmAh = series_resistance(installation, 0.0)
     memory = np.exp(-dt_s / pack.bias_tau_s)
     kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
-    lags = [model.Lags(*step) for step in zip(*model.lags(cell, dt_s), strict=True)]
+    lags = model.lags(cell, dt_s)
     limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
     ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
-    bias_V, asked, before = x[X.BIAS], power_W[0] / size, None
+    tables, asked, bias_V, before = _tables(pack, cell), power_W / size, x[X.BIAS], None
     for k in range(steps):
-        emf_V, r_ohmAh = model.source(cell, state)
+        charged_V, new_ohmAh, drift_sd_V = _looked_up(tables, state.soc)
+        emf_V, r_ohmAh = model.source_from(cell, state, charged_V, new_ohmAh)
         series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked)
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked[k])
         cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
         if eq.is_on(installation.deficit):
             strong_V = cell_V - bias_V + rate * harness_ohmAh
@@ -92,16 +93,38 @@ def time_to_end(
             ends = _judged(limits, ends, recent, k)
             if np.isfinite(ends.end_s).all():
                 break
-        now, asked = asked, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
-            rate = model.rate_at_power(cell, emf_V, series_ohmAh, 0.5 * (now + asked))
+            mean_WpAh = 0.5 * (asked[k] + asked[min(k + 1, steps - 1)])
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_WpAh)
         if wander is not None:
-            doubt_V2 = ocv_doubt(pack, state.soc, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
-        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
-        bias_V = memory[k] * bias_V
+            doubt_V2 = drift_variance(drift_sd_V, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
+        over = model.Lags(*(lag[k, ...] for lag in lags))
+        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], over)
+        bias_V = memory[k, ...] * bias_V
         if wander is not None:
-            bias_V = bias_V + np.sqrt(kick_V2[k] + doubt_V2) * wander.bias[k]
+            bias_V = bias_V + np.sqrt(kick_V2[k, ...] + doubt_V2) * wander.bias[k]
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
+
+
+def _tables(pack: Pack, cell: model.Parameters) -> Array:
+    """Open-circuit voltage, resistance and drift of the voltage on SOC_GRID in one array, so that one look-up finds all.
+
+    Returns [left end or rise, table, segment]. Beyond the grid a segment is added at each end: there the open-circuit
+    voltage goes straight on, and the others are flat.
+    """
+    table = np.stack([cell.ocv_V, cell.r0_ohmAh, pack.ocv_drift_sd_V])
+    goes_on = np.array([[1.0], [0.0], [0.0]])
+    below, above = goes_on * (table[:, 1:2] - table[:, :1]), goes_on * (table[:, -1:] - table[:, -2:-1])
+    ends = np.concatenate([table[:, :1] - below, table, table[:, -1:] + above], axis=1)
+    return np.stack([ends[:, :-1], np.diff(ends)])
+
+
+def _looked_up(tables: Array, soc: Array) -> Array:
+    """What `tables` say at a charge, [table, batch]."""
+    position = (soc - (model.LOWEST_SOC - model.GRID_STEP)) / model.GRID_STEP
+    index = eq.segment(position, tables.shape[2])
+    left, rise = tables.take(index, axis=2)
+    return np.asarray(left + rise * (position - index))
 
 
 class _Recent(NamedTuple):
