@@ -9,7 +9,8 @@ import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import Action, Frame, MissionItem, SpeedKind
-from uavbatt.prediction.route_path import Phase, Point, path, way_home
+from uavbatt.prediction.route_legs import Phase, Point
+from uavbatt.prediction.route_path import path, way_home
 
 
 def ends(*items: MissionItem) -> list[tuple[float, float, float]]:

@@ -14,10 +14,11 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
-from uavbatt.prediction.long_steps import STEP_S, Going, begun, walked
-from uavbatt.prediction.route_ahead import Ahead, Piece, Way, ahead, home_now
+from uavbatt.prediction.long_steps import STEP_S, Going, begun, source, walked
+from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
+from uavbatt.prediction.route_pieces import Way, waiting
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.sampling import wander
 from uavbatt.prediction.turn_back import TurnBack, turned
@@ -104,7 +105,8 @@ def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typic
         asked = asked._replace(route_s=route_s, route_soc=_charge_at(going, flying.power_W, flying.dt_s, route_s))
     if known.homewards is None:
         return asked
-    flown = known.route or Ahead(known.homewards.ahead.begin, (_staying(known.homewards.ahead),), False)
+    here = known.homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
+    flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
     longest_s = min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf)
     at_home = (flown, flying.power_W, flying.dt_s, known.homewards, scenario, way, settings, longest_s)
     return asked._replace(turn=turned(going, *at_home))
@@ -112,11 +114,6 @@ def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typic
 
 def _reason(known: ToCome) -> str:
     return "; ".join(dict.fromkeys(filter(None, (known.reason, known.home_reason))))
-
-
-def _staying(home: Ahead) -> Piece:
-    """Without a route the aircraft is taken to stay as far from home as it is."""
-    return Piece(ENDLESS_S, 0.0, 0.0, False, False, -1, home.begin, 0.0)
 
 
 def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
@@ -130,7 +127,7 @@ def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
         share = np.clip((at_s - begin_s) / length_s, 0.0, 1.0)
         if not share.any() or not (going.state.soc > 0.0).any():
             break
-        later = walked(going, power, float(length_s), normals)
+        later = walked(going, source(going), power, float(length_s), normals)
         charge += share * (later.state.soc - going.state.soc)
         going, begin_s = later, begin_s + length_s
     return np.asarray(np.maximum(charge, 0.0))

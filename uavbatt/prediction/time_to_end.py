@@ -22,6 +22,7 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import X, drift_variance, unpack
+from uavbatt.prediction.curves import curve_tables, looked_up
 
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
@@ -73,9 +74,9 @@ def time_to_end(
     limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
     ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
-    tables, asked, bias_V, before = _tables(pack, cell), power_W / size, x[X.BIAS], None
+    tables, asked, bias_V, before = curve_tables(pack), power_W / size, x[X.BIAS], None
     for k in range(steps):
-        charged_V, new_ohmAh, drift_sd_V = _looked_up(tables, state.soc)
+        charged_V, new_ohmAh, drift_sd_V = looked_up(tables, state.soc)
         emf_V, r_ohmAh = model.source_from(cell, state, charged_V, new_ohmAh)
         series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
         rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked[k])
@@ -104,27 +105,6 @@ def time_to_end(
         if wander is not None:
             bias_V = bias_V + np.sqrt(kick_V2[k, ...] + doubt_V2) * wander.bias[k]
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
-
-
-def _tables(pack: Pack, cell: model.Parameters) -> Array:
-    """Open-circuit voltage, resistance and drift of the voltage on SOC_GRID in one array, so that one look-up finds all.
-
-    Returns [left end or rise, table, segment]. Beyond the grid a segment is added at each end: there the open-circuit
-    voltage goes straight on, and the others are flat.
-    """
-    table = np.stack([cell.ocv_V, cell.r0_ohmAh, pack.ocv_drift_sd_V])
-    goes_on = np.array([[1.0], [0.0], [0.0]])
-    below, above = goes_on * (table[:, 1:2] - table[:, :1]), goes_on * (table[:, -1:] - table[:, -2:-1])
-    ends = np.concatenate([table[:, :1] - below, table, table[:, -1:] + above], axis=1)
-    return np.stack([ends[:, :-1], np.diff(ends)])
-
-
-def _looked_up(tables: Array, soc: Array) -> Array:
-    """What `tables` say at a charge, [table, batch]."""
-    position = (soc - (model.LOWEST_SOC - model.GRID_STEP)) / model.GRID_STEP
-    index = eq.segment(position, tables.shape[2])
-    left, rise = tables.take(index, axis=2)
-    return np.asarray(left + rise * (position - index))
 
 
 class _Recent(NamedTuple):
