@@ -43,7 +43,8 @@ Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 def end_times(q: Question) -> EndTimes:
     """Simulate one forecast; returns the end of each sample."""
-    return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, sampling.wander(), q.by_rows)
+    drawn = sampling.wander(q.dt_s.size, q.by_rows)
+    return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -73,7 +74,7 @@ def _together(few: list[Question]) -> list[EndTimes]:
     def each(values: Iterable[float]) -> Array:
         return np.array([*values])[:, None]
 
-    drawn = sampling.wander()
+    drawn = sampling.wander(steps, few[0].by_rows)
     ends = time_to_end(
         few[0].pack._replace(cutoff_V=each(q.pack.cutoff_V for q in few), low_V=each(q.pack.low_V for q in few)),
         np.stack([q.x for q in few], axis=1),

@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.sampling import LONGEST
+from uavbatt.prediction.sampling import LONGEST, held
 
 MEAN_TAU_S = 60.0
 WINDOW_TAU_S = 20.0
@@ -245,7 +245,7 @@ def swung(dt_s: Array, count: int, swings: Swings) -> Array:
 
 def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
     """A process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
-    normals, memory = _normals(LONGEST, count, process), np.exp(-dt_s / memory_s)
+    normals, memory = _normals(held(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
     fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
     return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
 

@@ -123,7 +123,7 @@ def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
     lengths_s = np.add.reduceat(dt_s, first)
     watts = np.add.reduceat(power_W * dt_s[:, None], first) / lengths_s[:, None]
     charge, begin_s = np.asarray(going.state.soc).copy(), 0.0
-    for length_s, power, normals in zip(lengths_s, watts, wander().bias, strict=False):
+    for length_s, power, normals in zip(lengths_s, watts, wander(lengths_s.size).bias, strict=False):
         share = np.clip((at_s - begin_s) / length_s, 0.0, 1.0)
         if not share.any() or not (going.state.soc > 0.0).any():
             break

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +72,8 @@ def turned(
     levels, fast, stretch = factors(load)[:, scenario]
     home = _homewards(flown, look_s, load, way, settings)
     at_turn = flown_on(going, flown_W, dt_s, look_s)
-    least_V, normals = _turning_V(at_turn, home.turn_W[:, None] * levels), sampling.wander().bias[::-1]
+    least_V = _turning_V(at_turn, home.turn_W[:, None] * levels)
+    normals = sampling.wander_home(len(home.length_s))
     for k, length_s in enumerate(home.length_s):
         power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
         at = source(at_turn)
@@ -93,12 +94,14 @@ def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
     """Return the draws at each instant [looks, draws] of a way with this power in steps of `dt_s` [steps]."""
     edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
     drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
-    normals, states, biases, k = sampling.wander().bias, [], [], 0
-    for before_s, until_s in zip(np.concatenate([[0.0], look_s[:-1]]), look_s, strict=True):
-        parts = np.linspace(before_s, until_s, 1 + math.ceil((until_s - before_s) / (2.0 * STEP_S)))
-        for begin_s, end_s in pairwise(parts):
+    looks_s = pairwise([0.0, *look_s])
+    parts = [np.linspace(a_s, b_s, 1 + math.ceil((b_s - a_s) / (2.0 * STEP_S))) for a_s, b_s in looks_s]
+    normals = cycle(sampling.wander(sum(map(len, parts))).bias)
+    states, biases = [], []
+    for edges in parts:
+        for begin_s, end_s in pairwise(edges):
             mean_W = (_at(drawn_J, edges_s, end_s) - _at(drawn_J, edges_s, begin_s)) / (end_s - begin_s)
-            going, k = walked(going, source(going), mean_W, end_s - begin_s, normals[k]), k + 1
+            going = walked(going, source(going), mean_W, end_s - begin_s, next(normals))
         states.append(going.state)
         biases.append(going.bias_V)
     state = type(going.state)(*(np.stack(np.broadcast_arrays(*column)) for column in zip(*states, strict=True)))
