@@ -186,6 +186,16 @@ def lags(p: Parameters, dt_s: Number) -> Lags:
     )
 
 
+def cell_lags(p: Parameters, dt_s: Number) -> Lags:
+    """`lags` for `step_cell`, which leaves the sensor as it is."""
+    return Lags(
+        eq.decay(dt_s, p.polarisation_tau_s),
+        eq.decay(dt_s, p.diffusion_tau_s),
+        eq.decay(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
+        1.0,
+    )
+
+
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
     """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
     return step_with_decay(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))

@@ -56,7 +56,7 @@ def source(going: Going) -> Source:
 def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> Going:
     """Return the draws, which are `at` now, after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
     cell, state, pack, rate = going.cell, going.state, going.pack, _rate(going, at, power_W)
-    later = model.step_cell(cell, state, rate, at.r_ohmAh, going.ambient_C, dt_s, model.lags(cell, dt_s))
+    later = model.step_cell(cell, state, rate, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
     memory = np.exp(-np.asarray(dt_s) / pack.bias_tau_s)
     doubt_V2 = drift_variance(at.drift_sd_V, rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
     kick_V = np.sqrt(pack.bias_sd_V**2 * (1.0 - memory**2) + doubt_V2) * normals
