@@ -15,7 +15,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
-from uavbatt.prediction.route_forecast import RouteAsked
+from uavbatt.prediction.route_forecast import RouteAsked, WaysAsked
 from uavbatt.prediction.take_off import AtTakeOff
 from uavbatt.prediction.time_to_end import EndTimes, Normals, time_to_end
 
@@ -36,6 +36,7 @@ class Question(NamedTuple):
     by_rows: bool
     at_take_off: AtTakeOff | None = None  # what was expected then
     route: RouteAsked | None = None  # what else the forecast says, of the route and of the way home
+    ways: WaysAsked = WaysAsked()  # when that was asked; earlier than now: it counts down
 
 
 Answers = Callable[[Sequence[Question]], list[EndTimes]]

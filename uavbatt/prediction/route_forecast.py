@@ -34,6 +34,9 @@ NAMES = {
 }
 IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
+# Both ways cost as much as the end itself, and what was said of them counts down: of forecasts a second apart, every
+# second one asks.
+ROUTE_PERIOD_S = 1.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
 
@@ -59,6 +62,17 @@ class RouteAsked(NamedTuple):
     turn: TurnBack | None
 
 
+class WaysAsked(NamedTuple):
+    """The last time [s] that the ways were asked about, and what was known of them then."""
+
+    time_s: float = math.nan
+    about: tuple[object, ...] = ()
+
+    def is_due(self, now: WaysAsked) -> bool:
+        """Return True if it is time to ask again; at once when something else is known now."""
+        return now.about != self.about or not 0.0 <= now.time_s - self.time_s < ROUTE_PERIOD_S
+
+
 def powers_of(load: Load) -> Powers:
     """Return the powers that belong to a load: its vehicle's, else those of an aircraft that nobody knows."""
     return load.powers if isinstance(load, LearnedLoad | UnknownAircraft) else UNKNOWN
@@ -81,6 +95,12 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     if isinstance(load, LearnedLoad | UnknownAircraft):
         load, name = RouteLoad(route, powers, level, level_sd), "route"
     return ToCome(load, name, "", route, known_home, home_reason, homewards)
+
+
+def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAsked:
+    """Return what is known of the ways at a time [s]."""
+    told = (known.name, known.reason, known.home_reason)
+    return WaysAsked(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
 
 
 class Flying(NamedTuple):
