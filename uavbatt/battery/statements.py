@@ -124,7 +124,7 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        seen = self._seen(volts, _is_idle(raw, pack.capacity_Ah))
+        seen = self._seen(volts, not self.current.has_flown and _is_idle(raw, pack.capacity_Ah))
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
         current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
@@ -169,7 +169,7 @@ class Statements(NamedTuple):
         shown_V = min(volts, self.voltage_V) if rows else volts
         if rows < 2 or shown_V > first_V:
             first_V = shown_V
-        if is_idle and not self.current.has_flown:
+        if is_idle:
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
         return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
 

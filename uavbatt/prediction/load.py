@@ -84,23 +84,17 @@ class RecentLoad(NamedTuple):
         if not math.isfinite(self.time_s):
             return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
         dt_s = max(time_s - self.time_s, 0.0)
-
-        def blend(old: float, new: float, tau_s: float) -> float:
-            return new + (old - new) * math.exp(-dt_s / tau_s)
-
-        mean_W = blend(self.mean_W, power_W, MEAN_TAU_S)
-        window_W = blend(self.window_W, power_W, WINDOW_TAU_S)
-        gust_W = blend(self.gust_W, power_W, GUST_TAU_S)
+        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
+        window_W = power_W + (self.window_W - power_W) * math.exp(-dt_s / WINDOW_TAU_S)
+        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
         strayed = (window_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.variance
         gusty = (gust_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.gust_variance
-        return RecentLoad(
-            time_s,
-            mean_W,
-            window_W,
-            blend(self.variance, strayed, SPREAD_TAU_S),
-            gust_W,
-            blend(self.gust_variance, gusty, SPREAD_TAU_S),
+        keep = math.exp(-dt_s / SPREAD_TAU_S)
+        variance, gust_variance = (
+            strayed + (self.variance - strayed) * keep,
+            gusty + (self.gust_variance - gusty) * keep,
         )
+        return RecentLoad(time_s, mean_W, window_W, variance, gust_W, gust_variance)
 
     @property
     def swings(self) -> Swings:
