@@ -79,7 +79,7 @@ def turned(
         at = source(at_turn)
         above_V = above_cutoff_V(at_turn, at, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
         least_V = np.where(length_s[:, None] > 0.0, np.minimum(least_V, above_V), least_V)
-        at_turn = walked(at_turn, at, power_W, length_s[:, None] * stretch, normals[k])
+        at_turn = walked(at_turn, at, power_W, length_s[:, None] * stretch, normals[k % len(normals)])
     least_V = np.minimum(least_V, above_cutoff_V(at_turn, source(at_turn), power_W))
     return TurnBack(look_s, least_V, np.maximum(at_turn.state.soc[0], 0.0))
 
