@@ -6,9 +6,10 @@ charge at its end is asked, so that a pack that would have been at its cut-off o
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery import model
 from uavbatt.battery.equations import SECONDS_PER_HOUR, is_on
@@ -31,6 +32,10 @@ class Going(NamedTuple):
     state: State
     bias_V: Array
     tables: Array  # `curves.curve_tables`
+
+    def of(self, which: NDArray[Any]) -> Going:
+        """Return some of several beginnings [beginnings, draws] that go on side by side."""
+        return self._replace(state=State(*(column[which] for column in self.state)), bias_V=self.bias_V[which])
 
 
 class Source(NamedTuple):

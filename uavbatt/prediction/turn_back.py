@@ -50,6 +50,11 @@ class Homewards(NamedTuple):
     rough: Array  # relative sd of the power within the step
     turn_W: Array  # [looks] while it turns and speeds up; a hover where it is over home
 
+    def drawn_W(self, k: int, looks: Column, scenarios: Array) -> Array:
+        """The power of step `k` on the ways of these looks [looks, draws]; `scenarios` as in `_flown_home`."""
+        levels, fast, _ = scenarios
+        return np.asarray(self.power_W[k, looks][:, None] * levels * (1.0 + self.far[k, looks][:, None] * (fast - 1.0)))
+
 
 def turned(
     going: Going,
@@ -69,19 +74,38 @@ def turned(
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
     """
     look_s = longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED
-    levels, fast, stretch = factors(load)[:, scenario]
     home = _homewards(flown, look_s, load, way, settings)
     at_turn = flown_on(going, flown_W, dt_s, look_s)
-    least_V = _turning_V(at_turn, home.turn_W[:, None] * levels)
-    normals = sampling.wander_home(len(home.length_s))
-    for k, length_s in enumerate(home.length_s):
-        power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
-        at = source(at_turn)
-        above_V = above_cutoff_V(at_turn, at, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
-        least_V = np.where(length_s[:, None] > 0.0, np.minimum(least_V, above_V), least_V)
-        at_turn = walked(at_turn, at, power_W, length_s[:, None] * stretch, normals[k % len(normals)])
-    least_V = np.minimum(least_V, above_cutoff_V(at_turn, source(at_turn), power_W))
-    return TurnBack(look_s, least_V, np.maximum(at_turn.state.soc[0], 0.0))
+    return _flown_home(at_turn, look_s, home, factors(load)[:, scenario])
+
+
+def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array) -> TurnBack:
+    """Return what comes of the ways home that begin with the draws `at_turn` [looks, draws].
+
+    scenarios : factors of level, fast flight and time of each draw [3, draws]
+    """
+    levels, _, stretch = scenarios
+    steps = np.count_nonzero(home.length_s > 0.0, axis=0)
+    normals = sampling.wander_home(int(steps.max()))
+    least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels), np.empty(at_turn.bias_V.shape)
+    flying = np.arange(look_s.size)  # the looks whose ways are not over yet: each has a length of its own
+    for k in range(int(steps.max()) + 1):
+        is_down = steps[flying] <= k
+        if is_down.any():
+            down, landed = flying[is_down], at_turn.of(is_down)
+            power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
+            least_V[down] = np.minimum(least_V[down], above_cutoff_V(landed, source(landed), power_W))
+            soc[down] = landed.state.soc
+            flying, at_turn = flying[~is_down], at_turn.of(~is_down)
+        if not flying.size:
+            break
+        at, rough = source(at_turn), home.rough[k, flying][:, None]
+        power_W = home.drawn_W(k, flying, scenarios)
+        above_V = above_cutoff_V(at_turn, at, power_W * (1.0 + ROUGH * rough))
+        least_V[flying] = np.minimum(least_V[flying], above_V)
+        length_s = home.length_s[k, flying][:, None] * stretch
+        at_turn = walked(at_turn, at, power_W, length_s, normals[k % len(normals)])
+    return TurnBack(look_s, least_V, np.maximum(soc[0], 0.0))
 
 
 def _turning_V(at_turn: Going, power_W: Array) -> Array:
