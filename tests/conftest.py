@@ -19,7 +19,9 @@ from command import Judged, called
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
-ASK_FOR_THE_STUDY = {"test_cli_validate", "test_gate", "test_validate", "test_temperature_loop"}
+ASK_FOR_THE_STUDY = {
+    "test_cli_validate", "test_diagnosis_gate", "test_gate", "test_temperature_loop", "test_validate",
+}  # fmt: skip
 
 
 @pytest.hookimpl(optionalhook=True)
