@@ -197,7 +197,7 @@ def run(samples: tuple[Sample, ...], period_s: float = 20.0) -> list[tuple[Estim
     options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0)
     settings = ForecastSettings(forecast_period_s=period_s)
     estimator = Estimator(battery_file.read_battery("lipo-generic"), options, settings)
-    return [estimator.step(s) for s in samples]
+    return list(estimator.run(samples))
 
 
 def end_of(samples: tuple[Sample, ...]) -> float:
