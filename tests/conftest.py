@@ -13,6 +13,7 @@ from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
 
+from browser import Browser, program
 from command import Judged, called
 
 # The same examples on every machine: a run that fails can be run again. HYPOTHESIS_PROFILE=default looks for new ones.
@@ -85,6 +86,17 @@ def vehicle() -> Iterator[Any]:
     yield made
     made.is_over = True
     made.join(2.0)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One Chromium for all pages."""
+    path = program()
+    if path is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    running = Browser(path, tmp_path_factory.mktemp("chromium"))
+    yield running
+    running.close()
 
 
 @pytest.fixture(scope="session")

@@ -79,7 +79,7 @@ def test_an_effect_in_half_of_the_flights_is_said_to_be_inconstant() -> None:
 
 
 def test_the_blocks_share_out_what_is_saved() -> None:
-    diagnosis = found([flight(k, offset_V=-0.4) for k in range(3)])
+    diagnosis = found([flight(k, offset_V=-0.4) for k in range(2)])
     blocks = evidence_by_block(diagnosis.problem, diagnosis.before, diagnosis.after)
     saved = np.sum(diagnosis.before.residual**2) - np.sum(diagnosis.after.residual**2)
     assert sum(b.saved for b in blocks) == pytest.approx(saved)
@@ -87,7 +87,7 @@ def test_the_blocks_share_out_what_is_saved() -> None:
 
 
 def test_a_pack_charged_in_part_is_a_finding_of_its_own() -> None:
-    whole = [flight(k) for k in range(3)]
+    whole = [flight(k) for k in range(2)]
     late = [_from(r, 0.7) for r in whole]
     diagnosis = found(late)
     assert diagnosis.classes[0].members == ("initial_charge",)
