@@ -241,7 +241,7 @@ def test_intervals_hold_on_flights_of_the_model_itself() -> None:
 
 
 def test_it_is_finite_in_order_and_never_negative() -> None:
-    for estimate, remaining in run(flown(1), 5.0):
+    for estimate, remaining in run(flown(1), 10.0):
         values = (remaining.remaining_lo_s, remaining.remaining_s, remaining.remaining_hi_s)
         if remaining.status is Status.REFUSED:
             assert all(math.isnan(v) for v in (*values, remaining.remaining_to_low_s)) and remaining.reason
