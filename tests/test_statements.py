@@ -31,6 +31,7 @@ from uavbatt.estimator import Estimator
 from uavbatt.limits import OPTIONS, Resting, Seen, capacity_doubt, cells_doubt, check_stated, ending_doubt
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
+from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import learned_load
@@ -63,8 +64,8 @@ def after(
     battery: str = "lipo-generic",
     settings: ForecastSettings = EVERY_30_S,
 ) -> list[tuple[Estimate, Remaining]]:
-    """Every row's estimate, as the library gives it."""
-    estimator = Estimator(battery_file.read_battery(battery), options, settings)
+    """Every row's estimate, as a fleet gives it: compiled, to 1e-9 the same (tests/compiled)."""
+    estimator = Estimator(battery_file.read_battery(battery), options, settings, engine_for(is_long=True))
     if facts is not None:
         estimator.update_facts(facts)
     return list(estimator.run(samples or flown()))
@@ -540,7 +541,8 @@ def test_limits_let_ordinary_statements_pass() -> None:
 def test_the_sample_logs_contradict_nothing(name: str) -> None:
     flight = read_log(LOGS / name)
     settings = ForecastSettings(forecast_period_s=math.inf)
-    estimator = Estimator(battery_file.read_battery("lipo-generic"), PackOptions(capacity_Ah=5.0), settings)
+    generic, engine = battery_file.read_battery("lipo-generic"), engine_for(is_long=True)
+    estimator = Estimator(generic, PackOptions(capacity_Ah=5.0), settings, engine)
     estimator.update_facts(flight.facts_at(math.inf))
     told = {w for estimate, _ in estimator.run(flight.samples) for w in estimate.warnings}
     assert not {w for w in told if "cell of" in w or "in series" in w or "stated" in w or "sign" in w}
