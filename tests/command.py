@@ -38,6 +38,19 @@ def run(*call: str | Path, folder: Path, timeout_s: float = 300.0) -> Done:
     return subprocess.run(words, capture_output=True, text=True, cwd=folder, env=surroundings, timeout=timeout_s)
 
 
+def refused_live(*call: str | Path, folder: Path) -> Done:
+    """`uavbatt live` in this process, of a call that ends before anything is heard: what it would exec goes on here."""
+    from uavbatt.cli import live_process
+    from uavbatt.live.daemon import Daemon
+
+    def go_on(*_: object) -> None:
+        sys.exit(live_process.main())
+
+    flies = AssertionError("expected a call that is refused, it waits for telemetry")
+    with patch.object(os, "execv", go_on), patch.object(Daemon, "run", side_effect=flies):
+        return called("live", *call, folder=folder)
+
+
 def called(*call: str | Path, folder: Path) -> Done:
     """The same entry point in this process: what it leaves on both streams, and its exit code. A bug is raised."""
     from uavbatt.cli import main

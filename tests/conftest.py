@@ -13,13 +13,16 @@ from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
 
+from browser import Browser, program
 from command import Judged, called
 
 # The same examples on every machine: a run that fails can be run again. HYPOTHESIS_PROFILE=default looks for new ones.
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
-ASK_FOR_THE_STUDY = {"test_cli_validate", "test_gate", "test_validate", "test_temperature_loop"}
+ASK_FOR_THE_STUDY = {
+    "test_cli_validate", "test_diagnosis_gate", "test_gate", "test_temperature_loop", "test_validate",
+}  # fmt: skip
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -83,6 +86,17 @@ def vehicle() -> Iterator[Any]:
     yield made
     made.is_over = True
     made.join(2.0)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One Chromium for all pages."""
+    path = program()
+    if path is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    running = Browser(path, tmp_path_factory.mktemp("chromium"))
+    yield running
+    running.close()
 
 
 @pytest.fixture(scope="session")

@@ -42,11 +42,13 @@ def failed(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("which", ["tampered", "failed"])
-def test_refused_without_the_option_and_edited_with_it(which: str, request: pytest.FixtureRequest) -> None:
+def test_refused_without_the_option_and_edited_with_it(
+    which: str, request: pytest.FixtureRequest, short_log: Path
+) -> None:
     path: Path = request.getfixturevalue(which)
     folder = path.parent
     outputs = ("--json", "s.json", "--report", "p.html", "--jsonl", "l.jsonl")
-    call = ("replay", TLOG, "--battery", path, "--cells", "4", "--capacity-ah", "5", *outputs)
+    call = ("replay", short_log, "--battery", path, "--cells", "4", "--capacity-ah", "2", *outputs)
     refused = called(*call, folder=folder)
     assert refused.returncode == 1 and LET in refused.stderr and not (folder / "s.json").exists()
     done = called(*call, LET, folder=folder)
@@ -77,14 +79,15 @@ def test_a_plan_says_it(tampered: Path) -> None:
     assert "edited" in (tampered.parent / "p.html").read_text()
 
 
-def test_a_fleet_says_it(tampered: Path) -> None:
+def test_a_fleet_says_it(tampered: Path, short_log: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.fleet.fly import Job, fly_log
     from uavbatt.fleet.logs import find_logs
 
     row = fly_log(
-        find_logs([str(TLOG)])[0], Job(battery_file.read_battery(tampered, allow_uncertified=True), PackOptions(4, 5.0))
+        find_logs([str(short_log)])[0],
+        Job(battery_file.read_battery(tampered, allow_uncertified=True), PackOptions(4, 2.0)),
     )
     assert row.certificate == "edited" and "edited, not certified" in row.warnings
 

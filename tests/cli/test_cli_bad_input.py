@@ -153,7 +153,7 @@ def test_a_truncated_log_is_replayed_as_far_as_it_goes(folder: Path) -> None:
     for log in (TLOG, BIN):
         cut = folder / f"cut{log.suffix}"
         cut.write_bytes(log.read_bytes()[: log.stat().st_size // 9 + 11])
-        done = run("replay", cut.name, "--jsonl", f"out/{cut.name}.jsonl", folder=folder)
+        done = called("replay", cut.name, "--jsonl", f"out/{cut.name}.jsonl", folder=folder)
         assert done.returncode == 0 and "does not reach the end of flight" in done.stdout, done.stderr
         assert len((folder / f"out/{cut.name}.jsonl").read_text().splitlines()) > 200
 
@@ -242,7 +242,7 @@ def test_a_disk_that_is_full(folder: Path) -> None:
 
 @pytest.mark.parametrize("call", [("replay",), ("no-such-command",), ("replay", "f", "--cells", "many")])
 def test_calls_that_are_none(call: tuple[str, ...], folder: Path) -> None:
-    done = run(*call, folder=folder)
+    done = called(*call, folder=folder)
     assert done.returncode == 2 and done.stdout == "" and "Traceback" not in done.stderr and done.stderr.strip()
 
 

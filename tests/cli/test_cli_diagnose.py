@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from command import called, run
 from factories import generic_pack
 
 from uavbatt.battery import battery_file
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 4, 5.0, 13.2, 14.0
-
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    code = "import sys; from uavbatt.cli import main; sys.argv[0] = 'uavbatt'; main()"
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +30,18 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
+# Effects left out where the fact is another: fewer to try.
+LEFT_OUT = ("weak_cell", "charge_transfer", "temperature_lag", "current_delay", "airflow_cooling", "resistance_growth")
+WITHOUT = [word for name in LEFT_OUT for word in ("--without", name)]
+
+
 def pack_options() -> list[str]:
     return ["--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2"]
 
 
 def test_a_diagnosis_writes_json_battery_file_and_page(logs: list[Path], tmp_path: Path) -> None:
     outputs = {"--json": tmp_path / "d.json", "--report": tmp_path / "d.html", "-o": tmp_path / "new.battery.toml"}
-    done = run("diagnose", *logs, *pack_options(), *(x for pair in outputs.items() for x in pair))
+    done = called("diagnose", *logs, *pack_options(), *(x for pair in outputs.items() for x in pair), folder=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(outputs["--json"].read_text())
     assert found["verdict"] in ("effect_found", "undeclared_effect")
@@ -61,7 +59,7 @@ def test_a_diagnosis_writes_json_battery_file_and_page(logs: list[Path], tmp_pat
 
 def test_one_flight_is_not_enough(logs: list[Path], tmp_path: Path) -> None:
     target = tmp_path / "d.json"
-    done = run("diagnose", logs[0], *pack_options(), "--json", target)
+    done = called("diagnose", logs[0], *pack_options(), "--json", target, folder=tmp_path)
     assert done.returncode == 4
     assert done.stderr.count("\n") == 1 and "expected at least 2" in done.stderr
     assert json.loads(target.read_text())["verdict"] == "not_enough_data"
@@ -70,7 +68,7 @@ def test_one_flight_is_not_enough(logs: list[Path], tmp_path: Path) -> None:
 def test_a_log_without_current_is_not_enough(tmp_path: Path) -> None:
     path = tmp_path / "volts.csv"
     path.write_text("time_s,voltage_V\n" + "".join(f"{i},16.{i % 10}\n" for i in range(400)))
-    done = run("diagnose", path, *pack_options())
+    done = called("diagnose", path, *pack_options(), folder=tmp_path)
     assert done.returncode == 4
     assert "no row has a current" in done.stderr
 
@@ -79,14 +77,14 @@ def test_a_log_without_current_is_not_enough(tmp_path: Path) -> None:
     ("arguments", "said"),
     [(["--without", "gremlins"], "--without gremlins"), (["--json", "/nowhere/at/all.json"], "existing folder")],
 )
-def test_a_wrong_call_is_said_in_one_line(logs: list[Path], arguments: list[str], said: str) -> None:
-    done = run("diagnose", *logs, *pack_options(), *arguments)
+def test_a_wrong_call_is_said_in_one_line(logs: list[Path], arguments: list[str], said: str, tmp_path: Path) -> None:
+    done = called("diagnose", *logs, *pack_options(), *arguments, folder=tmp_path)
     assert done.returncode == 2
     assert said in done.stderr and "Traceback" not in done.stderr
 
 
-def test_the_same_log_twice_is_no_evidence(logs: list[Path]) -> None:
-    done = run("diagnose", logs[0], logs[0], *pack_options())
+def test_the_same_log_twice_is_no_evidence(logs: list[Path], tmp_path: Path) -> None:
+    done = called("diagnose", logs[0], logs[0], *pack_options(), folder=tmp_path)
     assert done.returncode == 2
     assert "the same log" in done.stderr
 
@@ -98,7 +96,7 @@ def test_without_temperature_it_says_which_effects_it_could_not_look_for(logs: l
         kept = [i for i, name in enumerate(rows[0]) if name != "temp_C"]
         bare.append(tmp_path / path.name)
         bare[-1].write_text("\n".join(",".join(r[i] for i in kept) for r in rows) + "\n")
-    done = run("diagnose", *bare, *pack_options(), "--report", tmp_path / "d.html")
+    done = called("diagnose", *bare, *pack_options(), *WITHOUT, "--report", tmp_path / "d.html", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "no temperature" in done.stdout
     assert "No temperature was measured" in (tmp_path / "d.html").read_text()
@@ -111,20 +109,17 @@ def test_flights_of_two_packs_are_not_one_evidence(logs: list[Path], tmp_path: P
     first = tmp_path / "first.tlog"
     pack = generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
     write_log(first, simulate_flight(pack, SimulatedFlight(170.0, 22.0, rate_Hz=1.0, seed=1)), pack)
-    done = run("diagnose", first, other, "--battery", "lipo-generic")
+    done = called("diagnose", first, other, "--battery", "lipo-generic", folder=tmp_path)
     assert done.returncode == 4
     assert "different packs" in done.stderr
-
-
-QUICK = ("weak_cell", "charge_transfer", "temperature_lag", "current_delay", "airflow_cooling", "resistance_growth")
 
 
 def test_followed_flights_are_taken_in_order_and_their_course_is_in_json_and_page(
     logs: list[Path], tmp_path: Path
 ) -> None:
     told, page = tmp_path / "f.json", tmp_path / "f.html"
-    without = [word for name in QUICK for word in ("--without", name)]
-    done = run("diagnose", "--follow", logs[0].parent, *pack_options(), *without, "--json", told, "--report", page)
+    call = ("diagnose", "--follow", logs[0].parent, *pack_options(), *WITHOUT, "--json", told, "--report", page)
+    done = run(*call, folder=tmp_path)  # in a process of its own
     assert done.returncode == 0, done.stderr
     assert "in the order in which they are named" in done.stderr  # a CSV does not tell its day
     assert "in every one of the 2 flights" in done.stdout
@@ -146,8 +141,10 @@ def test_followed_flights_are_taken_in_order_and_their_course_is_in_json_and_pag
         (["--follow", "--pack", "A1"], "expected --packs FILE as well"),
     ],
 )
-def test_a_wrong_call_of_follow_is_said_in_one_line(logs: list[Path], arguments: list[str], said: str) -> None:
-    done = run("diagnose", *logs, *pack_options(), *arguments)
+def test_a_wrong_call_of_follow_is_said_in_one_line(
+    logs: list[Path], arguments: list[str], said: str, tmp_path: Path
+) -> None:
+    done = called("diagnose", *logs, *pack_options(), *arguments, folder=tmp_path)
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
 
 

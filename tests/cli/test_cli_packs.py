@@ -81,7 +81,7 @@ def test_wrong_input_is_named_in_one_line(run, ledger, arguments, code, words):
 def test_replay_remembers_a_flight_once(run, tmp_path):
     log, packs = tmp_path / "a.csv", tmp_path / "packs.sqlite"
     battery = ["--battery", "lpab-3s", "--cells", "3", "--capacity-ah", "5"]
-    assert run("simulate", "-o", log, *battery, "--power-w", "320").returncode == 0
+    assert run("simulate", "-o", log, *battery, "--power-w", "400", "--rate-hz", "1").returncode == 0
     for _ in range(2):
         said = run("replay", log, *battery, "--packs", packs, "--pack", "left", "--json", tmp_path / "s.json")
         assert said.returncode == 0, said.stderr

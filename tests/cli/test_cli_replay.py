@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command import UAVBATT, run
+from command import UAVBATT, called, run
 
 from uavbatt import __version__
 from uavbatt.output import COLUMNS
@@ -81,7 +81,7 @@ def test_the_report_opens_offline(whole: tuple[Path, str]) -> None:
 def test_prefix_invariance_through_the_command(whole: tuple[Path, str], tmp_path: Path) -> None:
     data = LOG.read_bytes()
     (tmp_path / "cut.csv").write_bytes(data[: len(data) // 4 + 7])
-    assert run("replay", "cut.csv", *PACK, "--jsonl", "cut.jsonl", folder=tmp_path).returncode == 0
+    assert called("replay", "cut.csv", *PACK, "--jsonl", "cut.jsonl", folder=tmp_path).returncode == 0
     cut = (tmp_path / "cut.jsonl").read_text().splitlines()
     assert len(cut) > 200
     assert cut == (whole[0] / "f.jsonl").read_text().splitlines()[: len(cut)]
@@ -94,7 +94,7 @@ def test_garbage_in_the_autopilots_charge_through_the_command(whole: tuple[Path,
         writer.writeheader()
         for k, row in enumerate(table):
             writer.writerow({**row, "consumed_Ah": f"{-k * 3.7:.2f}", "reported_soc": f"{(k % 7) / 7:.3f}"})
-    assert run("replay", "lies.csv", *PACK, "--jsonl", "lies.jsonl", folder=tmp_path).returncode == 0
+    assert called("replay", "lies.csv", *PACK, "--jsonl", "lies.jsonl", folder=tmp_path).returncode == 0
     told = (tmp_path / "lies.jsonl").read_text().splitlines()
     assert len(told) == 200 and told == (whole[0] / "f.jsonl").read_text().splitlines()[:200]
 
@@ -107,7 +107,7 @@ def test_several_logs_make_folders(tmp_path: Path) -> None:
     short(tmp_path, "a.csv")
     short(tmp_path, "b.csv", 45)
     outputs = ("--jsonl", "lines", "--report", "pages", "--json", "all.json")
-    assert run("replay", "a.csv", "b.csv", *PACK, *outputs, folder=tmp_path).returncode == 0
+    assert called("replay", "a.csv", "b.csv", *PACK, *outputs, folder=tmp_path).returncode == 0
     assert {p.name for p in (tmp_path / "lines").iterdir()} == {"a.jsonl", "b.jsonl"}
     assert {p.name for p in (tmp_path / "pages").iterdir()} == {"a.html", "b.html"}
     assert [s["rows"] for s in json.loads((tmp_path / "all.json").read_text())] == [60, 45]
@@ -116,7 +116,7 @@ def test_several_logs_make_folders(tmp_path: Path) -> None:
 @pytest.mark.parametrize("load", ["recent", "log", "400"])
 def test_loads(load: str, tmp_path: Path) -> None:
     short(tmp_path, "a.csv")
-    done = run("replay", "a.csv", *PACK, "--load", load, "--jsonl", "a.jsonl", folder=tmp_path)
+    done = called("replay", "a.csv", *PACK, "--load", load, "--jsonl", "a.jsonl", folder=tmp_path)
     assert done.returncode == 0
     last = rows(tmp_path / "a.jsonl")[-1]
     assert 300.0 < last["remaining_s"] < 1500.0
@@ -131,7 +131,7 @@ def test_options_of_the_pack_are_used(tmp_path: Path) -> None:
         "cutoff": ("--cutoff-voltage", "21.6"),
         "small": ("--capacity-ah", "3"),
     }.items():
-        assert run("replay", "a.csv", *PACK, *more, "--jsonl", f"{name}.jsonl", folder=tmp_path).returncode == 0
+        assert called("replay", "a.csv", *PACK, *more, "--jsonl", f"{name}.jsonl", folder=tmp_path).returncode == 0
         ends[name] = rows(tmp_path / f"{name}.jsonl")[-1]["remaining_s"]
     assert all(ends[name] < ends["plain"] for name in ("reserve", "cutoff", "small"))
 
@@ -152,7 +152,7 @@ def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
 
 def test_info(tmp_path: Path) -> None:
     for name, kind in (("quad_4s.tlog", "tlog"), ("quad_3s.BIN", "dataflash-binary"), ("hexa_6s_cold.csv", "csv")):
-        done = run("info", ROOT / "logs" / name, folder=tmp_path)
+        done = called("info", ROOT / "logs" / name, folder=tmp_path)
         assert done.returncode == 0 and kind in done.stdout and "trust        yes" in done.stdout
         assert done.stderr == ""
 
@@ -160,7 +160,7 @@ def test_info(tmp_path: Path) -> None:
 def test_simulate_is_repeatable(tmp_path: Path) -> None:
     for name in ("a.tlog", "b.tlog"):
         call = ("simulate", "-o", name, "--power-w", "900", "--rate-hz", "1", "--seed", "8")
-        done = run(*call, "--effect", "weak_cell=0.1", folder=tmp_path)
+        done = called(*call, "--effect", "weak_cell=0.1", folder=tmp_path)
         assert done.returncode == 0 and done.stdout == "" and "rows" in done.stderr
     assert (tmp_path / "a.tlog").read_bytes() == (tmp_path / "b.tlog").read_bytes()
     assert {p.name for p in tmp_path.iterdir()} == {"a.tlog", "b.tlog"}

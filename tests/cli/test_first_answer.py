@@ -81,9 +81,8 @@ def test_the_same_numbers_stand_in_the_summary_first_line_and_lines(tmp_path: Pa
     assert "before you landed" in done.stdout.splitlines()[0]
 
 
-def test_a_log_alone_is_replayed(tmp_path: Path) -> None:
-    log = LOGS / "quad_4s.tlog"
-    assert called(log, folder=tmp_path).stdout == called("replay", log, folder=tmp_path).stdout
+def test_a_log_alone_is_replayed(short_log: Path, tmp_path: Path) -> None:
+    assert called(short_log, folder=tmp_path).stdout == called("replay", short_log, folder=tmp_path).stdout
     assert called("nothing.BIN", folder=tmp_path).returncode == 2
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from command import Done, called, run
+from command import Done, called, refused_live
 from frames import hover, write_log
 
 from uavbatt import Estimator
@@ -219,7 +219,7 @@ def test_a_command_that_is_mistyped(folder: Path) -> None:
     ids=["an endpoint that is none", "a page for everybody", "a proxy without a station", "999 cells"],
 )
 def test_live_names_what_it_cannot_do(use: Use, folder: Path) -> None:
-    done = run(*use.call, folder=folder)
+    done = refused_live(*use.call[1:], folder=folder)
     assert done.returncode == use.code and all(word in done.stderr for word in use.words), done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,13 +16,20 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
 from uavbatt.log_replay.run import engine_for
 
+LEAST = 2  # flights that a diagnosis takes: its work grows with their rows
 
-def flights(**effect: float) -> list[Observed]:
-    return [fly(*mission, **effect) for mission in MISSIONS]
+
+def flights(count: int = LEAST, **effect: float) -> list[Observed]:
+    return [fly(*mission, **effect) for mission in MISSIONS[:count]]
 
 
 def found(records: list[Observed], *without: str) -> Diagnosis:
     return diagnose(records, FILE, PACK, without, engine=engine_for(is_long=True))
+
+
+@cache
+def diagnosed(count: int = LEAST, **effect: float) -> Diagnosis:
+    return found(flights(count, **effect))
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +37,16 @@ def clean() -> list[Observed]:
     return flights()
 
 
-def test_an_effect_of_no_size_is_not_found(clean: list[Observed]) -> None:
-    diagnosis = found(clean)
+def test_an_effect_of_no_size_is_not_found() -> None:
+    diagnosis = diagnosed(len(MISSIONS))
     assert diagnosis.verdict == "no_missing_effect"
     assert diagnosis.classes == ()
 
 
 @pytest.mark.parametrize(
     ("planted", "name", "quantity", "truth"),
-    [
-        pytest.param({"gain": 1.24}, "current_gain", "gain_I", 1.24, marks=pytest.mark.slow),  # half of it is harder
+    [  # half of it is harder
+        pytest.param({"gain": 1.24}, "current_gain", "gain_I", 1.24, marks=pytest.mark.slow),
         ({"gain": 1.12}, "current_gain", "gain_I", 1.12),
         pytest.param({"unmetered_W": 50.0}, "unmetered_load", "unmetered_W", 50.0, marks=pytest.mark.slow),
         ({"unmetered_W": 25.0}, "unmetered_load", "unmetered_W", 25.0),
@@ -51,7 +59,7 @@ def test_an_effect_of_no_size_is_not_found(clean: list[Observed]) -> None:
 def test_a_planted_effect_is_in_the_first_class_at_full_and_at_half_size(
     planted: dict[str, float], name: str, quantity: str, truth: float
 ) -> None:
-    diagnosis = found(flights(**planted))
+    diagnosis = diagnosed(**planted)
     assert diagnosis.verdict in ("effect_found", "undeclared_effect")
     assert name in diagnosis.classes[0].members
     assert len(diagnosis.classes[0].members) <= 3
@@ -60,7 +68,7 @@ def test_a_planted_effect_is_in_the_first_class_at_full_and_at_half_size(
 
 
 def test_two_planted_effects_are_two_classes() -> None:
-    diagnosis = found(flights(gain=1.2, offset_V=-0.5))
+    diagnosis = diagnosed(gain=1.2, offset_V=-0.5)
     told = [set(c.members) for c in diagnosis.classes]
     assert len(told) == 2
     assert any("current_gain" in a and "voltage_offset" in b for a, b in (told, told[::-1]))
@@ -76,7 +84,7 @@ def test_a_late_current_is_told_from_a_resistance() -> None:
 
 @pytest.mark.slow
 def test_order_and_names_of_the_files_do_not_matter() -> None:
-    records = flights(gain=1.15)
+    records = flights(len(MISSIONS), gain=1.15)
     shuffled = [replace(records[i], name=f"other {i}") for i in (2, 0, 3, 1)]
     first, second = found(records), found(shuffled)
     assert first.verdict == second.verdict
@@ -93,14 +101,13 @@ def test_a_withheld_effect_never_becomes_a_confident_wrong_name() -> None:
 
 
 def test_the_extended_file_holds_the_effect_and_predicts_better_what_was_left_out() -> None:
-    records = flights(gain=1.2)
-    diagnosis = found(records)
+    diagnosis = diagnosed(gain=1.12)
     new = close.extended(FILE, diagnosis)
     entry = next(e for e in new.effects if e.name in diagnosis.classes[0].members)
     assert entry.parameters
     assert new.certificate.status == "fitted"
     left = close.left_out_values(diagnosis.problem, diagnosis.after)
-    empty = [np.zeros(0)] * len(records)
+    empty = [np.zeros(0)] * LEAST
     before_V, _ = close.open_loop(diagnosis.problem, diagnosis.before, empty)
     after_V, _ = close.open_loop(diagnosis.problem, diagnosis.after, left)
     assert after_V < 0.5 * before_V

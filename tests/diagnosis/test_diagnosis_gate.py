@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from unittest.mock import patch
 
 import msgspec
 import numpy as np
 import pytest
+from command import Judged
 
 from uavbatt import dataset
 from uavbatt.battery import battery_file
@@ -22,6 +24,7 @@ from uavbatt.log_replay.run import engine_for
 from uavbatt.records import Flight
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effects, write_log
 from uavbatt.telemetry import read_log
+from uavbatt.validation.gating import heldout
 
 CELLS, CAPACITY_AH, CUTOFF_V, LOW_V = 3, 1.5, 9.6, 10.5
 STUDY = Path(str(resources.files("uavbatt") / "data" / "study"))
@@ -51,12 +54,13 @@ def found(file: BatteryFile, tmp_path_factory: pytest.TempPathFactory) -> Diagno
 
 
 def test_a_sensor_effect_leaves_the_bench_tests_as_they_are_so_that_the_file_is_certified(
-    file: BatteryFile, found: Diagnosis
+    file: BatteryFile, found: Diagnosis, judged_study: Judged
 ) -> None:
     assert found.verdict == "effect_found" and "current_gain" in found.classes[0].members
     new = close.extended(file, found)
     assert new.status == "fitted"  # flights alone do not certify
-    verdicts = gate.verdicts(dataset.load(STUDY), new)
+    with patch.object(heldout, "circuit", return_value=judged_study.found.held):  # fitted there already
+        verdicts = gate.verdicts(dataset.load(STUDY), new)
     gated = close.gated(new, found, verdicts)
     assert {v.verdict for v in verdicts} == {"pass"}
     assert gated.status == "certified" and gated.certificate.validated_ambient_C == [25.0]

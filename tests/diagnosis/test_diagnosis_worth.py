@@ -17,6 +17,7 @@ from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of
 from uavbatt.diagnosis.rivals import FAMILIES, seated
 from uavbatt.fitting.observed import Observed
+from uavbatt.log_replay.run import engine_for
 
 # The planted flights are of this very model: what it leaves is the sensors' noise, and a little.
 CLOSE = Wander(
@@ -35,20 +36,25 @@ def flight(k: int, **effect: float) -> Observed:
 
 
 def found(records: list[Observed]) -> Diagnosis:
-    return diagnose(records, KNOWN, PACK)
+    return diagnose(records, KNOWN, PACK, engine=engine_for(is_long=True))
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Diagnosis:
+    return found([flight(k) for k in range(3)])
 
 
 @pytest.mark.parametrize(
     "places", [range(3), *(pytest.param(p, marks=pytest.mark.slow) for p in (range(3, 7), range(7, 15)))]
 )
-def test_a_healthy_set_of_three_four_or_eight_raises_no_alarm(places: range) -> None:
-    diagnosis = found([flight(k) for k in places])
+def test_a_healthy_set_of_three_four_or_eight_raises_no_alarm(places: range, healthy: Diagnosis) -> None:
+    diagnosis = healthy if places == range(3) else found([flight(k) for k in places])
     assert diagnosis.verdict == "no_missing_effect"
     assert {h.name for h in diagnosis.hidden} >= {"current_gain", "voltage_offset", "capacity_fade"}
 
 
-def test_what_could_hide_holds_the_truth_of_healthy_flights() -> None:
-    hidden = {h.name: h for h in found([flight(k) for k in range(3)]).hidden}
+def test_what_could_hide_holds_the_truth_of_healthy_flights(healthy: Diagnosis) -> None:
+    hidden = {h.name: h for h in healthy.hidden}
     for name, off in (("current_gain", 1.0), ("voltage_offset", 0.0), ("temperature_offset", 0.0)):
         assert hidden[name].lo <= off <= hidden[name].hi
 
@@ -73,7 +79,7 @@ def test_an_effect_in_half_of_the_flights_is_said_to_be_inconstant() -> None:
 
 
 def test_the_blocks_share_out_what_is_saved() -> None:
-    diagnosis = found([flight(k, offset_V=-0.4) for k in range(3)])
+    diagnosis = found([flight(k, offset_V=-0.4) for k in range(2)])
     blocks = evidence_by_block(diagnosis.problem, diagnosis.before, diagnosis.after)
     saved = np.sum(diagnosis.before.residual**2) - np.sum(diagnosis.after.residual**2)
     assert sum(b.saved for b in blocks) == pytest.approx(saved)
@@ -81,7 +87,7 @@ def test_the_blocks_share_out_what_is_saved() -> None:
 
 
 def test_a_pack_charged_in_part_is_a_finding_of_its_own() -> None:
-    whole = [flight(k) for k in range(3)]
+    whole = [flight(k) for k in range(2)]
     late = [_from(r, 0.7) for r in whole]
     diagnosis = found(late)
     assert diagnosis.classes[0].members == ("initial_charge",)
@@ -108,15 +114,15 @@ def _from(record: Observed, soc: float) -> Observed:
     )
 
 
-def test_slower_diffusion_is_news_to_a_file_that_has_a_slow_lag() -> None:
-    options = {c.name: c for c in options_of(found([flight(k) for k in range(3)]).problem, KNOWN, ())}
+def test_slower_diffusion_is_news_to_a_file_that_has_a_slow_lag(healthy: Diagnosis) -> None:
+    options = {c.name: c for c in options_of(healthy.problem, KNOWN, ())}
     diffusion, polarisation = options["slow_diffusion"], options["polarisation"]
     assert [QUANTITIES[f.index].name for f in diffusion.freed] == ["surface_h"] and not diffusion.resized
     assert [QUANTITIES[f.index].name for f in polarisation.freed] == ["polarisation_ratio"] and polarisation.resized
 
 
-def test_a_weak_cell_is_seated_beside_a_faded_pack() -> None:
-    fits = found([flight(k) for k in range(3)]).before
+def test_a_weak_cell_is_seated_beside_a_faded_pack(healthy: Diagnosis) -> None:
+    fits = healthy.before
     names = ("capacity_fade", "unmetered_load", "voltage_offset", "weak_cell")
     apart = [replace(fits, candidate=Candidate((n,), (), (0,)), residual=fits.residual + 10.0 * k)
              for k, n in enumerate(names)]  # fmt: skip

@@ -26,12 +26,14 @@ from uavbatt.live.config import FeedSection, LinkSection, RecordSection, StateSe
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.log_replay.run import steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 OPTIONS = PackOptions(capacity_Ah=5.0, cells=4, cutoff_V=13.2)
+SELDOM = ForecastSettings(forecast_period_s=30.0)  # most of the work is forecasts, and these facts need few
 GROUND_ROWS, FLIGHT_ROWS = 40, 360  # at 2 Hz: 20 s on the ground, then three minutes
 
 
@@ -51,7 +53,7 @@ def true_soc(samples: tuple[Sample, ...], start_soc: float = 1.0) -> float:
 
 @cache
 def undisturbed() -> Report:
-    bench = Bench(OPTIONS)
+    bench = Bench(OPTIONS, settings=SELDOM)
     bench.play(flight())
     return bench.daemon.board.reports[0]
 
@@ -68,7 +70,7 @@ def agrees(bench: Bench, wanted: Report) -> None:
 
 @pytest.mark.parametrize("fault", ["loss", "duplicates", "reordering", "all"])
 def test_a_bad_radio_does_not_move_the_estimate(fault: str) -> None:
-    bench, dice, late = Bench(OPTIONS), random.Random(7), []
+    bench, dice, late = Bench(OPTIONS, settings=SELDOM), random.Random(7), []
     for sample in flight():
         frames = [bench.framed(heartbeat(bool(sample.armed))), bench.framed(battery_status(sample, 0))]
         if fault in ("loss", "all"):
@@ -87,7 +89,7 @@ def test_a_bad_radio_does_not_move_the_estimate(fault: str) -> None:
 
 
 def test_a_gap_of_a_minute_is_stale_everywhere_and_then_bridged() -> None:
-    bench = Bench(OPTIONS, feed=FeedSection(kinds=("named", "battery")))
+    bench = Bench(OPTIONS, settings=SELDOM, feed=FeedSection(kinds=("named", "battery")))
     bench.play(flight()[:200])
     bench.now_s += 4.0
     bench.station.sent.clear()
@@ -104,7 +106,7 @@ def test_a_gap_of_a_minute_is_stale_everywhere_and_then_bridged() -> None:
 
 def test_an_autopilot_that_starts_anew_in_flight_changes_nothing() -> None:
     """Its charge counter begins at zero, its battery is unknown for a row, its clock says a few seconds."""
-    bench = Bench(OPTIONS)
+    bench = Bench(OPTIONS, settings=SELDOM)
     bench.play(flight()[:200])
     bench.now_s += 8.5
     bench.send(dialect.MAVLink_system_time_message(0, 900))
@@ -118,12 +120,12 @@ def test_an_autopilot_that_starts_anew_in_flight_changes_nothing() -> None:
 @pytest.mark.parametrize("companion", ["stays on", "starts anew"])
 def test_a_changed_pack_is_noticed_on_the_ground(tmp_path: Path, new_soc: float, gap_s: float, companion: str) -> None:
     state = StateSection(file=str(tmp_path / "state.json"))
-    bench = Bench(OPTIONS, state=state)
+    bench = Bench(OPTIONS, settings=SELDOM, state=state)
     bench.play(flight())
     before = bench.daemon.board.reports[0].estimate
     if companion == "starts anew":
         bench.daemon.close()
-        bench = Bench(OPTIONS, start_s=bench.now_s, state=state)
+        bench = Bench(OPTIONS, settings=SELDOM, start_s=bench.now_s, state=state)
     bench.now_s += gap_s
     another = flight(new_soc, seed=5)
     bench.play(another[:GROUND_ROWS])
@@ -142,7 +144,7 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
     """Landed, silent for a minute while its voltage recovers, heard again: the belief goes on, bettered by rest."""
     pack = generic_pack(4, 5.0, 13.2, math.nan)
     cell, state = pack.cell, model.rested(1.0, 20.0)
-    bench, rows = Bench(OPTIONS), []
+    bench, rows = Bench(OPTIONS, settings=SELDOM), []
     for k in range(1000):
         amps = 12.0 if k < 800 else 0.2
         if k < 800 or k >= 920:
@@ -160,7 +162,7 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
 
 
 def test_rows_that_are_always_slow_are_no_silence() -> None:
-    bench = Bench(OPTIONS)
+    bench = Bench(OPTIONS, settings=SELDOM)
     bench.play([Sample(20.0 * k, 16.6, 0.1, 20.0, 0.0, armed=False) for k in range(6)])
     assert bench.daemon.batteries.tracked[0].estimator._swap.bounds is None
     bench.now_s += 100.0
@@ -170,7 +172,7 @@ def test_rows_that_are_always_slow_are_no_silence() -> None:
 
 @pytest.mark.parametrize("jump_s", [-7200.0, 86_400.0])
 def test_a_jump_of_the_wall_clock_moves_neither_estimate_nor_recording(tmp_path: Path, jump_s: float) -> None:
-    bench = Bench(OPTIONS, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
+    bench = Bench(OPTIONS, settings=SELDOM, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
     bench.play(flight()[:200])
     bench.wall_offset_s += jump_s
     bench.now_s += 0.5
@@ -178,7 +180,7 @@ def test_a_jump_of_the_wall_clock_moves_neither_estimate_nor_recording(tmp_path:
     agrees(bench, undisturbed())
     bench.daemon.close()
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.jsonl")
-    run = steps(read_log(log), Estimator(battery_file.read_battery("lipo-generic"), OPTIONS))
+    run = steps(read_log(log), Estimator(battery_file.read_battery("lipo-generic"), OPTIONS, SELDOM))
     assert [json.loads(t) for t in lines.read_text().splitlines()] == [
         output.line(s.estimate, s.remaining) for s in run
     ]
@@ -188,10 +190,10 @@ def test_a_jump_of_the_wall_clock_moves_neither_estimate_nor_recording(tmp_path:
 def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, silent_s: float) -> None:
     """Killed in flight (nothing is flushed), started again: the number is there with the first row, the load known."""
     state = StateSection(file=str(tmp_path / "state.json"))
-    first = Bench(OPTIONS, state=state)
+    first = Bench(OPTIONS, settings=SELDOM, state=state)
     first.play(flight()[:-80])
     past = first.daemon.batteries.tracked[0].estimator.past
-    second = Bench(OPTIONS, start_s=first.now_s + silent_s, state=state)
+    second = Bench(OPTIONS, settings=SELDOM, start_s=first.now_s + silent_s, state=state)
     later = flight()[len(flight()) - 80 + int(2 * silent_s) - 1 :]
     second.play(later[:2])
     shown, clean = second.daemon.board.reports[0], undisturbed().remaining
@@ -210,7 +212,7 @@ def test_after_a_crash_the_time_is_back_and_inside_its_interval(tmp_path: Path, 
 def test_the_vehicle_that_is_named_is_the_one() -> None:
     """Two autopilots on one port: the first heard, or the one whose system is given."""
     for system, wanted_V in ((None, 16.0), (7, 15.0)):
-        bench = Bench(OPTIONS, link=LinkSection(endpoint="x", gcs=["y"], system=system))
+        bench = Bench(OPTIONS, settings=SELDOM, link=LinkSection(endpoint="x", gcs=["y"], system=system))
         for k in range(10):
             for sender, volts in ((1, 16.0), (7, 15.0)):
                 bench.send(heartbeat(True), system=sender)
@@ -223,9 +225,9 @@ def test_the_vehicle_that_is_named_is_the_one() -> None:
 
 def test_a_state_is_too_old_when_the_telemetry_begins_too_late(tmp_path: Path) -> None:
     state = StateSection(file=str(tmp_path / "state.json"))
-    first = Bench(OPTIONS, state=state)
+    first = Bench(OPTIONS, settings=SELDOM, state=state)
     first.play(flight()[:120])
-    second = Bench(OPTIONS, start_s=first.now_s + 400.0, state=state)
+    second = Bench(OPTIONS, settings=SELDOM, start_s=first.now_s + 400.0, state=state)
     second.daemon.turn()
     second.now_s += 400.0  # the autopilot is switched on now
     second.play(flight(0.5)[:20])
@@ -234,7 +236,7 @@ def test_a_state_is_too_old_when_the_telemetry_begins_too_late(tmp_path: Path) -
 
 def test_one_frame_that_slipped_through_the_checksum_forges_nothing() -> None:
     """A battery that nobody has, a voltage out of the blue, cells that no cell is like: nobody sees them."""
-    bench = Bench(OPTIONS)
+    bench = Bench(OPTIONS, settings=SELDOM)
     bench.play(flight()[:200])
     for volts, instance in (([17200] + [65535] * 9, 89), ([16000, 257, 147, 25600] + [65535] * 6, 0)):
         damaged = dialect.MAVLink_battery_status_message(instance, 0, 0, 2500, volts, 15430, 100, -1, 80)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import random
 import signal
-import subprocess
 import time
 import urllib.error
 import urllib.request
@@ -15,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command import refused_live
 from daemon_bench import Bench
-from live_rig import PATIENCE_S, PROGRAM, Station, Vehicle, free_port, manager_at, running, until
+from live_rig import PATIENCE_S, Station, Vehicle, free_port, manager_at, running, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.records import Sample
@@ -183,13 +182,6 @@ def health(base: str) -> int:
         return refusal.code
 
 
-def refusal(*arguments: str) -> tuple[int, str]:
-    done = subprocess.run(
-        [*PROGRAM, *arguments], capture_output=True, text=True, timeout=PATIENCE_S, env={**os.environ}
-    )
-    return done.returncode, done.stderr
-
-
 def test_what_cannot_be_run_is_said_in_one_line(tmp_path: Path) -> None:
     config = tmp_path / "u.toml"
     config.write_text('[feed]\nnamed_rate_Hz = "fast"\n')
@@ -200,5 +192,5 @@ def test_what_cannot_be_run_is_said_in_one_line(tmp_path: Path) -> None:
         (("udpin:127.0.0.1:1451", "--http", "0.0.0.0:8080"), 2, "http.token"),
         (("udpin:127.0.0.1:1451", "--config", str(config)), 1, "key feed.named_rate_Hz"),
     ):
-        got, error = refusal(*arguments)
-        assert (got, error.count("\n")) == (code, 1) and words in error, error
+        done = refused_live(*arguments, folder=tmp_path)
+        assert (done.returncode, done.stderr.count("\n")) == (code, 1) and words in done.stderr, done.stderr

@@ -14,7 +14,7 @@ import pytest
 from daemon_bench import OPTIONS, Bench, FakeLink
 from live_rig import Station, free_port, running, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
-from test_live_faults import GROUND_ROWS, flight, true_soc
+from test_live_faults import GROUND_ROWS, SELDOM, flight, true_soc
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
@@ -278,7 +278,7 @@ def test_a_sender_without_a_battery_does_not_shut_out_the_one_that_has_it() -> N
 
 def test_silence30h_pack_45(tmp_path: Path) -> None:
     """Landed, silent for 30 h, then a pack at 45 %: neither live's clock leaps, nor its recording's."""
-    bench = Bench(OPTIONS, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
+    bench = Bench(OPTIONS, settings=SELDOM, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
     bench.play(flight())
     bench.now_s += 30.0 * 3600.0
     another = flight(0.45, seed=5)[: GROUND_ROWS + 60]

@@ -11,6 +11,13 @@ from route_rig import planned, to
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, Wind
+from uavbatt.plan.mission import MissionPlan
+
+
+@pytest.fixture(scope="module")
+def long() -> MissionPlan:
+    """A mission of which the pack flies a part."""
+    return planned(to(1, 0.0, 6000.0, 40.0))
 
 
 def test_a_pack_that_is_remembered_as_faded_brings_less_home() -> None:
@@ -27,8 +34,8 @@ def test_a_pack_of_other_cells_is_not_the_one_that_is_remembered() -> None:
     assert planned(far, remembered=other).here.route.soc == planned(far).here.route.soc
 
 
-def test_a_short_mission_fits_and_a_long_one_does_not() -> None:
-    short, long = planned(to(1, 0.0, 300.0, 40.0)), planned(to(1, 0.0, 6000.0, 40.0))
+def test_a_short_mission_fits_and_a_long_one_does_not(long: MissionPlan) -> None:
+    short = planned(to(1, 0.0, 300.0, 40.0))
     assert short.here.fits
     assert not long.here.fits
     assert math.isnan(short.here.route.turn_back_s)
@@ -55,13 +62,12 @@ def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
     assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_wind_that_nobody_flies_against_leaves_no_way_home() -> None:
+def test_a_wind_that_nobody_flies_against_leaves_no_way_home(long: MissionPlan) -> None:
     found = planned(to(1, 0.0, 2000.0, 40.0), wind=Wind(0.0, 35.0))
     assert "do not take off" in found.here.no_way_home
     assert any("m/s through the air" in warning for warning in found.warnings)
-    calm = planned(to(1, 0.0, 6000.0, 40.0))
-    assert calm.here.no_way_home == ""
-    assert not any("through the air" in warning for warning in calm.warnings)
+    assert long.here.no_way_home == ""
+    assert not any("through the air" in warning for warning in long.warnings)
 
 
 def test_a_headwind_home_brings_the_turning_point_nearer() -> None:

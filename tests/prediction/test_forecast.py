@@ -22,6 +22,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X, drift_variance, ocv_doubt
 from uavbatt.estimator import Estimator
+from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction import sampling
 from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
@@ -211,11 +212,13 @@ def flown(seed: int, ambient_C: float = 20.0) -> tuple[Sample, ...]:
     return tuple(simulate_flight(pack(), SimulatedFlight(300.0, ambient_C, rate_Hz=1.0, seed=seed)))
 
 
-def run(samples: tuple[Sample, ...], period_s: float = 20.0) -> list[tuple[Estimate, Remaining]]:
+def run(
+    samples: tuple[Sample, ...], period_s: float = 20.0, is_compiled: bool = False
+) -> list[tuple[Estimate, Remaining]]:
     options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2, low_V=14.0)
     settings = ForecastSettings(forecast_period_s=period_s)
-    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, settings)
-    return [estimator.step(s) for s in samples]
+    generic, engine = battery_file.read_battery("lipo-generic"), engine_for(is_long=is_compiled)
+    return list(Estimator(generic, options, settings, engine).run(samples))
 
 
 def end_of(samples: tuple[Sample, ...]) -> float:
@@ -230,7 +233,7 @@ def outcome(seed: int, ambient_C: float = 20.0) -> list[tuple[float, Remaining]]
     """(true remaining, forecast) in the air until the end."""
     samples = flown(seed, ambient_C)
     end_s = end_of(samples)
-    return [(end_s - r.time_s, r) for _, r in run(samples) if 40.0 < r.time_s < end_s]
+    return [(end_s - r.time_s, r) for _, r in run(samples, is_compiled=True) if 40.0 < r.time_s < end_s]
 
 
 def test_the_interval_narrows_towards_the_end() -> None:
@@ -259,7 +262,7 @@ def test_intervals_hold_on_flights_of_the_model_itself() -> None:
 
 
 def test_it_is_finite_in_order_and_never_negative() -> None:
-    for estimate, remaining in run(flown(1), 5.0):
+    for estimate, remaining in run(flown(1), 10.0):
         values = (remaining.remaining_lo_s, remaining.remaining_s, remaining.remaining_hi_s)
         if remaining.status is Status.REFUSED:
             assert all(math.isnan(v) for v in (*values, remaining.remaining_to_low_s)) and remaining.reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import pytest
 from factories import generic_pack
@@ -52,14 +53,15 @@ def row(k: int, now: Navigation) -> tuple[Sample, Navigation]:
     return Sample(float(k), 15.0, 12.0, temp_C=25.0), heard
 
 
-def flown(navigation: Navigation, later: Navigation | None = None, rows: int = ROWS) -> list[Remaining]:
+@cache
+def flown(navigation: Navigation, later: Navigation | None = None, rows: int = ROWS) -> tuple[Remaining, ...]:
     """The remaining time after each row of a hover under 180 W, with `later` known from half time on."""
     estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     said = []
     for k in range(rows):
         now = later if later is not None and 2 * k >= rows else navigation
         said.append(estimator.step(*row(k, now))[1])
-    return said
+    return tuple(said)
 
 
 def route(navigation: Navigation, later: Navigation | None = None) -> Route:

@@ -8,7 +8,7 @@ stands in `page_audit.js`; one Chromium serves all tests.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +17,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import pytest
-from browser import Browser, program
+from browser import Browser
 from command import called
 from daemon_bench import Bench
 from live_rig import ROOT, free_port
@@ -50,16 +50,6 @@ ROUTE = """QGC WPL 110
 2\t0\t3\t16\t0\t0\t0\t0\t47.001\t8.0\t20\t1
 """
 PACK = ("--battery", "lipo-generic", "--cells", "4", "--capacity-ah", "5", "--cutoff-voltage", "13.2")
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    path = program()
-    if path is None:
-        pytest.skip("no chromium here: apt-get install chromium")
-    running = Browser(path, tmp_path_factory.mktemp("chromium"))
-    yield running
-    running.close()
 
 
 def by_command(folder: Path, *call: str | Path) -> str:

@@ -22,7 +22,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD
 from uavbatt.fitting.vehicle import vehicle_file
-from uavbatt.log_replay.run import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import UnknownAircraft, learned_load
@@ -162,7 +162,9 @@ def logged(flight: Flight) -> LoggedLoad:
 
 
 def replayed(flight: Flight, battery: BatteryFile, load: Load) -> list[ReplayedRow]:
-    return list(steps(flight, Estimator(battery, OPTIONS, ForecastSettings(load, forecast_period_s=20.0))))
+    """The flight as a fleet flies it: compiled, to 1e-9 the same (tests/compiled)."""
+    settings = ForecastSettings(load, forecast_period_s=20.0)
+    return list(steps(flight, Estimator(battery, OPTIONS, settings, engine_for(is_long=True))))
 
 
 def at(run: list[ReplayedRow], flight: Flight, share: float) -> ReplayedRow:

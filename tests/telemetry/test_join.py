@@ -15,10 +15,12 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 from uavbatt.telemetry.join import Wiring, joined, read_joined
 
+EVERY_30_S = ForecastSettings(forecast_period_s=30.0)
 HALF = PackFacts(cells_series=4, capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 
@@ -70,9 +72,9 @@ def test_two_packs_last_as_long_as_one_of_their_size() -> None:
         battery(i, *(replace(s, current_A=share * s.current_A, consumed_Ah=NAN) for s in rows))
         for i, share in enumerate(shares)
     ]
-    options = PackOptions(capacity_Ah=10.0, cells=4, cutoff_V=13.2)
+    generic, options = battery_file.read_battery("lipo-generic"), PackOptions(capacity_Ah=10.0, cells=4, cutoff_V=13.2)
     said = [
-        [s.remaining.remaining_s for s in steps(flight, Estimator(battery_file.read_battery("lipo-generic"), options))]
+        [s.remaining.remaining_s for s in steps(flight, Estimator(generic, options, EVERY_30_S))]
         for flight in (Flight("one", "csv", tuple(rows)), joined(halves, Wiring.PARALLEL))
     ]
     assert np.allclose(said[0], said[1], atol=2.0, rtol=0.0, equal_nan=True) and np.isfinite(said[0]).any()

@@ -17,11 +17,13 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, steps
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry import read_log
 
 CUTOFF_V = 21.6
 PACK = PackOptions(cells=6, capacity_Ah=5.7, cutoff_V=CUTOFF_V)
+EVERY_30_S = ForecastSettings(forecast_period_s=30.0)
 
 
 def bare(flight: Flight) -> Flight:
@@ -31,7 +33,7 @@ def bare(flight: Flight) -> Flight:
 
 
 def replayed(flight: Flight) -> list[ReplayedRow]:
-    return list(steps(flight, Estimator(battery_file.read_battery("lipo-generic"), PACK)))
+    return list(steps(flight, Estimator(battery_file.read_battery("lipo-generic"), PACK, EVERY_30_S)))
 
 
 @pytest.fixture(params=["m100_001_752", "m100_009_794", "m100_038_752"])
