@@ -36,6 +36,9 @@ from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, with_effec
 pytest.importorskip("numba", reason="the extra `fast` is not installed")
 LOGS = Path(__file__).resolve().parents[2] / "logs"
 CLOSE = 1e-9
+# NIS is a quotient of some millivolts that are told apart in 21 V, correlations are quotients of what is left of large
+# variances: a surprising row (NIS 6) of a flight at 12 s a row makes 3e-8 of the last digit, and the next row 3e-9 again.
+NIS_CLOSE, CORRELATIONS_CLOSE = 1e-8, 1e-7
 
 
 def pack_4s() -> Pack:
@@ -68,7 +71,8 @@ def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
             np.testing.assert_allclose(quick.belief.means, plain.belief.means, rtol=CLOSE, atol=CLOSE)
             sd = np.sqrt(np.diagonal(plain.belief.covariances, axis1=1, axis2=2))
             scale = sd[:, :, None] * sd[:, None, :]
-            np.testing.assert_allclose(quick.belief.covariances / scale, plain.belief.covariances / scale, atol=CLOSE)
+            quick_share, plain_share = quick.belief.covariances / scale, plain.belief.covariances / scale
+            np.testing.assert_allclose(quick_share, plain_share, rtol=0.0, atol=CORRELATIONS_CLOSE)
             assert quick.belief.time_s == plain.belief.time_s
     # Of a bank: members that the readings have left behind amplify the last digit, and weigh little.
     for quick, plain in both(pack, capacities(pack), samples):
@@ -190,7 +194,7 @@ def test_a_replay_says_the_same_compiled(name: str) -> None:
         return [[value for value in row if isinstance(value, float)] for row in values]
 
     for row, quick in zip(numbers(PLAIN), numbers(compiled.engine()), strict=True):
-        np.testing.assert_allclose(quick, row, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(quick, row, rtol=CLOSE, atol=NIS_CLOSE)
 
 
 # --- the open loop -----------------------------------------------------------------------------------------------
