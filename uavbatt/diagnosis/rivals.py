@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.diagnosis.batch import slopes_on_file
 from uavbatt.diagnosis.evidence import Evidence
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import slopes_on_file
 
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
