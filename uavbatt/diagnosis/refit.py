@@ -24,7 +24,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 ITERATIONS = 12
 SETTLED = 40  # of the model with nothing added: what it has not settled would be credited to every effect
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
-CONVERGED = 0.05  # change of chi-square below which a candidate is done
+CONVERGED = 0.01  # change of chi-square below which a candidate is done
 STUCK = 1e4  # damping beyond which no step gains
 
 
