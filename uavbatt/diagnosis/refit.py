@@ -73,7 +73,8 @@ def refit(
     state = _linearised(batch, u, v, moving)
     for _ in range(iterations):
         gain = _turn(batch.part(going), going, moving, state, u, v, damping)
-        going = going[(np.abs(gain) >= CONVERGED) & (damping[going] <= STUCK)]
+        done = (np.abs(gain) < CONVERGED) | (damping[going] > STUCK)  # a pack that ran away gains no number: not done
+        going = going[~done]
         if not going.size:
             break
     state = _linearised(batch, u, v, np.arange(batch.size))  # the errors that are held count in the standard errors

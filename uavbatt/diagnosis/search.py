@@ -91,8 +91,8 @@ def search(
 ) -> tuple[Refit, list[FoundEffect], Trial]:
     """The best model with what was found, most evidence first, and the trial of the single effects.
 
-    explains : whether a model, and is it more than a suspect, leaves no more than the file's own; two effects are asked
-    for less where no one does.
+    explains : whether a model, and does it name an effect, leaves no more than the file's own; two effects are asked for
+    less where no one does.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -102,7 +102,7 @@ def search(
     if singles.most >= least:
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
-    is_explained = explains(best, singles.most >= EVEN)
+    is_explained = explains(best, bool(found))
     if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
     tell("pairs of effects")
@@ -139,10 +139,10 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     five of eight cases.
     """
     fits = [tried.fits[i] for i in tried.rivals]
-    steady = [_steady(tried.worths[i].constancy) for i in tried.rivals]
+    steady = [f.candidate.name for i, f in zip(tried.rivals, fits, strict=True) if _steady(tried.worths[i].constancy)]
     likely = weights(problem, fits)
-    if any(steady):  # what differs from record to record is no rival to what does not
-        likely = np.where(steady, likely, 0.0)
+    if steady:  # what differs from record to record is no rival to what does not, but for the effects of one family
+        likely = np.where([related((f.candidate.name,), steady) for f in fits], likely, 0.0)
     likely = likely * _usual(fits)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
     members = [order[k] for k in seated([fits[i] for i in order])]
