@@ -86,13 +86,12 @@ def search(
     problem: Problem,
     options: list[Candidate],
     nothing: Refit,
-    explains: Callable[[Refit, bool], bool],
+    explains: Callable[[Refit], bool],
     tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
     """The best model with what was found, most evidence first, and the trial of the single effects.
 
-    explains : whether a model, and does it name an effect, leaves no more than the file's own; two effects are asked for
-    less where no one does.
+    explains : whether a model leaves no more than the file's own; two effects are asked for less where no one does.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -102,7 +101,7 @@ def search(
     if singles.most >= least:
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
-    is_explained = explains(best, bool(found))
+    is_explained = explains(best)
     if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
     tell("pairs of effects")
@@ -140,10 +139,9 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     """
     fits = [tried.fits[i] for i in tried.rivals]
     steady = [f.candidate.name for i, f in zip(tried.rivals, fits, strict=True) if _steady(tried.worths[i].constancy)]
-    likely = weights(problem, fits)
+    likely = _likely(problem, fits)
     if steady:  # what differs from record to record is no rival to what does not, but for the effects of one family
         likely = np.where([related((f.candidate.name,), steady) for f in fits], likely, 0.0)
-    likely = likely * _usual(fits)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
     members = [order[k] for k in seated([fits[i] for i in order])]
     its = tried.worths[tried.rivals[members[0]]]
@@ -198,8 +196,17 @@ def _best_pair(
             earned.append(fit)
     if not earned:
         return None
-    return earned[int(np.argmax(weights(problem, earned[:TRIED]) * _usual(earned[:TRIED])))]
+    return earned[int(np.argmax(_likely(problem, earned[:TRIED])))]
 
 
-def _usual(fits: list[Refit]) -> Array:
-    return np.array([RESIZED ** len(f.candidate.resized) for f in fits])
+def _likely(problem: Problem, fits: list[Refit]) -> Array:
+    """Return how likely each of `fits` is, which come by chi-square.
+
+    Another size of what the file has leaves least by its ease of bending; where it is not the likeliest all the same,
+    the others are held against the best of themselves and not against it.
+    """
+    usual = np.array([RESIZED ** len(f.candidate.resized) for f in fits])
+    likely: Array = weights(problem, fits) * usual
+    if np.argmax(likely) and usual[0] < 1.0:
+        likely = weights(problem, fits, int(np.argmax(usual))) * usual
+    return likely
