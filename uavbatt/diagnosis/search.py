@@ -70,16 +70,16 @@ class Trial:
         places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
-        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name.
+        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
+        # if that is not the same as nothing.
         first = worthy[0] if worthy else -1
         return [
             i
             for i in possible
-            if i in worthy or (i < first and self.worths[i].value > EARNED) or (worthy and self._is_same(i, first))
+            if i in worthy
+            or (i < first and self.worths[i].value > EARNED)
+            or (worthy and self.worths[i].value > 0.5 * EARNED and same(self.fits[i], self.fits[first]))
         ]
-
-    def _is_same(self, i: int, first: int) -> bool:
-        return same(self.fits[i], self.fits[first])
 
 
 def search(
