@@ -159,8 +159,8 @@ def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tel
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
     floor = floor_V(file, problem)
 
-    def explained(fit: Refit) -> bool:  # as `doubts` will judge it
-        return explains(problem, fit, floor if fit.candidate.names else math.inf)
+    def explained(fit: Refit, is_named: bool) -> bool:
+        return explains(problem, fit, floor if is_named else math.inf)
 
     return _Searched(problem, nothing, *search(problem, options, nothing, explained, tell))
 

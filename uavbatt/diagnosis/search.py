@@ -86,12 +86,13 @@ def search(
     problem: Problem,
     options: list[Candidate],
     nothing: Refit,
-    explains: Callable[[Refit], bool],
+    explains: Callable[[Refit, bool], bool],
     tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
     """The best model with what was found, most evidence first, and the trial of the single effects.
 
-    explains : whether a model leaves no more than the file's own; two effects are asked for less where no one does.
+    explains : whether a model, and is it more than a suspect, leaves no more than the file's own; two effects are asked
+    for less where no one does.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -101,7 +102,7 @@ def search(
     if singles.most >= least:
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
-    is_explained = explains(best)
+    is_explained = explains(best, singles.most >= EVEN)
     if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
     tell("pairs of effects")
