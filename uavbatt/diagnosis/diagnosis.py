@@ -93,7 +93,7 @@ def diagnose(
     """Diagnose records of one pack.
 
     without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` is some three times faster); wear_sd : how well the fade and the growth that `pack` has are
+    (`compiled.engine()` takes two thirds of the time); wear_sd : how well the fade and the growth that `pack` has are
     known, where it was met before. Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)
