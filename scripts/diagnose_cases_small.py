@@ -5,8 +5,8 @@ Run: .venv/bin/python scripts/diagnose_cases_small.py BATTERY.battery.toml HEALT
 HEALTHY holds healthy flights, FOLDER labelled cases, both of `scripts/porous_cases.py`. Each case: what its effect
 would be worth, its place by chi-square, what is worth most. Then how many would be told, and how many with the truth
 among three names, at the level that one healthy set in fifty passes: with the errors that the battery file states, and
-with a half, a fifth and none of them, so that it is seen whether a smaller stated error would show more. Last, how often
-the truth is inside the stated interval, and how healthy sets scatter.
+with a half, a fifth and none of them, so that it is seen whether a smaller stated error would show more. Last, how
+often the truth is inside the stated interval, and how healthy sets scatter.
 """
 
 from __future__ import annotations

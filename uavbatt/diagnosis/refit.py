@@ -167,7 +167,8 @@ def _given(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:
     _, a_uv, a_vv, _, g_v = _blocks(s, v)
     a_vv = a_vv * (1.0 + damping[:, None, None, None] * np.eye(NUISANCES))
     right = g_v[..., None] - np.swapaxes(a_uv, -1, -2) @ du[..., None]
-    return np.clip(np.linalg.solve(a_vv, right)[..., 0], -5.0, 5.0)
+    out: Array = np.linalg.solve(a_vv, right)[..., 0]
+    return out
 
 
 def _refit_of(batch: Batch, state: _Linearised, u: Array, v: Array, i: int) -> Refit:
