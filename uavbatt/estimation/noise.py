@@ -21,8 +21,10 @@ from uavbatt.battery.state_space import SIZE, X
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
 # An electrode that reacts more sluggishly than the tested ones takes a voltage at once when the load comes, nearly the
-# same at every load (half of it at 0.3 C: Butler and Volmer), 0.05 V a cell at 0.6 of the exchange current.
-REACTION_SD_V, REACTION_HALF_RATE = 0.025, 0.3
+# same at every load (half of it at 0.3 C: Butler and Volmer), 0.05 V a cell at 0.6 of the exchange current: a pack that
+# has lost a sixth of its charge may be there. Less room for it, and its drop is taken for ohms, which grow in the cold
+# and at the knee, and for charge that makes up for them.
+REACTION_SD_V, REACTION_HALF_RATE = 0.05, 0.3
 # Under load, before the pack has shown itself, the drop is known to half of itself.
 UNSEEN_SHARE, OVERPOTENTIAL_SD_V, LOADED_SOC_SD = 0.5, 0.003, 0.15
 ROUNDS = 6

@@ -24,7 +24,7 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.packs.records import Told
 
 HOVER_C_RATE = 2.5
-ELECTRODE_SD_V = 0.025  # what sluggish electrodes of a pack in service take
+ELECTRODE_SD_V = 0.025  # what sluggish electrodes take over the life of a pack; one flight leaves room for twice that
 # From flight to flight of one pack the beliefs scatter by a part of what each says of itself: the other part is the
 # error of the battery file, which is the same in all of them. Of the charge that part falls with what a flight tells:
 # one that lands half full extrapolates, and errs by all of its sd.
