@@ -24,8 +24,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 ITERATIONS = 12
 SETTLED = 40  # of the model with nothing added: what it has not settled would be credited to every effect
 SCAN = (0.0, 0.3, -0.3, 0.6, -0.6, 1.2, -1.2, 2.0, -2.0)
-CONVERGED = 0.01  # change of chi-square below which a candidate is done
-STUCK = 1e4  # damping beyond which no step gains
+CONVERGED = 0.01  # chi-square that a step has to promise
 
 
 class _Linearised(NamedTuple):
@@ -72,29 +71,42 @@ def refit(
     moving, going = batch.moving, np.arange(len(candidates))
     state = _linearised(batch, u, v, moving)
     for _ in range(iterations):
-        gain = _turn(batch.part(going), going, moving, state, u, v, damping)
-        done = (np.abs(gain) < CONVERGED) | (damping[going] > STUCK)  # a pack that ran away gains no number: not done
-        going = going[~done]
+        going = _turn(batch, going, moving, state, u, v, damping)
         if not going.size:
             break
     state = _linearised(batch, u, v, np.arange(batch.size))  # the errors that are held count in the standard errors
     return [_refit_of(batch, state, u, v, i) for i in range(len(candidates))]
 
 
-def _turn(part: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array, v: Array, damping: Array) -> Array:
-    """One step of the candidates that are `going`, taken where it gains, written in place; returns what it gains."""
-    now, at_u, at_v, held_by = state.of(going), u[going], v[going], damping[going]
-    to_u = at_u.copy()
-    to_u[..., moving] += _step(now, at_v, held_by)
-    to_u = np.clip(to_u, part.low[:, None], part.high[:, None])
-    to_v = at_v + _given(now, at_v, (to_u - at_u)[..., moving], held_by)
-    trial = _linearised(part, to_u, to_v, moving)
-    gain: Array = np.sum(now.chi2 - trial.chi2, axis=1)
-    better = np.flatnonzero(gain > 0.0)
+def _turn(batch: Batch, going: Rows, moving: Rows, state: _Linearised, u: Array, v: Array, damping: Array) -> Rows:
+    """One step of the candidates that are `going`, taken where it gains, written in place; returns who goes on.
+
+    One whose step promises nothing is done, whether at its best or damped to a standstill. What a step gained does not
+    tell: one that leaps a corner may gain nothing and be far from the best.
+    """
+    part, now = batch.part(going), state.of(going)
+    du = np.zeros((going.size, *u.shape[1:]))
+    du[..., moving] = _step(now, v[going], damping[going])
+    du = np.clip(u[going] + du, part.low[:, None], part.high[:, None]) - u[going]
+    dv = _given(now, v[going], du[..., moving], damping[going])
+    few = np.flatnonzero(_promised(now, v[going], du[..., moving], dv) >= CONVERGED)
+    going, now, to_u, to_v = going[few], now.of(few), (u[going] + du)[few], (v[going] + dv)[few]
+    if not going.size:
+        return going
+    trial = _linearised(part.part(few), to_u, to_v, moving)
+    gains = np.sum(now.chi2 - trial.chi2, axis=1) > 0.0
+    better = np.flatnonzero(gains)
     u[going[better]], v[going[better]] = to_u[better], to_v[better]
     state.put(going[better], trial.of(better))
-    damping[going] = np.clip(held_by * np.where(gain > 0.0, 0.2, 8.0), 1e-6, 1e6)
-    return gain
+    damping[going] = np.clip(damping[going] * np.where(gains, 0.2, 8.0), 1e-6, 1e6)
+    return going
+
+
+def _promised(s: _Linearised, v: Array, du: Array, dv: Array) -> Array:
+    """Chi-square that a step would gain were the model linear and the step whole, g'd."""
+    *_, g_u, g_v = _blocks(s, v)
+    out: Array = np.sum(g_u * du, axis=(1, 2)) + np.sum(g_v * dv, axis=(1, 2))
+    return out
 
 
 def _scanned(batch: Batch, u: Array, v: Array) -> Array:
@@ -167,8 +179,7 @@ def _given(s: _Linearised, v: Array, du: Array, damping: Array) -> Array:
     _, a_uv, a_vv, _, g_v = _blocks(s, v)
     a_vv = a_vv * (1.0 + damping[:, None, None, None] * np.eye(NUISANCES))
     right = g_v[..., None] - np.swapaxes(a_uv, -1, -2) @ du[..., None]
-    out: Array = np.linalg.solve(a_vv, right)[..., 0]
-    return out
+    return np.asarray(np.linalg.solve(a_vv, right)[..., 0], dtype=np.float64)
 
 
 def _refit_of(batch: Batch, state: _Linearised, u: Array, v: Array, i: int) -> Refit:
