@@ -51,7 +51,7 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 3000.0
-SERVICE_RESISTANCE_SD = 0.3  # ohms grow with age, and contacts with dirt
+SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # Of a make that nobody tested the printed capacity is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
 # Its curve is a mean over makes, off for minutes at a time and always to the same side: a tenth of the readings is new,
