@@ -30,6 +30,7 @@ from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
 VEHICLE, STATION = ("127.0.0.1", 24_651), ("127.0.0.1", 24_650)
 TICKS = os.sysconf("SC_CLK_TCK")
+WARM_S, WARM_ON_ROUTE_S = 5.0, 25.0  # on a route nothing is said of the way home before 20 s of flight tell the power
 
 
 def rss_MB(pid: int) -> float:
@@ -115,7 +116,7 @@ def measure(feed: str, rate: float, seconds: float, mission: Path | None = None)
     delays: dict[str, list[float]] = {"frame": [], "named": []}
     home_values = 0
     begin_s, cpu0_s = time.monotonic(), 0.0
-    warm_s = 5.0
+    warm_s = WARM_S if mission is None else WARM_ON_ROUTE_S
     while (now_s := time.monotonic()) < begin_s + warm_s + seconds:
         if not cpu0_s and now_s > begin_s + warm_s:
             cpu0_s = cpu_s(process.pid)

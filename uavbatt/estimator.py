@@ -41,7 +41,7 @@ from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Names
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers
+from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers, end_times
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
 from uavbatt.prediction.last_wall import LastWall
@@ -111,7 +111,7 @@ class Estimator:
         self._monitor, self._wall = Monitor(), LastWall()
         self._is_guessed = False  # the filter was begun for a current that nobody measured
         self._engine = engine
-        self._in_flight = Engine(partial(filter_window, condition=filterpy_condition()), answers)
+        self._in_flight: Window = partial(filter_window, condition=filterpy_condition())
 
     @classmethod
     def from_battery(
@@ -191,8 +191,8 @@ class Estimator:
 
         navigation : where the aircraft is and what it will fly. Raises UsageError when nobody states the pack's size.
         """
-        ((estimate, remaining),) = self._window([sample], lambda _: navigation, self._in_flight)
-        return estimate, remaining
+        (pending,) = self._pending([sample], lambda _: navigation, self._in_flight)
+        return pending.finish(end_times(pending.question) if pending.question is not None else None)
 
     def run(
         self, samples: Iterable[Sample], navigation_at: Callable[[float], Navigation] | None = None
@@ -245,7 +245,10 @@ class Estimator:
 
     def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:
         """The samples as the filter may have them, each with the memory of the cleaning after it."""
-        cleaner, assumed_W, most_A = self._cleaner, self._assumed_W(samples), self._most_A(samples)
+        cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
+        # A load is assumed where no sensor tells one; more than `most_A` no pack of the size gives.
+        assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
+        most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
         found = []
         for sample in samples:
             cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
@@ -300,18 +303,6 @@ class Estimator:
         self._wall = self._wall.after(sample, belief, self._filter.pack, self._forecaster.cutoff_V)
         return Pending(sample, found, self._forecaster, refusal, question, self._wall.left_s(sample.time_s))
 
-    def _assumed_W(self, coming: Sequence[Sample]) -> float:
-        """The power of a middling multirotor on this pack; NaN before a voltage tells the pack, or with a sensor."""
-        if self._cleaner.metered:
-            return NAN
-        size = self.pack_size or self._known.by_voltage(coming)
-        return typical_power_W(size.cells, size.capacity_Ah) if size is not None else NAN
-
-    def _most_A(self, coming: Sequence[Sample]) -> float:
-        """More than this no pack of the size gives; no limit before a voltage tells the pack."""
-        size = self.pack_size or self._known.by_voltage(coming)
-        return HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
-
     def _pack(self, size: PackSize) -> Pack:
         pack = sized(self.battery, size)
         if self._cleaner.guessed:
@@ -321,11 +312,12 @@ class Estimator:
 
     def _warnings(self, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
         """All that a reader of the number must know beside it; each is said once."""
-        assert self.pack_size is not None and self._filter is not None
+        size = self._known.size
+        assert size is not None and self._filter is not None
         is_metered = not self._cleaner.guessed
-        found = remarks(self.battery, self.pack_size, sample, known, self._filter.pack, is_metered=is_metered)
+        found = remarks(self.battery, size, sample, known, self._filter.pack, is_metered=is_metered)
         if is_metered and self.remembered is not None:
             changed = unlike(self._filter.pack, self.remembered, known.wear, known.wear_sd)
             found = (*found, changed) if changed else found
-        doubted = dict.fromkeys((*self.pack_size.notices, *(doubt.words for doubt in self._known.doubts)))
+        doubted = dict.fromkeys((*size.notices, *(doubt.words for doubt in self._known.doubts)))
         return (*found, *doubted, *self._cleaner.notices)

@@ -20,7 +20,8 @@ import numpy as np
 
 from peers.columns import FloatArray
 from uavbatt.navigation import Navigation
-from uavbatt.prediction.route_path import Leg, way_home
+from uavbatt.prediction.route_legs import Leg
+from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_progress import here_at
 
 INAV_MARGIN = 0.05

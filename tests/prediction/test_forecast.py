@@ -16,12 +16,14 @@ from hypothesis import strategies as st
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.model import SOC_GRID, Array, Parameters
+from uavbatt.battery.model import SOC_GRID, Array, Parameters, rested, source, source_from
 from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.battery.state_space import SIZE, Belief, X
+from uavbatt.battery.state_space import SIZE, Belief, X, drift_variance, ocv_doubt
 from uavbatt.estimator import Estimator
+from uavbatt.prediction import sampling
+from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.load import ConstantLoad
@@ -100,6 +102,22 @@ def test_a_steady_power_needs_no_finer_steps(power_W: float, temp_C: float) -> N
     found, steps = forecast(pack()._replace(bias_sd_V=1e-9), now, power_W), 12000
     fine = time_to_end(pack(), now.mean[:, None], np.full((steps, 1), power_W), temp_C, np.full(steps, 0.5))
     assert found.median_s == pytest.approx(float(fine.end_s[0]), rel=0.003)
+
+
+def test_one_look_up_finds_what_the_model_finds_in_each_curve() -> None:
+    there = generic_pack()
+    soc = np.array([-0.4, -0.05, -0.001, 0.0, 0.3337, 0.9999, 1.02, 1.05])
+    state = rested(soc, 25.0)
+    charged_V, new_ohmAh, drift_sd_V = looked_up(curve_tables(there), soc)
+    found = source_from(there.cell, state, charged_V, new_ohmAh)
+    np.testing.assert_allclose(np.stack(found), np.stack(source(there.cell, state)), rtol=1e-12)
+    np.testing.assert_allclose(drift_variance(drift_sd_V, 0.01), ocv_doubt(there, soc, 0.01), rtol=1e-12)
+
+
+def test_a_forecast_of_few_steps_draws_the_first_of_the_normals_of_a_long_one() -> None:
+    few, many = sampling.wander(5, by_rows=True), sampling.wander(sampling.LONGEST, by_rows=True)
+    assert np.array_equal(few.bias, many.bias[:5]) and np.array_equal(few.row, many.row[:5])
+    assert np.array_equal(sampling.wander_home(5), many.bias[::-1][:5])
 
 
 def test_twice_the_pack_at_twice_the_power_lasts_as_long() -> None:

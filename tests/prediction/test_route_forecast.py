@@ -6,11 +6,15 @@ import math
 from dataclasses import replace
 
 import pytest
+from factories import generic_pack
 from route_rig import HOME, SETTINGS, mission, to
 
+from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import Estimator, Past
 from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
 from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
+from uavbatt.prediction.batch import end_times
+from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.prediction.route_progress import FlightLessons
 from uavbatt.records import PackFacts, Remaining, Route, Sample
@@ -106,6 +110,23 @@ def test_a_mission_changed_in_flight_changes_the_forecast_at_once() -> None:
     first, last = said[ROWS // 2 - 1].route, said[ROWS // 2 + 5].route
     assert first is not None and last is not None
     assert last.left_s < first.left_s - 100.0
+
+
+def test_of_forecasts_a_second_apart_every_second_one_asks_about_the_ways_and_the_others_count_down() -> None:
+    forecaster = Forecaster(generic_pack(), ForecastSettings(forecast_period_s=1.0))
+    estimator = SocFilter(generic_pack())
+    asked = []
+    for k in range(ROWS):
+        now = known(leg_to(350.0)) if k < ROWS // 2 else known(to(1, 0.0, FAR_M + 50.0, 350.0))
+        sample, heard = row(k, now)
+        estimate = estimator.step(sample)
+        refusal, question = forecaster.update(sample, estimate, estimator.belief, heard)
+        answered = None if question is None else (question, end_times(question))
+        said = forecaster.finish(sample, estimate, refusal, answered)
+        asked.append(question is not None and question.route is not None)
+        assert said.route is not None or question is None
+    assert asked[ROWS // 2 - 6 : ROWS // 2] in ([True, False] * 3, [False, True] * 3)
+    assert asked[ROWS // 2]  # another mission: at once
 
 
 def test_stale_progress_falls_back_to_the_learned_load_with_its_reason() -> None:

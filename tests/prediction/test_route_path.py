@@ -9,7 +9,8 @@ import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
 from uavbatt.navigation import Action, Frame, MissionItem, SpeedKind
-from uavbatt.prediction.route_path import Phase, Point, path, way_home
+from uavbatt.prediction.route_legs import Phase, Point
+from uavbatt.prediction.route_path import path, way_home
 
 
 def ends(*items: MissionItem) -> list[tuple[float, float, float]]:
@@ -23,6 +24,16 @@ def test_a_leg_lasts_as_long_as_its_slower_axis() -> None:
     assert legs[0].run_m == pytest.approx(500.0, abs=0.5)
     assert legs[0].moving_s == pytest.approx(100.0, abs=0.1)
     assert legs[1].moving_s == pytest.approx(30.0 / 1.5)
+
+
+def test_legs_as_columns_say_what_each_leg_says() -> None:
+    found = path(mission(to(1, 300.0, 400.0, 50.0, hold_s=7.0), to(2, 300.0, 400.0, 20.0)), HOME, SETTINGS)
+    for k, leg in enumerate(found.legs):
+        assert (found.table.seq[k], found.table.phase[k]) == (leg.seq, leg.phase)
+        assert tuple(found.table.end[k]) == leg.end
+        said = (found.table.run_m[k], found.table.rise_m[k], found.table.hold_s[k])
+        assert said == pytest.approx((leg.run_m, leg.rise_m, leg.hold_s))
+        assert (found.table.moving_s[k], found.table.fastest_ms[k]) == pytest.approx((leg.moving_s, leg.fastest_ms))
 
 
 def test_heights_above_sea_and_above_home_are_the_same_place() -> None:

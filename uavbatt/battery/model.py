@@ -78,33 +78,46 @@ def rested(soc: Number, temp_C: Number) -> State:
 def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
     """OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
     position = (soc - LOWEST_SOC) / GRID_STEP
-    return _ocv_V(p, soc, position, eq.segment(position, LAST_POSITION))
+    index = eq.segment(position, LAST_POSITION)
+    return _ocv_V(p, soc, eq.interpolated(p.ocv_V, index, position - index))
 
 
 def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
     """R0(soc, T) [ohm·Ah]."""
     position = (soc - LOWEST_SOC) / GRID_STEP
-    return _r0_ohmAh(p, position, eq.segment(position, LAST_POSITION), core_C)
+    index = eq.segment(position, LAST_POSITION)
+    return _r0_ohmAh(p, eq.interpolated(p.r0_ohmAh, index, _held(position) - index), core_C)
 
 
-def _ocv_V(p: Parameters, soc: Number, position: Number, index: Number) -> Number:
-    charged_V = eq.interpolated(p.ocv_V, index, position - index)
+def _ocv_V(p: Parameters, soc: Number, charged_V: Number) -> Number:
+    """OCV(soc) [V] from `charged_V`, what the table says of it."""
     if not eq.is_on(p.hysteresis_V):
         return charged_V
     return charged_V - p.hysteresis_V * eq.hysteresis_fraction(1.0 - soc, TURN_CHARGE)
 
 
-def _r0_ohmAh(p: Parameters, position: Number, index: Number, core_C: Number) -> Number:
-    share = np.minimum(np.maximum(position, 0.0), LAST_POSITION) - index  # flat beyond the ends
-    return p.resistance_gain * eq.interpolated(p.r0_ohmAh, index, share) * eq.arrhenius(core_C, p.activation_K)
+def _r0_ohmAh(p: Parameters, new_ohmAh: Number, core_C: Number) -> Number:
+    """R0(soc, T) [ohm·Ah] from `new_ohmAh`, what the table says of it."""
+    return p.resistance_gain * new_ohmAh * eq.arrhenius(core_C, p.activation_K)
 
 
 def source(p: Parameters, s: State) -> tuple[Number, Number]:
     """`electromotive_force` and `resistance` in one look-up."""
     position = (s.soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
-    emf_V = _ocv_V(p, s.soc, position, index) - s.polarisation_V - s.diffusion_V
-    return emf_V, _r0_ohmAh(p, position, index, s.core_C)
+    charged_V = eq.interpolated(p.ocv_V, index, position - index)
+    return source_from(p, s, charged_V, eq.interpolated(p.r0_ohmAh, index, _held(position) - index))
+
+
+def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -> tuple[Number, Number]:
+    """`source` where what the tables `ocv_V` and `r0_ohmAh` say at this charge is known already."""
+    emf_V = _ocv_V(p, s.soc, charged_V) - s.polarisation_V - s.diffusion_V
+    return emf_V, _r0_ohmAh(p, new_ohmAh, s.core_C)
+
+
+def _held(position: Number) -> Number:
+    """The position in a table that is flat beyond its ends."""
+    return np.minimum(np.maximum(position, 0.0), LAST_POSITION)
 
 
 def electromotive_force(p: Parameters, s: State) -> Number:
@@ -120,7 +133,8 @@ def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
 
 def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: Number) -> Number:
     """Return the voltage of `source` behind `series_ohmAh`, its own resistance included, under `c_rate` [V]."""
-    return emf_V - c_rate * series_ohmAh - transfer_drop(p, c_rate)
+    volts = emf_V - c_rate * series_ohmAh
+    return volts - transfer_drop(p, c_rate) if eq.is_on(p.transfer_V) else volts
 
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
@@ -172,6 +186,16 @@ def lags(p: Parameters, dt_s: Number) -> Lags:
     )
 
 
+def cell_lags(p: Parameters, dt_s: Number) -> Lags:
+    """`lags` for `step_cell`, which leaves the sensor as it is."""
+    return Lags(
+        eq.decay(dt_s, p.polarisation_tau_s),
+        eq.decay(dt_s, p.diffusion_tau_s),
+        eq.decay(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
+        1.0,
+    )
+
+
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
     """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
     return step_with_decay(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))
@@ -202,7 +226,9 @@ def step_cell(
     slow_V = drop_V * p.diffusion_ratio
     if eq.is_on(p.diffusion_activation_K):
         slow_V = slow_V * eq.arrhenius(s.core_C, p.diffusion_activation_K)
-    fast_V = drop_V * p.polarisation_ratio + depletion(p, s.soc, c_rate)
+    fast_V = drop_V * p.polarisation_ratio
+    if eq.is_on(p.surface_h):
+        fast_V = fast_V + depletion(p, s.soc, c_rate)
     drained = c_rate * (p.charge_gain * eq.load_factor(p.rate_gain_h, c_rate))
     return State(
         soc=eq.charge_step(s.soc, drained, dt_s),

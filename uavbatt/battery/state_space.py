@@ -118,7 +118,12 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     position = (soc - model.LOWEST_SOC) / model.GRID_STEP
     index = eq.segment(position, model.LAST_POSITION)
     share = np.minimum(np.maximum(position, 0.0), model.LAST_POSITION) - index
-    return eq.interpolated(pack.ocv_drift_sd_V, index, share) ** 2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
+    return drift_variance(eq.interpolated(pack.ocv_drift_sd_V, index, share), drained)
+
+
+def drift_variance(drift_sd_V: Number, drained: Number) -> Number:
+    """`ocv_doubt` where what the table `ocv_drift_sd_V` says at this charge is known already."""
+    return drift_sd_V**2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:

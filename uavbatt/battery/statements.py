@@ -34,6 +34,9 @@ OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]
 NOTHING = (None,) * 8
+SLOW_ROWS = Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
+CHARGING = Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
+IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", False)
 
 
 class Means(NamedTuple):
@@ -84,6 +87,11 @@ class Current(NamedTuple):
         """True from the first row under load on."""
         return self.load is not NO_LOAD
 
+    @property
+    def longest_negative_s(self) -> float:
+        """For how long a current may flow into a pack [s]: in flight motors that brake give some back."""
+        return REGENERATING_S if self.load is not NO_LOAD else REVERSED_S
+
     def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
         """The value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
         gap_s, rate, has_flown = time_s - self.time_s, current_A / pack.capacity_Ah, self.has_flown
@@ -124,7 +132,7 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        seen = self._seen(volts, _is_idle(raw, pack.capacity_Ah))
+        seen = self._seen(volts, not self.current.has_flown and _is_idle(raw, pack.capacity_Ah))
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
         current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
@@ -138,12 +146,12 @@ class Statements(NamedTuple):
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
             cells_doubt(pack.cells, self.seen, resting) if self.rows else None,
-            self._time_doubt(),
-            self._sign_doubt(),
+            SLOW_ROWS if self.long_rows >= SEVERAL_ROWS else None,
+            CHARGING if self.current.negative_s >= self.current.longest_negative_s else None,
             self._rate_doubt(pack.capacity_Ah),
             self._charge_doubt(pack.capacity_Ah),
             self._power_doubt(power_W),
-            self._temperature_doubt(),
+            IN_KELVIN if self.kelvin_rows >= SEVERAL_ROWS else None,
         )
         if found == NOTHING:
             return ()
@@ -169,19 +177,9 @@ class Statements(NamedTuple):
         shown_V = min(volts, self.voltage_V) if rows else volts
         if rows < 2 or shown_V > first_V:
             first_V = shown_V
-        if is_idle and not self.current.has_flown:
+        if is_idle:
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
         return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
-
-    def _time_doubt(self) -> Doubt | None:
-        if self.long_rows < SEVERAL_ROWS:
-            return None
-        return Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
-
-    def _sign_doubt(self) -> Doubt | None:
-        if self.current.negative_s < (REGENERATING_S if self.current.has_flown else REVERSED_S):
-            return None
-        return Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
 
     def _rate_doubt(self, capacity_Ah: float) -> Doubt | None:
         load, strain = self.current.load, self.current.strain
@@ -214,11 +212,6 @@ class Statements(NamedTuple):
         more = "more than twice" if self.current.load.power_W > high_W else "less than half"
         spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
         return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
-
-    def _temperature_doubt(self) -> Doubt | None:
-        if self.kelvin_rows < SEVERAL_ROWS:
-            return None
-        return Doubt("the temperature reads as if it were in kelvin: not used", False)
 
 
 def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:

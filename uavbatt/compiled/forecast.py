@@ -30,7 +30,7 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 
 def compiled_end_times(q: Question) -> EndTimes:
     """Simulate one forecast; returns the end of each sample."""
-    steps, drawn = q.dt_s.size, sampling.wander()
+    drawn = sampling.wander(q.dt_s.size, q.by_rows)
     ends = time_to_end(
         as_numbers(q.pack),
         np.ascontiguousarray(q.x),
@@ -38,8 +38,8 @@ def compiled_end_times(q: Question) -> EndTimes:
         float(q.ambient_C),
         np.ascontiguousarray(q.dt_s),
         float(q.reserve_soc),
-        drawn.bias[:steps],
-        drawn.row[:steps],
+        drawn.bias,
+        drawn.row,
         q.by_rows,
     )
     return EndTimes(*ends)

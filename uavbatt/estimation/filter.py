@@ -101,7 +101,9 @@ class SocFilter:
         window : the recursion over rows (`recursion.filter_window`, or its compiled twin).
         Returns the filter after each sample.
         """
-        paired = [self._skew.paired(sample) if is_complete(sample) else sample for sample in samples]
+        paired = samples
+        if self._skew.delay_s:
+            paired = [self._skew.paired(sample) if is_complete(sample) else sample for sample in samples]
         rows: list[FilteredRow] = []
         if self._state is None:
             first = next((k for k, sample in enumerate(paired) if is_complete(sample)), None)

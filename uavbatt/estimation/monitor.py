@@ -49,9 +49,7 @@ class Innovations(NamedTuple):
     high_since_s: float = math.nan
 
     def after(self, time_s: float, nis: float) -> Innovations:
-        """The same with one more block of rows; rows within a block have none."""
-        if not math.isfinite(nis):
-            return self
+        """The same with one more block of rows."""
         keep = math.exp(-NIS_BLOCK_S / NIS_TAU_S)
         mean = keep * self.mean + (1.0 - keep) * nis
         if mean <= NIS_LIMIT:
@@ -84,7 +82,9 @@ class Monitor(NamedTuple):
         readings = self.readings.after(time_s, volts, amps, cells)
         least = LoadWatch(voltage_V=LEAST_RISE_CELL_V * cells, current_A=LOADED_C_RATE * capacity_Ah)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, least)
-        innovations = self.innovations.after(time_s, estimate.nis)
+        innovations, off_sds = self.innovations, self.off_sds
+        if math.isfinite(estimate.nis):  # a block is closed: between two of them nothing new is known of these
+            innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
         still = (
             (STUCK_VOLTAGE, readings.stuck_voltage_s(cells, capacity_Ah)),
             (STUCK_CURRENT, readings.stuck_current_s(capacity_Ah)),
@@ -95,7 +95,6 @@ class Monitor(NamedTuple):
             refusals.append(DEAD_CURRENT)
         if innovations.is_unfitting(time_s):
             doubts.append(UNFITTING)
-        off_sds = discrepancy_sds(belief, pack) if math.isfinite(estimate.nis) else self.off_sds  # once a block does
         if abs(off_sds) > FAR_SDS:
             doubts.append(FAR_OFF)
         if off_sds < -LOST_SDS:  # far too little voltage for the charge; too much of it harms nobody

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
@@ -19,7 +20,6 @@ from uavbatt.errors import UavbattError
 from uavbatt.live import state
 from uavbatt.live.config import Config
 from uavbatt.live.listener import tell
-from uavbatt.live.pack_keeper import PackKeeper
 from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
@@ -29,6 +29,9 @@ from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, LiveRow
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES
+
+if TYPE_CHECKING:
+    from uavbatt.live.pack_keeper import PackKeeper
 
 NOTE_S = 60.0
 
@@ -159,6 +162,8 @@ class Batteries:
         packs = self._config.packs
         if not packs.file:
             return None
+        from uavbatt.live.pack_keeper import PackKeeper  # 4 MB that a flight without a ledger does not need
+
         return PackKeeper(Path(packs.file), packs.name, self._battery, self._options, self._utc_s)
 
     def _utc_s(self, now_s: float) -> float:

@@ -24,11 +24,13 @@ from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.long_steps import begun
-from uavbatt.prediction.route_ahead import Ahead, Way
+from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
+from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
-from uavbatt.prediction.route_path import Point, path
-from uavbatt.prediction.turn_back import flown_on, home_pieces
+from uavbatt.prediction.route_path import path, way_home
+from uavbatt.prediction.route_pieces import Way
+from uavbatt.prediction.turn_back import flown_on
 from uavbatt.records import Route
 
 STEPS = 400
@@ -55,7 +57,7 @@ class Planned:
                 f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
             )
         way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
-        return Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.legs)), way
+        return Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table)), way
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,7 @@ def make_route_plan(
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
     warnings = (*filter(None, (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead))), *resolved.notices)
-    turning = ahead.point(turn_s) if math.isfinite(turn_s) else None
+    turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
     return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying), turning, rows, warnings)
 
 
@@ -150,9 +152,8 @@ def _fit(
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
     flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
-    home = RouteLoad(
-        Ahead(ahead.begin, home_pieces(ahead, way, planned.settings, 0.0)), planned.powers, 1.0, load.level_sd
-    )
+    legs_home = legs_table(way_home(ahead.begin, planned.settings))
+    home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
     known = ToCome(load, "route", "", ahead, home.ahead, "", home)
     asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
     end_s = np.minimum(end_times(question).end_s, question.horizon_s)
@@ -165,26 +166,22 @@ def _fit(
 
 
 def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
-    """Return when and with what charge each leg ends."""
-    last = [i for i, piece in enumerate(ahead.pieces) if i + 1 == len(ahead.pieces) or _ends_leg(ahead, i)]
-    ends_s: Array = ahead.ends_s[last]
+    """Return when and with what charge each leg ends: a wait belongs to the leg before it."""
+    pieces = ahead.pieces
+    goes_on = (pieces.end[1:] != pieces.end[:-1]).any(axis=1) | (pieces.seq[1:] != pieces.seq[:-1])
+    last = np.append(np.flatnonzero(goes_on), pieces.seq.size - 1)
+    ends_s: Array = pieces.ends_s[last]
     going = begun(flying.pack, flying.x, flying.ambient_C)
     soc = np.quantile(flown_on(going, flying.power_W, flying.dt_s, ends_s).state.soc, LEVELS, axis=1)
     return tuple(
-        LegEnd(ahead.pieces[i].seq, float(end_s), ahead.pieces[i].end, *(max(float(z), 0.0) for z in (middle, lo, hi)))
-        for i, end_s, lo, middle, hi in zip(last, ends_s, *soc, strict=True)
+        LegEnd(int(pieces.seq[i]), float(end_s), Point(*pieces.end[i].tolist()), *(max(float(z), 0.0) for z in charge))
+        for i, end_s, charge in zip(last, ends_s, soc[[1, 0, 2]].T, strict=True)
     )
-
-
-def _ends_leg(ahead: Ahead, index: int) -> bool:
-    """Return True if the next piece goes somewhere else: a wait belongs to the leg before it."""
-    here, following = ahead.pieces[index], ahead.pieces[index + 1]
-    return here.end != following.end or here.seq != following.seq
 
 
 def _air_remark(ahead: Ahead) -> str:
     """A warning of legs that ask more speed through the air than multirotors have; empty without one."""
-    fastest_ms = max(piece.airspeed_ms for piece in ahead.pieces)
+    fastest_ms = float(ahead.pieces.airspeed_ms.max())
     if fastest_ms <= FASTEST_USUAL_MS:
         return ""
     return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"

@@ -15,7 +15,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
-from uavbatt.prediction.route_forecast import RouteAsked
+from uavbatt.prediction.route_forecast import RouteAsked, WaysAsked
 from uavbatt.prediction.take_off import AtTakeOff
 from uavbatt.prediction.time_to_end import EndTimes, Normals, time_to_end
 
@@ -36,6 +36,7 @@ class Question(NamedTuple):
     by_rows: bool
     at_take_off: AtTakeOff | None = None  # what was expected then
     route: RouteAsked | None = None  # what else the forecast says, of the route and of the way home
+    ways: WaysAsked = WaysAsked()  # when that was asked; earlier than now: it counts down
 
 
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
@@ -43,7 +44,8 @@ Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 def end_times(q: Question) -> EndTimes:
     """Simulate one forecast; returns the end of each sample."""
-    return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, sampling.wander(), q.by_rows)
+    drawn = sampling.wander(q.dt_s.size, q.by_rows)
+    return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -58,6 +60,8 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 
 def _together(few: list[Question]) -> list[EndTimes]:
     """Side by side in a batch [questions, draws]; a shorter one goes on as it ended, unseen."""
+    if len(few) == 1:  # in flight: arrays of one dimension less
+        return [end_times(few[0])]
     steps = max(q.dt_s.size for q in few)
 
     def on(values: Iterable[Array]) -> Array:
@@ -71,7 +75,7 @@ def _together(few: list[Question]) -> list[EndTimes]:
     def each(values: Iterable[float]) -> Array:
         return np.array([*values])[:, None]
 
-    drawn = sampling.wander()
+    drawn = sampling.wander(steps, few[0].by_rows)
     ends = time_to_end(
         few[0].pack._replace(cutoff_V=each(q.pack.cutoff_V for q in few), low_V=each(q.pack.low_V for q in few)),
         np.stack([q.x for q in few], axis=1),

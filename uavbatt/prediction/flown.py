@@ -46,15 +46,16 @@ class Flown(NamedTuple):
     def after(self, sample: Sample, power_W: float, c_rate: float) -> Flown:
         """Return the past with one more row, its power [W] and its C-rate."""
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
-        now = self._timed(sample.time_s, dt_s, c_rate)._carried(sample)
-        if not now.is_flying:
+        now = self._carried(sample, dt_s, c_rate)
+        if not math.isfinite(now.flying_since_s):
             return now
         now = now._replace(load=now.load.after(sample.time_s, power_W))
         if not math.isfinite(now.took_off_s):
             return now._replace(took_off_s=sample.time_s)
         step_s = max(dt_s, 0.0)
         now = now._replace(flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
-        return now._spooled_up(power_W)
+        is_early = now.time_s - now.took_off_s <= SPOOL_UP_S
+        return now._spooled_up(power_W) if is_early else now
 
     def moved(self, shift_s: float) -> Flown:
         """Return the same past on a clock that shows `shift_s` more."""
@@ -66,27 +67,22 @@ class Flown(NamedTuple):
             took_off_s=self.took_off_s + shift_s,
         )
 
-    def _timed(self, time_s: float, dt_s: float, c_rate: float) -> Flown:
-        """The past with the time of a row and its smoothed C-rate."""
-        row_s = self.row_s
+    def _carried(self, sample: Sample, dt_s: float, c_rate: float) -> Flown:
+        """The past that knows by its smoothed C-rate and the armed flag if the motors carry the aircraft."""
+        row_s, time_s = self.row_s, sample.time_s
         if 0.0 < dt_s <= LONGEST_ROW_S:
             row_s = dt_s + (row_s - dt_s) * ROW_MEMORY if math.isfinite(row_s) else dt_s
-        smoothed = c_rate + (self.rate_c - c_rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else c_rate
-        return self._replace(time_s=time_s, row_s=row_s, rate_c=smoothed)
-
-    def _carried(self, sample: Sample) -> Flown:
-        """Return the past that knows if the motors carry the aircraft, by the load and the armed flag."""
-        if self.rate_c >= FLYING_C:
-            since_s = self.flying_since_s if self.is_flying else sample.time_s
-            return self._replace(loaded_s=sample.time_s, flying_since_s=since_s)
-        if sample.armed is False or not sample.time_s - self.loaded_s < LANDED_AFTER_S:
-            return self._replace(flying_since_s=NAN)
-        return self
+        rate_c = c_rate + (self.rate_c - c_rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else c_rate
+        since_s, loaded_s = self.flying_since_s, self.loaded_s
+        if rate_c >= FLYING_C:
+            since_s, loaded_s = since_s if math.isfinite(since_s) else time_s, time_s
+        elif sample.armed is False or not time_s - loaded_s < LANDED_AFTER_S:
+            since_s = NAN
+        return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
     def _spooled_up(self, power_W: float) -> Flown:
         """All before was the motors' spool-up if the power has risen by half: the flight begins here."""
-        is_early = self.time_s - self.took_off_s <= SPOOL_UP_S
-        if not is_early or not self.load.gust_W * self.flown_s > SPOOLED_UP * self.flown_J:
+        if not self.load.gust_W * self.flown_s > SPOOLED_UP * self.flown_J:
             return self
         fresh = RecentLoad().after(self.time_s, power_W)
         return self._replace(load=fresh, took_off_s=self.time_s, flown_s=0.0, flown_J=0.0)

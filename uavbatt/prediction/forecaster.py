@@ -25,7 +25,7 @@ from uavbatt.prediction.forecast import LEVELS, Forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
-from uavbatt.prediction.route_forecast import Flying
+from uavbatt.prediction.route_forecast import Flying, WaysAsked
 from uavbatt.prediction.route_progress import FlightLessons, Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
@@ -82,6 +82,7 @@ class Forecaster:
         self.cell_spread_V = 0.0  # how far the weakest cell is below the mean, where cells are measured
         self._flown = Flown()
         self._asked_s = NAN
+        self._ways = WaysAsked()
         self._last: Forecast | None = None
         self._progress = Progress()  # on the route
         self._rested: Belief | None = None  # the last one on the ground
@@ -122,9 +123,9 @@ class Forecaster:
             question = self.question(belief, sample.time_s, navigation)
             refusal = "" if question else "the end lies beyond six hours: the load is not that of a flight"
         if refusal:
-            self._asked_s = NAN
+            self._asked_s, self._ways = NAN, WaysAsked()
         elif question is not None:
-            self._asked_s = sample.time_s
+            self._asked_s, self._ways = sample.time_s, question.ways
         return refusal, question
 
     def finish(
@@ -168,9 +169,12 @@ class Forecaster:
         )
         if not navigation.has_way:
             return question
+        ways = route_forecast.ways_asked(known, navigation, time_s)
+        if not self._ways.is_due(ways):
+            return question._replace(ways=self._ways)
         flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
         route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
-        return question._replace(route=route)
+        return question._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
         """Return the endurance if it took off now, with the load as it is known on the ground; no memory changes."""
@@ -208,6 +212,8 @@ class Forecaster:
         ends_s = self._last.steadied(fresh.end_s, time_s) if self._last is not None else fresh.end_s
         lo_s, alarm_s, median_s, hi_s = (quantile(ends_s, level) for level in LEVELS)
         route = question.route and route_forecast.route_answer(question.route, ends.end_s)
+        if route is None and question.ways.about and self._last is not None and self._last.route is not None:
+            route = self._last.route.later(time_s - self._last.time_s)
         low_s = min(quantile(fresh.low_s, 0.5), median_s) if math.isfinite(self.pack.low_V) else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 

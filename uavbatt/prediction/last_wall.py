@@ -176,7 +176,7 @@ def walled(said: Remaining, wall_s: float) -> Remaining:
     """`said` bounded by the last wall, `wall_s` from now [s]; a number of no width is never `ok`."""
     if not math.isfinite(said.remaining_s):
         return said
-    now = bounded(said, wall_s)
+    now = bounded(said, wall_s) if wall_s < math.inf else said
     if wall_s < min(said.remaining_lo_s, CONTRADICTED_S) and now.status is not Status.REFUSED:
         now = replace(now, status=Status.CONVERGING, reason=FALLS_FASTER)
     if now.remaining_hi_s > now.remaining_lo_s:

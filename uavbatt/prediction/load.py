@@ -16,7 +16,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.sampling import LONGEST
+from uavbatt.prediction.sampling import LONGEST, held
 
 MEAN_TAU_S = 60.0
 WINDOW_TAU_S = 20.0
@@ -84,23 +84,17 @@ class RecentLoad(NamedTuple):
         if not math.isfinite(self.time_s):
             return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
         dt_s = max(time_s - self.time_s, 0.0)
-
-        def blend(old: float, new: float, tau_s: float) -> float:
-            return new + (old - new) * math.exp(-dt_s / tau_s)
-
-        mean_W = blend(self.mean_W, power_W, MEAN_TAU_S)
-        window_W = blend(self.window_W, power_W, WINDOW_TAU_S)
-        gust_W = blend(self.gust_W, power_W, GUST_TAU_S)
+        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
+        window_W = power_W + (self.window_W - power_W) * math.exp(-dt_s / WINDOW_TAU_S)
+        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
         strayed = (window_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.variance
         gusty = (gust_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.gust_variance
-        return RecentLoad(
-            time_s,
-            mean_W,
-            window_W,
-            blend(self.variance, strayed, SPREAD_TAU_S),
-            gust_W,
-            blend(self.gust_variance, gusty, SPREAD_TAU_S),
+        keep = math.exp(-dt_s / SPREAD_TAU_S)
+        variance, gust_variance = (
+            strayed + (self.variance - strayed) * keep,
+            gusty + (self.gust_variance - gusty) * keep,
         )
+        return RecentLoad(time_s, mean_W, window_W, variance, gust_W, gust_variance)
 
     @property
     def swings(self) -> Swings:
@@ -245,7 +239,7 @@ def swung(dt_s: Array, count: int, swings: Swings) -> Array:
 
 def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
     """A process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
-    normals, memory = _normals(LONGEST, count, process), np.exp(-dt_s / memory_s)
+    normals, memory = _normals(held(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
     fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
     return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
 

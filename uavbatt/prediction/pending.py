@@ -31,25 +31,24 @@ class Pending(NamedTuple):
     question: Question | None = None
     wall_s: float = math.inf  # seconds until the measured voltage itself is at the cut-off
 
+    def finish(self, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
+        """The estimate and the remaining time; `ends` answers the question, if there is one."""
+        sample, found = self.sample, self.estimate
+        if self.forecaster is None:
+            return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, self.refusal)
+        answered = (self.question, ends) if self.question is not None and ends is not None else None
+        remaining = walled(self.forecaster.finish(sample, found, self.refusal, answered), self.wall_s)
+        if remaining.reason == FALLS_FASTER:
+            found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
+        if remaining.remaining_alarm_s <= ALARM_S:
+            found = replace(found, warnings=(*found.warnings, ALARM))
+        if remaining.route is not None and remaining.route.turn_back_lo_s <= 0.0:
+            found = replace(found, warnings=(*found.warnings, TURN_BACK))
+        return found, remaining
+
 
 def finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
     """The estimate and the remaining time of each row, in order; `answers` simulates their forecasts at once."""
     ends = iter(answers([row.question for row in waiting if row.question is not None]))
     for row in waiting:
-        yield _finish(row, next(ends) if row.question is not None else None)
-
-
-def _finish(row: Pending, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
-    """The estimate and the remaining time of a row; `ends` answers its question, if it had one."""
-    sample, found = row.sample, row.estimate
-    if row.forecaster is None:
-        return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, row.refusal)
-    answered = (row.question, ends) if row.question is not None and ends is not None else None
-    remaining = walled(row.forecaster.finish(sample, found, row.refusal, answered), row.wall_s)
-    if remaining.reason == FALLS_FASTER:
-        found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
-    if remaining.remaining_alarm_s <= ALARM_S:
-        found = replace(found, warnings=(*found.warnings, ALARM))
-    if remaining.route is not None and remaining.route.turn_back_lo_s <= 0.0:
-        found = replace(found, warnings=(*found.warnings, TURN_BACK))
-    return found, remaining
+        yield row.finish(next(ends) if row.question is not None else None)

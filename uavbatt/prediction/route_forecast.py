@@ -14,10 +14,11 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
-from uavbatt.prediction.long_steps import STEP_S, Going, begun, walked
-from uavbatt.prediction.route_ahead import Ahead, Piece, Way, ahead, home_now
+from uavbatt.prediction.long_steps import STEP_S, Going, begun, source, walked
+from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
+from uavbatt.prediction.route_pieces import Way, waiting
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.sampling import wander
 from uavbatt.prediction.turn_back import TurnBack, turned
@@ -33,6 +34,9 @@ NAMES = {
 }
 IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
+# Both ways cost as much as the end itself, and what was said of them counts down: of forecasts a second apart, every
+# second one asks.
+ROUTE_PERIOD_S = 1.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
 
@@ -56,6 +60,17 @@ class RouteAsked(NamedTuple):
     route_s: Array | None  # touchdown of each draw
     route_soc: Array | None
     turn: TurnBack | None
+
+
+class WaysAsked(NamedTuple):
+    """The last time [s] that the ways were asked about, and what was known of them then."""
+
+    time_s: float = math.nan
+    about: tuple[object, ...] = ()
+
+    def is_due(self, now: WaysAsked) -> bool:
+        """Return True if it is time to ask again; at once when something else is known now."""
+        return now.about != self.about or not 0.0 <= now.time_s - self.time_s < ROUTE_PERIOD_S
 
 
 def powers_of(load: Load) -> Powers:
@@ -82,6 +97,12 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     return ToCome(load, name, "", route, known_home, home_reason, homewards)
 
 
+def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAsked:
+    """Return what is known of the ways at a time [s]."""
+    told = (known.name, known.reason, known.home_reason)
+    return WaysAsked(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
+
+
 class Flying(NamedTuple):
     """The simulated flights of a forecast: draws of the belief, their power [steps, draws], the scenario of each."""
 
@@ -104,7 +125,8 @@ def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typic
         asked = asked._replace(route_s=route_s, route_soc=_charge_at(going, flying.power_W, flying.dt_s, route_s))
     if known.homewards is None:
         return asked
-    flown = known.route or Ahead(known.homewards.ahead.begin, (_staying(known.homewards.ahead),), False)
+    here = known.homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
+    flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
     longest_s = min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf)
     at_home = (flown, flying.power_W, flying.dt_s, known.homewards, scenario, way, settings, longest_s)
     return asked._replace(turn=turned(going, *at_home))
@@ -114,11 +136,6 @@ def _reason(known: ToCome) -> str:
     return "; ".join(dict.fromkeys(filter(None, (known.reason, known.home_reason))))
 
 
-def _staying(home: Ahead) -> Piece:
-    """Without a route the aircraft is taken to stay as far from home as it is."""
-    return Piece(ENDLESS_S, 0.0, 0.0, False, False, -1, home.begin, 0.0)
-
-
 def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
     """The charge of each draw at its own time [draws], in steps joined to about STEP_S."""
     each = max(round(STEP_S / float(dt_s[0])), 1)
@@ -126,11 +143,11 @@ def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
     lengths_s = np.add.reduceat(dt_s, first)
     watts = np.add.reduceat(power_W * dt_s[:, None], first) / lengths_s[:, None]
     charge, begin_s = np.asarray(going.state.soc).copy(), 0.0
-    for length_s, power, normals in zip(lengths_s, watts, wander().bias, strict=False):
+    for length_s, power, normals in zip(lengths_s, watts, wander(lengths_s.size).bias, strict=False):
         share = np.clip((at_s - begin_s) / length_s, 0.0, 1.0)
         if not share.any() or not (going.state.soc > 0.0).any():
             break
-        later = walked(going, power, float(length_s), normals)
+        later = walked(going, source(going), power, float(length_s), normals)
         charge += share * (later.state.soc - going.state.soc)
         going, begin_s = later, begin_s + length_s
     return np.asarray(np.maximum(charge, 0.0))

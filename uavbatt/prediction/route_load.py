@@ -10,7 +10,8 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, power, terms
 from uavbatt.prediction.load import Now, Scenarios, Swings, swinging
-from uavbatt.prediction.route_ahead import Ahead, Piece
+from uavbatt.prediction.route_ahead import Ahead
+from uavbatt.prediction.route_pieces import Pieces
 
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of
@@ -29,7 +30,7 @@ class RouteLoad:
 
     def typical_W(self, now: Now) -> float:
         """Mean power of the pieces to come."""
-        lengths_s = np.array([piece.length_s for piece in self.ahead.pieces])
+        lengths_s = self.ahead.pieces.length_s
         if not lengths_s.sum() > 0.0:
             return max(self.level * self.powers.hover_W, LOWEST_POWER_W)
         return max(float(np.average(self.piece_W, weights=lengths_s)), LOWEST_POWER_W)
@@ -58,7 +59,7 @@ class RouteLoad:
         watts = np.append(self.piece_W, self.level * self.powers.hover_W)[:, None] * levels
         watts *= np.append(farness(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
         edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
-        drawn_J = _energy_J(self.ahead.ends_s, watts, edges_s[:, None] / stretch) * stretch
+        drawn_J = _energy_J(self.ahead.pieces.ends_s, watts, edges_s[:, None] / stretch) * stretch
         power_W = np.maximum(np.diff(drawn_J, axis=0) / dt_s[:, None], LOWEST_POWER_W)
         return Scenarios(power_W, np.full(SCENARIOS, 1.0 / SCENARIOS), dt_s)
 
@@ -69,26 +70,22 @@ def factors(load: RouteLoad) -> Array:
     return np.asarray(np.exp(sds[:, None] * _normals()))
 
 
-def piece_terms(pieces: tuple[Piece, ...], induced_ms: float) -> Array:
+def piece_terms(pieces: Pieces, induced_ms: float) -> Array:
     """Return the terms of the powers for each piece."""
-    columns = np.array([piece[1:5] for piece in pieces], float).reshape(-1, 4)
-    airspeed_ms, climb_ms, taking_off, landing = columns.T
-    return terms(airspeed_ms, climb_ms, taking_off, landing, induced_ms)
+    return terms(pieces.airspeed_ms, pieces.climb_ms, pieces.taking_off, pieces.landing, induced_ms)
 
 
 def roughness(load: RouteLoad, wind_ms: float) -> Array:
     """Return the relative sd of the power within each piece: the rows' own, and gusts where the airspeed weighs."""
-    pieces, watts = load.ahead.pieces, load.piece_W
-    faster = replace(
-        load, ahead=Ahead(load.ahead.begin, tuple(p._replace(airspeed_ms=p.airspeed_ms + 1.0) for p in pieces))
-    )
-    return np.hypot(load.powers.row_sd, (faster.piece_W / watts - 1.0) * GUSTS * wind_ms)
+    pieces = load.ahead.pieces
+    faster = replace(load, ahead=load.ahead._replace(pieces=pieces._replace(airspeed_ms=pieces.airspeed_ms + 1.0)))
+    return np.hypot(load.powers.row_sd, (faster.piece_W / load.piece_W - 1.0) * GUSTS * wind_ms)
 
 
-def farness(pieces: tuple[Piece, ...]) -> Array:
+def farness(pieces: Pieces) -> Array:
     """Return how much each piece is fast flight or climb, 0..1."""
-    air, climb = np.array([piece[1:3] for piece in pieces], float).reshape(-1, 2).T
-    return np.maximum(np.clip((air - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0), np.clip(climb / STEEP_MS, 0.0, 1.0))
+    fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
+    return np.maximum(fast, np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0))
 
 
 @cache

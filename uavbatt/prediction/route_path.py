@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, SpeedKind
+from uavbatt.prediction.route_legs import Leg, LegsTable, Phase, Point, legs_table
 
 METRES_PER_DEGREE = 111_194.9  # of a sphere of 6371 km
 MOST_LEGS = 2000
@@ -23,62 +24,18 @@ HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
 CRUISE_MS, CLIMB_MS, DESCENT_MS, RETURN_HEIGHT_M, LAND_MS, SLOW_BELOW_M = 5.0, 2.5, 1.5, 15.0, 0.5, 10.0
 
 
-class Phase(IntEnum):
-    """A leg belongs to one of these."""
-
-    TAKE_OFF = 0
-    ROUTE = 1
-    HOME = 2
-    LANDING = 3
-
-
-class Point(NamedTuple):
-    """A place in metres north and east of home and above it."""
-
-    north_m: float
-    east_m: float
-    height_m: float
-
-
-class Leg(NamedTuple):
-    """A straight way from one point to another with its speed limits, and the wait at its end."""
-
-    seq: int  # of the mission item; -1 on the way home
-    phase: Phase
-    begin: Point
-    end: Point
-    run_m: float  # horizontal; of a curve its length
-    speed_ms: float
-    climb_ms: float
-    descent_ms: float
-    hold_s: float = 0.0
-
-    @property
-    def rise_m(self) -> float:
-        """Height gained, negative in a descent [m]."""
-        return self.end.height_m - self.begin.height_m
-
-    @property
-    def moving_s(self) -> float:
-        """Time of the movement at the planned speeds [s]."""
-        rise_m = self.rise_m
-        vertical_s = rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
-        return max(self.run_m / self.speed_ms, vertical_s)
-
-    @property
-    def fastest_ms(self) -> float:
-        """The speed that has to be gained and lost again: the horizontal or the vertical one [m/s]."""
-        moving_s = self.moving_s
-        return max(self.run_m, abs(self.rise_m)) / moving_s if moving_s > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Path:
     """The legs of a mission from its first item to touchdown, or why there are none."""
 
     legs: tuple[Leg, ...] = ()
     reason: str = ""
     lands: bool = True  # false: it waits somewhere without end
+
+    @cached_property
+    def table(self) -> LegsTable:
+        """The legs as columns."""
+        return legs_table(self.legs)
 
 
 class _Speeds(NamedTuple):

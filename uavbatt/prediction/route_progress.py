@@ -15,9 +15,13 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, power, terms
 from uavbatt.navigation import Home, Mission, Mode, Navigation, ReturnSettings
-from uavbatt.prediction.route_path import Leg, Path, Phase, Point, path, place
+from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route_path import Path, path, place
 
 NAN = math.nan
 STRETCH, STRETCH_SD, SPEEDING, SPEEDING_SD = 1.03, 0.1, 0.32, 0.12
@@ -62,11 +66,11 @@ class Timing(NamedTuple):
         stretch, speeding = (self.ee * self.s - self.se * self.e) / det, (self.ss * self.e - self.se * self.s) / det
         return min(max(stretch, 0.5), 2.0), min(max(speeding, -0.5), 2.0)
 
-    def sd(self, planned_s: float, speed_ms: float) -> float:
-        """Standard deviation of the time of such a leg that s and e leave [s]."""
+    def sd(self, planned_s: Array, speed_ms: Array) -> Array:
+        """Standard deviation of the time of such legs that s and e leave [s]."""
         det = self.ss * self.ee - self.se**2
         variance = self.ee * planned_s**2 - 2.0 * self.se * planned_s * speed_ms + self.ss * speed_ms**2
-        return math.sqrt(max(variance / det, 0.0))
+        return np.asarray(np.sqrt(np.maximum(variance / det, 0.0)))
 
 
 class FlightLessons(NamedTuple):

@@ -16,7 +16,7 @@ from uavbatt.battery.state_space import SIZE, Belief, X
 from uavbatt.prediction.time_to_end import Normals
 
 DRAWS = 128
-LONGEST = 1024
+FEWEST, LONGEST = 64, 1024  # steps
 _SEED = 5725
 
 
@@ -29,11 +29,34 @@ def normals() -> Array:
     return np.asarray(np.linalg.solve(root, raw))
 
 
+def wander(steps: int, by_rows: bool = False) -> Normals:
+    """Standard normals [steps, DRAWS] of the model's wandering error and, `by_rows`, of the rows' noise.
+
+    At most LONGEST steps. A forecast with fewer holds fewer in memory: in flight 256 do for an hour.
+    """
+    return Normals(_kept(0, steps), _kept(1, steps) if by_rows else np.empty((0, DRAWS)))
+
+
+def wander_home(steps: int) -> Array:
+    """Standard normals [steps, DRAWS] of the model's wandering error on a way home: others than on the way out."""
+    return _kept(0, steps, backwards=True)
+
+
+def _kept(process: int, steps: int, backwards: bool = False) -> Array:
+    """The first normals of a process (0 the model's error, 1 the rows' noise), or its last from the end."""
+    return _drawn(process, held(steps), backwards)[:steps]
+
+
+def held(steps: int) -> int:
+    """Return for how many steps normals are held where `steps` are asked: the next power of two, at most LONGEST."""
+    return min(max(FEWEST, 1 << (steps - 1).bit_length()), LONGEST)
+
+
 @cache
-def wander() -> Normals:
-    """Standard normals for LONGEST steps of DRAWS ways: of the model's wandering error and of the rows' noise."""
-    half = np.random.default_rng(_SEED + 1).standard_normal((2, LONGEST, DRAWS // 2))
-    return Normals(*np.concatenate([half, -half], axis=2))
+def _drawn(process: int, steps: int, backwards: bool) -> Array:
+    half = np.random.default_rng(_SEED + 1).standard_normal((2, LONGEST, DRAWS // 2))[process]
+    half = half[: -steps - 1 : -1] if backwards else half[:steps]
+    return np.concatenate([half, -half], axis=1)
 
 
 @cache

@@ -21,13 +21,14 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import X, ocv_doubt, unpack
+from uavbatt.battery.state_space import X, drift_variance, unpack
+from uavbatt.prediction.curves import curve_tables, looked_up
 
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
 JUDGED_AT_ONCE = 16  # steps; what is judged for many steps in one go costs little
 JUDGED_BEFORE = 2  # steps that are needed once more: a median of three reaches back so far
-# Numbers that meet arrays at every step: as arrays themselves they cost numpy half.
-SPREAD = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain")
+# Numbers that meet arrays at every step: as arrays of no dimension they cost numpy a third less than as floats.
+MET_AT_EVERY_STEP = ("polarisation_ratio", "diffusion_ratio", "activation_K", "heat_gain", "charge_gain")
 SOC_IN_VOLTS = 10.0  # 1 % of charge weighs as 0.1 V, so that one crossing rule serves both limits
 
 
@@ -64,20 +65,21 @@ def time_to_end(
     which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon.
     """
     cell, installation, state = unpack(pack, x)
-    cell = cell._replace(**{name: np.full(x.shape[1:], getattr(cell, name)) for name in SPREAD if getattr(cell, name)})
+    cell = cell._replace(**{name: np.asarray(getattr(cell, name)) for name in MET_AT_EVERY_STEP if getattr(cell, name)})
     steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
     harness_ohmAh = series_resistance(installation, 0.0)
     memory = np.exp(-dt_s / pack.bias_tau_s)
     kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
-    lags = [model.Lags(*step) for step in zip(*model.lags(cell, dt_s), strict=True)]
-    limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, by_rows)
+    fast, slow, core, unread = model.cell_lags(cell, dt_s)
+    limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, float(np.min(own_steps)), by_rows)
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
     ends = EndTimes(*np.full((2, *x.shape[1:]), np.inf))
-    bias_V, asked, before = x[X.BIAS], power_W[0] / size, None
+    tables, asked, bias_V, before = curve_tables(pack), power_W / size, x[X.BIAS], None
     for k in range(steps):
-        emf_V, r_ohmAh = model.source(cell, state)
+        charged_V, new_ohmAh, drift_sd_V = looked_up(tables, state.soc)
+        emf_V, r_ohmAh = model.source_from(cell, state, charged_V, new_ohmAh)
         series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked)
+        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked[k])
         cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
         if eq.is_on(installation.deficit):
             strong_V = cell_V - bias_V + rate * harness_ohmAh
@@ -92,15 +94,16 @@ def time_to_end(
             ends = _judged(limits, ends, recent, k)
             if np.isfinite(ends.end_s).all():
                 break
-        now, asked = asked, power_W[min(k + 1, steps - 1)] / size
         if by_rows:
-            rate = model.rate_at_power(cell, emf_V, series_ohmAh, 0.5 * (now + asked))
+            mean_WpAh = 0.5 * (asked[k] + asked[min(k + 1, steps - 1)])
+            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_WpAh)
         if wander is not None:
-            doubt_V2 = ocv_doubt(pack, state.soc, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
-        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags[k])
-        bias_V = memory[k] * bias_V
+            doubt_V2 = drift_variance(drift_sd_V, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
+        over = model.Lags(fast[k, ...], slow[k, ...], core[k, ...], unread)
+        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], over)
+        bias_V = memory[k, ...] * bias_V
         if wander is not None:
-            bias_V = bias_V + np.sqrt(kick_V2[k] + doubt_V2) * wander.bias[k]
+            bias_V = bias_V + np.sqrt(kick_V2[k, ...] + doubt_V2) * wander.bias[k]
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
 
 
@@ -120,6 +123,7 @@ class _Limits(NamedTuple):
     reserve_soc: float
     at_s: Array
     own_steps: Number
+    fewest_steps: float
     by_rows: bool
 
 
@@ -141,39 +145,42 @@ def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTime
     margin_V, above_low_V = volts - pack.cutoff_V, volts - pack.low_V
     if limits.reserve_soc > 0.0:
         margin_V = np.minimum(margin_V, (recent.soc[part] - limits.reserve_soc) * SOC_IN_VOLTS)
-    if k >= np.min(limits.own_steps):
+    if k >= limits.fewest_steps:
         within = np.arange(steps.start, steps.stop).reshape(-1, *(1,) * (volts.ndim - 1)) < limits.own_steps
         margin_V, above_low_V = np.where(within, margin_V, np.inf), np.where(within, above_low_V, np.inf)
-    judge, at_s = _median_crossing if limits.by_rows else _mean_crossing, limits.at_s[steps]
     for column in recent:
         column[:JUDGED_BEFORE] = column[new : new + JUDGED_BEFORE]
-    return EndTimes(
-        np.where(np.isfinite(ends.end_s), ends.end_s, judge(margin_V, at_s)),
-        np.where(np.isfinite(ends.low_s), ends.low_s, judge(above_low_V, at_s)),
+    end_s, low_s = (
+        np.where(np.isfinite(known_s), known_s, _crossing(limits, margin, steps)) if (margin < 0.0).any() else known_s
+        for known_s, margin in zip(ends, (margin_V, above_low_V), strict=True)
     )
+    return EndTimes(end_s, low_s)
+
+
+def _crossing(limits: _Limits, margin: Array, steps: slice) -> Array:
+    """Time at which each column of `margin` [steps, batch] is below zero by the rule that judges; else infinite."""
+    at_s = np.broadcast_to(limits.at_s[steps], margin.shape).reshape(margin.shape[0], -1)
+    judge = _median_crossing if limits.by_rows else _mean_crossing
+    return judge(margin.reshape(at_s.shape), at_s).reshape(margin.shape[1:])
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
-    """First fall of each column [steps, batch] through zero, linear between the steps at `at_s`; plus the lag."""
-    below = margin < 0.0
-    if not below.any():
-        return np.full(margin.shape[1:], np.inf)
-    first = np.argmax(below, axis=0)[None]
+    """First fall of each column [steps, columns] through zero, linear between the steps at `at_s`; plus the lag."""
+    first, column = np.argmax(margin < 0.0, axis=0), np.arange(margin.shape[1])
     last = np.maximum(first - 1, 0)
-    above, under = np.take_along_axis(margin, last, 0), np.take_along_axis(margin, first, 0)
-    last_s, first_s = np.take_along_axis(at_s, last, 0), np.take_along_axis(at_s, first, 0)
+    above, under = margin[last, column], margin[first, column]
+    last_s, first_s = at_s[last, column], at_s[first, column]
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(first > 0, above / (above - under), 0.0)
     crossing = last_s + share * (first_s - last_s) + np.where(first > 0, MEAN_LAG_S, 0.0)
-    return np.asarray(np.where(under < 0.0, crossing, np.inf)[0])
+    return np.where(under < 0.0, crossing, np.inf)
 
 
 def _median_crossing(margin: Array, at_s: Array) -> Array:
     """Time of the first row whose centred median of three is below zero; the present row has no row before it."""
-    below = margin < 0.0
+    below, column = margin < 0.0, np.arange(margin.shape[1])
     if margin.shape[0] < 3:
         return np.where(below.all(axis=0), 0.0, np.inf)
     median_below = (below[:-2] & below[1:-1]) | (below[1:-1] & below[2:]) | (below[:-2] & below[2:])
-    first = np.argmax(median_below, axis=0)[None]
-    crossing = np.take_along_axis(at_s, first + 1, 0)
-    return np.asarray(np.where(np.take_along_axis(median_below, first, 0), crossing, np.inf)[0])
+    first = np.argmax(median_below, axis=0)
+    return np.where(median_below[first, column], at_s[first + 1, column], np.inf)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +19,12 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.powers import TURN_S, turning_power
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
-from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, walked
-from uavbatt.prediction.route_ahead import Ahead, Piece, Way
+from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, source, walked
+from uavbatt.prediction.route_ahead import Ahead
+from uavbatt.prediction.route_legs import Leg, legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
-from uavbatt.prediction.route_path import Leg, way_home
+from uavbatt.prediction.route_path import way_home
+from uavbatt.prediction.route_pieces import Column, Pieces, Way
 from uavbatt.prediction.route_progress import OVER_HOME_M
 
 LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
@@ -48,6 +50,11 @@ class Homewards(NamedTuple):
     rough: Array  # relative sd of the power within the step
     turn_W: Array  # [looks] while it turns and speeds up; a hover where it is over home
 
+    def drawn_W(self, k: int, looks: Column, scenarios: Array) -> Array:
+        """The power of step `k` on the ways of these looks [looks, draws]; `scenarios` as in `_flown_home`."""
+        levels, fast, _ = scenarios
+        return np.asarray(self.power_W[k, looks][:, None] * levels * (1.0 + self.far[k, looks][:, None] * (fast - 1.0)))
+
 
 def turned(
     going: Going,
@@ -67,36 +74,58 @@ def turned(
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
     """
     look_s = longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED
-    levels, fast, stretch = factors(load)[:, scenario]
     home = _homewards(flown, look_s, load, way, settings)
     at_turn = flown_on(going, flown_W, dt_s, look_s)
-    least_V, normals = _turning_V(at_turn, home.turn_W[:, None] * levels), sampling.wander().bias[::-1]
-    for k, length_s in enumerate(home.length_s):
-        power_W = home.power_W[k][:, None] * levels * (1.0 + home.far[k][:, None] * (fast - 1.0))
-        above_V = above_cutoff_V(at_turn, power_W * (1.0 + ROUGH * home.rough[k][:, None]))
-        least_V = np.where(length_s[:, None] > 0.0, np.minimum(least_V, above_V), least_V)
-        at_turn = walked(at_turn, power_W, length_s[:, None] * stretch, normals[k])
-    return TurnBack(
-        look_s, np.minimum(least_V, above_cutoff_V(at_turn, power_W)), np.maximum(at_turn.state.soc[0], 0.0)
-    )
+    return _flown_home(at_turn, look_s, home, factors(load)[:, scenario])
+
+
+def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array) -> TurnBack:
+    """Return what comes of the ways home that begin with the draws `at_turn` [looks, draws].
+
+    scenarios : factors of level, fast flight and time of each draw [3, draws]
+    """
+    levels, _, stretch = scenarios
+    steps = np.count_nonzero(home.length_s > 0.0, axis=0)
+    normals = sampling.wander_home(int(steps.max()))
+    least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels), np.empty(at_turn.bias_V.shape)
+    flying = np.arange(look_s.size)  # the looks whose ways are not over yet: each has a length of its own
+    for k in range(int(steps.max()) + 1):
+        is_down = steps[flying] <= k
+        if is_down.any():
+            down, landed = flying[is_down], at_turn.of(is_down)
+            power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
+            least_V[down] = np.minimum(least_V[down], above_cutoff_V(landed, source(landed), power_W))
+            soc[down] = landed.state.soc
+            flying, at_turn = flying[~is_down], at_turn.of(~is_down)
+        if not flying.size:
+            break
+        at, rough = source(at_turn), home.rough[k, flying][:, None]
+        power_W = home.drawn_W(k, flying, scenarios)
+        above_V = above_cutoff_V(at_turn, at, power_W * (1.0 + ROUGH * rough))
+        least_V[flying] = np.minimum(least_V[flying], above_V)
+        length_s = home.length_s[k, flying][:, None] * stretch
+        at_turn = walked(at_turn, at, power_W, length_s, normals[k % len(normals)])
+    return TurnBack(look_s, least_V, np.maximum(soc[0], 0.0))
 
 
 def _turning_V(at_turn: Going, power_W: Array) -> Array:
     """Return the height above the cut-off while the draws turn, in the middle of it."""
-    halfway = walked(at_turn, power_W, 0.5 * TURN_S, np.zeros_like(power_W))
-    return above_cutoff_V(halfway, power_W)
+    halfway = walked(at_turn, source(at_turn), power_W, 0.5 * TURN_S, np.zeros_like(power_W))
+    return above_cutoff_V(halfway, source(halfway), power_W)
 
 
 def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
     """Return the draws at each instant [looks, draws] of a way with this power in steps of `dt_s` [steps]."""
     edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
     drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
-    normals, states, biases, k = sampling.wander().bias, [], [], 0
-    for before_s, until_s in zip(np.concatenate([[0.0], look_s[:-1]]), look_s, strict=True):
-        parts = np.linspace(before_s, until_s, 1 + math.ceil((until_s - before_s) / (2.0 * STEP_S)))
-        for begin_s, end_s in pairwise(parts):
+    looks_s = pairwise([0.0, *look_s])
+    parts = [np.linspace(a_s, b_s, 1 + math.ceil((b_s - a_s) / (2.0 * STEP_S))) for a_s, b_s in looks_s]
+    normals = cycle(sampling.wander(sum(map(len, parts))).bias)
+    states, biases = [], []
+    for edges in parts:
+        for begin_s, end_s in pairwise(edges):
             mean_W = (_at(drawn_J, edges_s, end_s) - _at(drawn_J, edges_s, begin_s)) / (end_s - begin_s)
-            going, k = walked(going, mean_W, end_s - begin_s, normals[k]), k + 1
+            going = walked(going, source(going), mean_W, end_s - begin_s, next(normals))
         states.append(going.state)
         biases.append(going.bias_V)
     state = type(going.state)(*(np.stack(np.broadcast_arrays(*column)) for column in zip(*states, strict=True)))
@@ -112,21 +141,20 @@ def _at(values: Array, edges_s: Array, time_s: float) -> Array:
 
 def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
     """The way home from where each instant finds the aircraft."""
-    legs = [way_home(flown.point(float(time_s)), settings) for time_s in look_s]
-    ways = [_steps(way.pieces(those)) for those in legs]
-    every = tuple(piece for pieces in ways for piece in pieces)
-    there = replace(load, ahead=Ahead(flown.begin, every))
-    told = np.stack(
-        [[piece.length_s for piece in every], there.piece_W, farness(every), roughness(there, math.hypot(*way.wind))]
-    )
-    table, ends = np.zeros((4, max(map(len, ways)), look_s.size)), np.cumsum([len(pieces) for pieces in ways])
-    for column, (end, pieces) in enumerate(zip(ends, ways, strict=True)):
-        table[:, : len(pieces), column] = told[:, end - len(pieces) : end]
-        table[1:, len(pieces) :, column] = told[1:, end - 1 : end]  # a step of no length draws nothing
+    legs = [way_home(point, settings) for point in flown.points(look_s)]
+    pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
+    look_of = np.repeat(np.arange(look_s.size), [len(those) for those in legs])[leg_of]
+    pieces, look_of = _in_steps(pieces, look_of)
+    there = replace(load, ahead=Ahead(flown.begin, pieces))
+    told = np.stack([pieces.length_s, there.piece_W, farness(pieces), roughness(there, math.hypot(*way.wind))])
+    counts = np.bincount(look_of, minlength=look_s.size)
+    ends = np.cumsum(counts)
+    step = np.arange(counts.max())[:, None]
+    is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
+    length_s, power_W, far_share, rough = told[:, index]  # a way that is over goes on as it ended, in no time
     speeds_ms = np.array([_speed_home_ms(those) for those in legs])
-    length_s, power_W, far_share, rough = table
     turn_W = load.level * turning_power(load.powers, speeds_ms)
-    return Homewards(length_s, power_W, far_share, rough, turn_W)
+    return Homewards(np.where(is_flown, length_s, 0.0), power_W, far_share, rough, turn_W)
 
 
 def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
@@ -134,18 +162,12 @@ def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
     return max((leg.speed_ms for leg in legs if leg.run_m > OVER_HOME_M), default=0.0)
 
 
-def home_pieces(flown: Ahead, way: Way, settings: ReturnSettings, time_s: float) -> tuple[Piece, ...]:
-    """Return the way home from where the aircraft is after `time_s` [s]."""
-    return way.pieces(way_home(flown.point(time_s), settings))
-
-
-def _steps(pieces: tuple[Piece, ...]) -> tuple[Piece, ...]:
-    """The pieces in steps short enough for their sag."""
-    steps: list[Piece] = []
-    for piece in pieces:
-        count = max(math.ceil(piece.length_s / STEP_S), CLIMB_STEPS if piece.climb_ms > FASTEST_CLIMB_MS else 1)
-        steps += [piece._replace(length_s=piece.length_s / count)] * count
-    return tuple(steps)
+def _in_steps(pieces: Pieces, look_of: Column) -> tuple[Pieces, Column]:
+    """The pieces, and the look of each, in steps short enough for their sag."""
+    least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, 1)
+    count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
+    pieces = pieces._replace(length_s=pieces.length_s / count)
+    return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(look_of, count)
 
 
 def turn_back_times(asked: TurnBack, end_s: Array) -> Array:

@@ -7,7 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from uavbatt.log_replay.run import ReplayedRow, WaySaid, way_said
-from uavbatt.prediction.route_path import Point, path, place
+from uavbatt.prediction.route_legs import Point
+from uavbatt.prediction.route_path import path, place
 from uavbatt.records import Flight, Route
 from uavbatt.report.page import Html, duration, paragraph, section
 from uavbatt.report.route_map import route_map

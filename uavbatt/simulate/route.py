@@ -18,7 +18,8 @@ from msgspec.structs import replace
 from uavbatt.battery.powers import UNKNOWN, Powers, power, terms
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, Frame, Home, Mission, MissionItem, Position, ReturnSettings, Wind
-from uavbatt.prediction.route_path import METRES_PER_DEGREE, Leg, Path, Phase, Point, path
+from uavbatt.prediction.route_legs import Leg, Phase, Point
+from uavbatt.prediction.route_path import METRES_PER_DEGREE, Path, path
 from uavbatt.telemetry.formats.route_writer import FlownRoute, RouteRow
 from uavbatt.telemetry.route.commands import WAYPOINT
 from uavbatt.telemetry.route.settings import return_settings

@@ -1,0 +1,91 @@
+"""A leg is a straight way at planned speeds, and a wait at its end; one at a time, or many as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+
+
+class Phase(IntEnum):
+    """A leg belongs to one of these."""
+
+    TAKE_OFF = 0
+    ROUTE = 1
+    HOME = 2
+    LANDING = 3
+
+
+class Point(NamedTuple):
+    """A place in metres north and east of home and above it."""
+
+    north_m: float
+    east_m: float
+    height_m: float
+
+
+class Leg(NamedTuple):
+    """A straight way from one point to another with its speed limits, and the wait at its end."""
+
+    seq: int  # of the mission item; -1 on the way home
+    phase: Phase
+    begin: Point
+    end: Point
+    run_m: float  # horizontal; of a curve its length
+    speed_ms: float
+    climb_ms: float
+    descent_ms: float
+    hold_s: float = 0.0
+
+    @property
+    def rise_m(self) -> float:
+        """Height gained, negative in a descent [m]."""
+        return self.end.height_m - self.begin.height_m
+
+    @property
+    def moving_s(self) -> float:
+        """Time of the movement at the planned speeds [s]."""
+        rise_m = self.rise_m
+        vertical_s = rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
+        return max(self.run_m / self.speed_ms, vertical_s)
+
+    @property
+    def fastest_ms(self) -> float:
+        """The speed that has to be gained and lost again: the horizontal or the vertical one [m/s]."""
+        moving_s = self.moving_s
+        return max(self.run_m, abs(self.rise_m)) / moving_s if moving_s > 0.0 else 0.0
+
+
+class LegsTable(NamedTuple):
+    """Legs as columns [legs], with the properties of `Leg`."""
+
+    seq: Array
+    phase: Array
+    north_m: Array  # from begin to end
+    east_m: Array
+    rise_m: Array
+    end: Array  # [legs, 3]
+    run_m: Array
+    hold_s: Array
+    moving_s: Array
+    fastest_ms: Array
+
+    def of(self, which: slice) -> LegsTable:
+        """Return those legs alone."""
+        return LegsTable(*(column[which] for column in self))
+
+
+def legs_table(legs: Sequence[Leg]) -> LegsTable:
+    """Return legs as columns."""
+    raw = np.array([(*leg[:2], *leg.begin, *leg.end, *leg[4:]) for leg in legs], float).reshape(-1, 13)
+    moved, end = raw[:, 5:8] - raw[:, 2:5], raw[:, 5:8]
+    run_m, speed_ms, climb_ms, descent_ms, hold_s = raw[:, 8:].T
+    north_m, east_m, rise_m = moved.T
+    moving_s = np.maximum(run_m / speed_ms, np.where(rise_m > 0.0, rise_m / climb_ms, -rise_m / descent_ms))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fastest_ms = np.where(moving_s > 0.0, np.maximum(run_m, np.abs(rise_m)) / moving_s, 0.0)
+    return LegsTable(raw[:, 0], raw[:, 1], north_m, east_m, rise_m, end, run_m, hold_s, moving_s, fastest_ms)
