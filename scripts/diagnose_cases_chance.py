@@ -22,7 +22,7 @@ from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.candidates import NOTHING, candidates
 from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, problem_of
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
-from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.search import EARNED, FIRST_TURNS, trial
 from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.telemetry import read_log
@@ -83,7 +83,7 @@ def main() -> int:
         problem = problem_of(records, battery, pack)
         idle = idle_A(problem.evidence) + IDLE_NOISE_A
         options = candidates(battery, problem.base, has_temperature=True, idle_A=idle, without=())
-        nothing = refit(problem, [NOTHING])[0]
+        nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
         tried = trial(problem, nothing, options, FIRST_TURNS)
         most = max(zip(tried.worths, tried.fits, strict=True), key=lambda wf: wf[0].value)
         plain, left = per_number(problem, nothing), left_per_number(problem, nothing)

@@ -80,7 +80,7 @@ def hidden(tried: Trial) -> tuple[Hidden, ...]:
 
 
 def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
-    """The members, with the other name of what goes by two.
+    """The members, each followed by its other name where it goes by two.
 
     A lag of a minute is the fast end of diffusion as much as the slow end of polarisation. A pack that is only ever
     discharged shows its branch of the hysteresis as it would show a lag of minutes, and the other way round. And
@@ -90,8 +90,7 @@ def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
     twins = {"charge_transfer": "resistance_growth", "hysteresis": "slow_diffusion", "slow_diffusion": "hysteresis"}
     if slow:
         twins["polarisation"] = "slow_diffusion"
-    first, others = members[0], members[1:]
-    named = (first, twins.get(first, first), *others, *(twins.get(name, name) for name in others))
+    named = [both for name in members for both in (name, twins.get(name, name))]
     return tuple(dict.fromkeys(named))[:LARGEST_CLASS]
 
 

@@ -21,12 +21,13 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis import residual
+from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
 from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
-from uavbatt.diagnosis.refit import SETTLED, at_best, refit
+from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.residual import Residual, Shape
 from uavbatt.diagnosis.search import FoundEffect, Trial, search
 from uavbatt.estimator import PLAIN, Engine
@@ -92,7 +93,7 @@ def diagnose(
     """Diagnose records of one pack.
 
     without : effects that are no candidates; progress : told each step; engine : simulates many columns
-    (`compiled.engine()` is some three times faster); wear_sd : how well the fade and the growth that `pack` has are
+    (`compiled.engine()` takes two thirds of the time); wear_sd : how well the fade and the growth that `pack` has are
     known, where it was met before. Raises NotEnoughData with the reason.
     """
     tell = progress or (lambda _: None)

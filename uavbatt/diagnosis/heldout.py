@@ -8,8 +8,8 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis import residual
+from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import at_best
 
 
 def open_loop(problem: Problem, fit: Refit, values: list[Array]) -> tuple[float, float]:

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.diagnosis.batch import slopes_on_file
 from uavbatt.diagnosis.evidence import Evidence
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import slopes_on_file
 
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
@@ -39,21 +39,21 @@ def related(new: Sequence[str], old: Sequence[str]) -> bool:
     return bool(own & set(old))
 
 
-def weights(problem: Problem, fits: list[Refit]) -> Array:
-    """Return how likely each of `fits` is, of the first, which has the smallest chi-square; their quantities are as
+def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:
+    """Return how likely each of `fits` is beside one of them, which is the best of its kind; their quantities are as
     many.
     """
-    best = fits[0].residual
-    slopes = slopes_on_file(problem, fits[0])
+    best = fits[first].residual
+    slopes = slopes_on_file(problem, fits[first])
     resting = _at_rest(problem.evidence, best.shape[1])
     shared = np.where(resting, 1.0, float(len(best)))
     out = np.ones(len(fits))
-    for i, fit in enumerate(fits[1:], start=1):
+    for i, fit in enumerate(fits):
         d = fit.residual - best
-        behind = fit.total - fits[0].total
+        behind = fit.total - fits[first].total
         stated = np.einsum("rme,rm->e", slopes, d)
         spread = np.sqrt(float(np.sum(shared * d**2)) + float(np.sum(stated**2)))
-        sigmas = (float(np.sum(d**2)) + behind) / max(2.0 * spread, 1e-6)
+        sigmas = max(float(np.sum(d**2)) + behind, 0.0) / max(2.0 * spread, 1e-6)
         out[i] = np.exp(-0.5 * (sigmas / TEMPER) ** 2)
     return out
 

@@ -70,16 +70,16 @@ class Trial:
         places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
-        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name.
+        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
+        # if that is not the same as nothing.
         first = worthy[0] if worthy else -1
         return [
             i
             for i in possible
-            if i in worthy or (i < first and self.worths[i].value > EARNED) or (worthy and self._is_same(i, first))
+            if i in worthy
+            or (i < first and self.worths[i].value > EARNED)
+            or (worthy and self.worths[i].value > 0.5 * EARNED and same(self.fits[i], self.fits[first]))
         ]
-
-    def _is_same(self, i: int, first: int) -> bool:
-        return same(self.fits[i], self.fits[first])
 
 
 def search(
@@ -139,11 +139,10 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     five of eight cases.
     """
     fits = [tried.fits[i] for i in tried.rivals]
-    steady = [_steady(tried.worths[i].constancy) for i in tried.rivals]
-    likely = weights(problem, fits)
-    if any(steady):  # what differs from record to record is no rival to what does not
-        likely = np.where(steady, likely, 0.0)
-    likely = likely * _usual(fits)
+    steady = [f.candidate.name for i, f in zip(tried.rivals, fits, strict=True) if _steady(tried.worths[i].constancy)]
+    likely = _likely(problem, fits)
+    if steady:  # what differs from record to record is no rival to what does not, but for the effects of one family
+        likely = np.where([related((f.candidate.name,), steady) for f in fits], likely, 0.0)
     order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
     members = [order[k] for k in seated([fits[i] for i in order])]
     its = tried.worths[tried.rivals[members[0]]]
@@ -198,8 +197,17 @@ def _best_pair(
             earned.append(fit)
     if not earned:
         return None
-    return earned[int(np.argmax(weights(problem, earned[:TRIED]) * _usual(earned[:TRIED])))]
+    return earned[int(np.argmax(_likely(problem, earned[:TRIED])))]
 
 
-def _usual(fits: list[Refit]) -> Array:
-    return np.array([RESIZED ** len(f.candidate.resized) for f in fits])
+def _likely(problem: Problem, fits: list[Refit]) -> Array:
+    """Return how likely each of `fits` is, which come by chi-square.
+
+    Another size of what the file has leaves least by its ease of bending; where it is not the likeliest all the same,
+    the others are held against the best of themselves and not against it.
+    """
+    usual = np.array([RESIZED ** len(f.candidate.resized) for f in fits])
+    likely: Array = weights(problem, fits) * usual
+    if np.argmax(likely) and usual[0] < 1.0:
+        likely = weights(problem, fits, int(np.argmax(usual))) * usual
+    return likely

@@ -50,19 +50,33 @@ def _installation_of(base: Pack, evidence: Evidence, x: Array) -> Installation:
 
 
 def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
-    """The metered current [rows, columns] read `delay_s` [columns] later."""
+    """The metered current [rows, columns] read `delay_s` [columns] later.
+
+    Between the shifts that are known by cubic convolution (Keys 1981): a current with corners in the delay, one of them
+    at no delay, would hold a refit there.
+    """
     records = len(evidence.names)
-    position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 0, len(SHIFTS_S) - 1.001)
+    position = np.clip((delay_s - SHIFTS_S[0]) / (SHIFTS_S[1] - SHIFTS_S[0]), 1, len(SHIFTS_S) - 2.001)
     left = position.astype(int)
     column = np.arange(delay_s.size)
     weights = np.zeros((len(SHIFTS_S), delay_s.size))  # of the shifted currents on either side
-    weights[left, column] = 1.0 - (position - left)
-    weights[left + 1, column] = position - left
+    for place, weight in enumerate(_keys(position - left), start=-1):
+        weights[left + place, column] = weight
     weights[np.searchsorted(SHIFTS_S, 0.0)] -= 1.0  # the change only: the record itself may be averaged otherwise
     current = np.tile(evidence.stack.current_A, (1, variants))
     for j in range(records):
         current[:, j::records] += evidence.shifted_A[:, :, j].T @ weights[:, j::records]
     return current
+
+
+def _keys(t: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of four neighbours at a share t of the middle gap (Keys 1981, IEEE Trans. ASSP 29, eq. 15)."""
+    return (
+        0.5 * t * (t * (2.0 - t) - 1.0),
+        0.5 * (t * t * (3.0 * t - 5.0) + 2.0),
+        0.5 * t * (t * (4.0 - 3.0 * t) + 1.0),
+        0.5 * t * t * (t - 1.0),
+    )
 
 
 def simulate(base: Pack, evidence: Evidence, x: Array, own: Own, walk: States = openloop.states) -> Simulated:

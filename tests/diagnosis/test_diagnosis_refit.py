@@ -1,0 +1,49 @@
+"""Refits side by side: each ends where it would end alone, and nothing in the model has a corner that holds one."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, fly
+
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.diagnosis import options_of, problem_of
+from uavbatt.diagnosis.evidence import SHIFTS_S
+from uavbatt.diagnosis.problem import Problem
+from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.simulation import metered_current
+
+
+@cache
+def problem() -> Problem:
+    """Two flights whose current is read a tenth too large."""
+    records = [fly(air_C, 160.0, seed, gain=1.1) for air_C, seed in ((12.0, 1), (25.0, 2))]
+    return problem_of(records, FILE, pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)))
+
+
+def test_a_candidate_ends_beside_others_where_it_ends_alone() -> None:
+    options = [o for o in options_of(problem(), FILE, ()) if o.name in ("current_gain", "polarisation", "weak_cell")]
+    for alone, beside in zip((refit(problem(), [o])[0] for o in options), refit(problem(), options), strict=True):
+        assert beside.values() == pytest.approx(alone.values(), rel=1e-6)
+        assert beside.total == pytest.approx(alone.total, rel=1e-9)
+
+
+def test_what_a_refit_holds_stays_at_what_the_file_says_and_counts_in_the_errors() -> None:
+    gain = next(o for o in options_of(problem(), FILE, ()) if o.name == "current_gain")
+    fit = refit(problem(), [gain])[0]
+    held = ~fit.moves[: len(fit.columns)]
+    assert held.any() and not fit.u[:, held].any() and not fit.knots.any()
+    assert fit.covariance_u(considered=True) > fit.covariance_u(considered=False)
+
+
+def test_a_current_read_later_is_the_shifted_one_and_has_no_corner_at_no_delay() -> None:
+    evidence = problem().evidence
+    column = np.array([1.0, 1.0])
+    read = metered_current(evidence, column, 1) - metered_current(evidence, 0.0 * column, 1)
+    places = np.searchsorted(SHIFTS_S, (0.0, 1.0))
+    assert read == pytest.approx(evidence.shifted_A[places[1]] - evidence.shifted_A[places[0]])
+    before, at, after = (metered_current(evidence, shift_s * column, 1) for shift_s in (-1e-4, 0.0, 1e-4))
+    slope = np.max(np.abs(after - before))
+    assert slope > 0.0 and np.max(np.abs(after - 2.0 * at + before)) < 1e-2 * slope

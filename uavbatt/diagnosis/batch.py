@@ -1,0 +1,169 @@
+"""Candidates side by side: their columns of unknowns, and the whitened residuals that values of these leave.
+
+Per candidate the unknowns are u, the errors of the battery file and its quantities, all shared by the records, and per
+record three nuisances v in units of their prior sd: starting charge, starting temperature, ambient. Errors of the
+file's tables, the knots, come last of all columns: what they do is linear.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.battery.model import Array
+from uavbatt.diagnosis.candidates import INDEX, Candidate
+from uavbatt.diagnosis.evidence import Evidence, Rows
+from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.simulation import Own, Simulated, simulate
+
+NUDGE = 2e-3
+NUISANCES = 3
+START_SD_K, AMBIENT_SD_K, UNMEASURED_SD_K = 0.4, 1.0, 8.0
+FREE_START_SD = 0.02  # of a record around the shift that all share
+
+
+class Batch:
+    """Whitened residuals of candidates: the only place that knows how columns are laid out."""
+
+    def __init__(self, problem: Problem, candidates: list[Candidate], *, file_errors: bool = False) -> None:
+        """Lay the columns out; with `file_errors` every error of the file is estimated, each with its prior."""
+        self.problem, self.candidates = problem, candidates
+        evidence = problem.evidence
+        self.records = len(evidence.names)
+        self.columns = [(*problem.nuisances, *c.freed) for c in candidates]
+        self.freed = max((len(c) for c in self.columns), default=0)
+        self.knots = problem.tables.count if problem.tables is not None else 0
+        self.size = self.freed + self.knots
+        shape = (len(candidates), self.size)
+        self.low, self.high = np.full(shape, -1e9), np.full(shape, 1e9)
+        self.moves, shared = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+        self.moves[:, self.freed :] = shared[:, self.freed :] = file_errors
+        for i, columns in enumerate(self.columns):
+            for k, f in enumerate(columns):
+                self.low[i, k], self.high[i, k] = f.bounds_u()
+                self.moves[i, k] = f.estimated or file_errors
+                shared[i, k] = f.nuisance and self.moves[i, k]
+        self.stiffness = np.where(shared, 1.0 / self.records, 0.0)  # one share a record: an error has one prior
+        self.start_sd = np.array(
+            [[max(s, FREE_START_SD) if c.free_start else s for s in evidence.start_sd] for c in candidates]
+        )
+
+    def part(self, few: Rows) -> Batch:
+        """Some of the candidates in the same columns."""
+        twin = copy(self)
+        twin.candidates, twin.columns = [self.candidates[i] for i in few], [self.columns[i] for i in few]
+        for name in ("low", "high", "moves", "stiffness", "start_sd"):
+            setattr(twin, name, getattr(self, name)[few])
+        return twin
+
+    @property
+    def moving(self) -> Rows:
+        """Columns that a refit of any of the candidates moves."""
+        found: Rows = np.flatnonzero(np.any(self.moves, axis=0))
+        return found
+
+    def has(self, column: int) -> NDArray[np.bool_]:
+        """Return which candidates have this column."""
+        return np.array([column < len(c) for c in self.columns])
+
+    def place(self, u: Array, given: Refit) -> None:
+        """Start from an earlier refit with the same leading quantities: u [records, size] is filled."""
+        quantities = len(given.columns)
+        u[:, :quantities] = given.u
+        if self.knots:
+            u[:, self.freed :] = given.knots
+
+    def settings(self, u: Array, v: Array) -> tuple[Array, Own]:
+        """Quantities [variants, C, records, Q] and own values for u [variants, C, records, P], v [.., 3]."""
+        evidence = self.problem.evidence
+        x = np.broadcast_to(self.problem.base, (*u.shape[:3], self.problem.base.size)).copy()
+        for i, columns in enumerate(self.columns):
+            for k, f in sorted(enumerate(columns), key=lambda kf: kf[1].nuisance):
+                value = f.value(u[:, i, :, k])
+                if f.shares:
+                    off = self.problem.base[f.index]
+                    value = off + np.array(f.shares) * (value - off)
+                x[:, i, :, f.index] = x[:, i, :, f.index] + value if f.nuisance else value
+        warm = np.where([t is None for t in evidence.temps], UNMEASURED_SD_K, START_SD_K)
+        believed = evidence.start_soc + x[..., INDEX["start_soc_shift"]]
+        soc = np.minimum(believed + self.start_sd * v[..., 0], 1.03)
+        return x, Own(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
+
+    def shown(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:
+        """Simulate what is `wanted` of variants × candidates, in that order."""
+        x, own = self.settings(u, v)
+        return simulate(
+            self.problem.pack,
+            self.problem.evidence,
+            x[wanted],
+            Own(*(o[wanted] for o in own)),
+            self.problem.states,
+        )
+
+    def residuals(self, us: Array, vs: Array, wanted: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Whitened residuals [variants, C, records, numbers], zero where not wanted, and the charge of the first
+        variant [rows, C, records].
+        """
+        shown = self.shown(us, vs, wanted)
+        found = whitened(self.problem.evidence, shown)
+        out = np.zeros((*wanted.shape, *found.shape[1:]))
+        out[wanted] = found
+        return out, shown.soc[:, : len(self.candidates)]
+
+    def slopes_on_knots(self, soc: Array) -> Array:
+        """Slopes of the residuals on the file's tables, [knots, C, records, numbers]."""
+        tables, stack, volts = self.problem.tables, self.problem.evidence.stack, self.problem.evidence.volts
+        slopes = np.zeros((self.knots, soc.shape[1], self.records, width(self.problem.evidence)))
+        for j, its in enumerate(volts if tables is not None else ()):
+            assert tables is not None
+            amps = stack.current_A[its.rows, j, None]
+            change = tables.voltage(self.problem.pack, soc[its.rows, :, j], amps, stack.capacity_Ah[j])
+            flat = its.inverse @ change.reshape(its.rows.size, -1)
+            slopes[:, :, j, : its.rows.size] = flat.reshape(change.shape).transpose(2, 1, 0)
+        return slopes
+
+
+def width(evidence: Evidence) -> int:
+    """Numbers of the longest record."""
+    pairs = zip(evidence.volts, evidence.temps, strict=True)
+    return max(w.rows.size + (t.rows.size if t is not None else 0) for w, t in pairs)
+
+
+def whitened(evidence: Evidence, shown: Simulated) -> Array:
+    """Model minus measurement as independent unit numbers, [variants, records, width]."""
+    stack = evidence.stack
+    out = np.zeros((shown.voltage_V.shape[1], len(evidence.names), width(evidence)))
+    for j, (volts, temps) in enumerate(zip(evidence.volts, evidence.temps, strict=True)):
+        misfit = shown.voltage_V[volts.rows, :, j] - stack.voltage_V[volts.rows, j, None]
+        size = volts.rows.size
+        out[:, j, :size] = (volts.inverse @ misfit).T
+        if temps is not None:
+            warmth = shown.temp_C[temps.rows, :, j] - stack.temp_C[temps.rows, j, None]
+            out[:, j, size : size + temps.rows.size] = (temps.inverse @ warmth).T
+    return out
+
+
+ALL_OF_ONE = np.ones((1, 1), dtype=bool)
+
+
+def at_best(problem: Problem, fit: Refit) -> Simulated:
+    """Return what the sensors should show with the refit's values (one variant)."""
+    return Batch(problem, [fit.candidate]).shown(fit.u[None, None], fit.v[None, None], ALL_OF_ONE)
+
+
+def slopes_on_file(problem: Problem, fit: Refit) -> Array:
+    """Return what one sd of each error of the battery file does to `fit.residual`, [records, numbers, errors]."""
+    batch = Batch(problem, [fit.candidate])
+    u = np.zeros((1, len(fit.u), batch.size))
+    batch.place(u[0], fit)
+    held = np.flatnonzero(~fit.moves[: len(fit.columns)])
+    us = np.repeat(u[None], 1 + held.size, axis=0)
+    us[1 + np.arange(held.size), ..., held] += NUDGE
+    vs = np.repeat(fit.v[None, None], 1 + held.size, axis=0)
+    values, soc = batch.residuals(us, vs, np.repeat(ALL_OF_ONE, 1 + held.size, axis=0))
+    shared = np.moveaxis(values[1:, 0] - values[0, 0], 0, -1) / NUDGE
+    tables = np.moveaxis(batch.slopes_on_knots(soc)[:, 0], 0, -1)
+    both: Array = np.concatenate([shared, tables], axis=-1)
+    return both
