@@ -37,7 +37,7 @@ pytest.importorskip("numba", reason="the extra `fast` is not installed")
 LOGS = Path(__file__).resolve().parents[2] / "logs"
 CLOSE = 1e-9
 # NIS is a quotient of some millivolts that are told apart in 21 V, correlations are quotients of what is left of large
-# variances: a surprising row (NIS 6) of a flight at 12 s a row makes 3e-8 of the last digit, and the next row 3e-9 again.
+# variances: a surprising row (NIS 6) of a flight at 12 s a row makes 3e-8 of the last digit, the next row 3e-9 again.
 NIS_CLOSE, CORRELATIONS_CLOSE = 1e-8, 1e-7
 
 
@@ -65,7 +65,7 @@ def assert_same_rows(pack: Pack, samples: list[Sample]) -> None:
     """Row for row: what filterpy's filter shows and believes, and what the twin does, in two goes."""
     sure = pack._replace(resistance_scale_sd=0.2)
     for quick, plain in both(sure, known_capacity(sure), samples):
-        np.testing.assert_allclose(quick.innovation, plain.innovation, rtol=0.0, atol=CLOSE)
+        np.testing.assert_allclose(quick.innovation, plain.innovation, rtol=0.0, atol=NIS_CLOSE)
         assert (quick.belief is None) == (plain.belief is None)
         if quick.belief is not None and plain.belief is not None:
             np.testing.assert_allclose(quick.belief.means, plain.belief.means, rtol=CLOSE, atol=CLOSE)
