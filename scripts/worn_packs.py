@@ -45,7 +45,7 @@ def make(folder: Path) -> None:
 
 
 def score(folder: Path, battery: Path) -> None:
-    """Print the errors of every flight's forecasts [s], positive is too long; `!` where the interval misses the truth."""
+    """Print the errors of every flight [s], positive is too long; `!` where the interval misses the truth."""
     from scoring.lines import logged, ours, replayed
 
     from uavbatt.battery.battery_file import read_battery
