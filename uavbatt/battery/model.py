@@ -86,7 +86,7 @@ def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
     """R0(soc, T) [ohm·Ah]."""
     position = (soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
-    return _r0_ohmAh(p, eq.interpolated(p.r0_ohmAh, index, _held(position) - index), core_C)
+    return _r0_ohmAh(p, eq.interpolated(p.r0_ohmAh, index, held_position(position) - index), core_C)
 
 
 def _ocv_V(p: Parameters, soc: Number, charged_V: Number) -> Number:
@@ -106,7 +106,7 @@ def source(p: Parameters, s: State) -> tuple[Number, Number]:
     position = (s.soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
     charged_V = eq.interpolated(p.ocv_V, index, position - index)
-    return source_from(p, s, charged_V, eq.interpolated(p.r0_ohmAh, index, _held(position) - index))
+    return source_from(p, s, charged_V, eq.interpolated(p.r0_ohmAh, index, held_position(position) - index))
 
 
 def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -> tuple[Number, Number]:
@@ -115,8 +115,8 @@ def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -
     return emf_V, _r0_ohmAh(p, new_ohmAh, s.core_C)
 
 
-def _held(position: Number) -> Number:
-    """The position in a table that is flat beyond its ends."""
+def held_position(position: Number) -> Number:
+    """Return the position [grid steps] at which a table that is flat beyond its ends is read."""
     return np.minimum(np.maximum(position, 0.0), LAST_POSITION)
 
 
@@ -178,12 +178,8 @@ class Lags(NamedTuple):
 
 def lags(p: Parameters, dt_s: Number) -> Lags:
     """The lags of a step of `dt_s`."""
-    return Lags(
-        eq.decay(dt_s, p.polarisation_tau_s),
-        eq.decay(dt_s, p.diffusion_tau_s),
-        eq.decay(dt_s, p.heat_capacity_JpKAh / p.cooling_WpKAh),
-        eq.decay(dt_s, p.sensor_lag_s),
-    )
+    cell = cell_lags(p, dt_s)
+    return Lags(cell.polarisation, cell.diffusion, cell.core, eq.decay(dt_s, p.sensor_lag_s))
 
 
 def cell_lags(p: Parameters, dt_s: Number) -> Lags:

@@ -117,8 +117,8 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     """
     position = (soc - model.LOWEST_SOC) / model.GRID_STEP
     index = eq.segment(position, model.LAST_POSITION)
-    share = np.minimum(np.maximum(position, 0.0), model.LAST_POSITION) - index
-    return drift_variance(eq.interpolated(pack.ocv_drift_sd_V, index, share), drained)
+    drift_sd_V = eq.interpolated(pack.ocv_drift_sd_V, index, model.held_position(position) - index)
+    return drift_variance(drift_sd_V, drained)
 
 
 def drift_variance(drift_sd_V: Number, drained: Number) -> Number:

@@ -39,7 +39,10 @@ class Going(NamedTuple):
 
 
 class Source(NamedTuple):
-    """What the cells are to a load now: see `model.source`; with the model's error, and its drift at this charge."""
+    """The voltage source that a load meets in each cell now, as `model.source` has it.
+
+    emf_V holds the model's error as well; drift_sd_V is how fast that error changes at this charge.
+    """
 
     emf_V: Array
     r_ohmAh: Array
