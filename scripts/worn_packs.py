@@ -3,7 +3,7 @@
 
 Run: PYTHON scripts/worn_packs.py make FOLDER            (a Python of its own with `pip install pybamm`; 3 s a flight)
      .venv/bin/python scripts/worn_packs.py score FOLDER BATTERY
-Eight packs of the porous-electrode simulator of `porous_cases.py`, three flights each: less charge, slower electrodes,
+Sixteen packs of the porous-electrode simulator of `porous_cases.py`, three flights each: less charge, slow electrodes,
 ohms in the contacts, not always charged to full. BATTERY is fitted from truth/lab and truth/reference (`uavbatt fit`).
 The load of the flight itself is known to the forecast, so that the battery alone is scored.
 """
@@ -20,28 +20,43 @@ import numpy as np
 from porous_cases import CAPACITY_AH, CELLS, Cell, Sensors, flown, readings, write
 
 CUTOFF_V, FLYING_A = 13.2, 3.0
-SEED, FLIGHTS = 7_700_000, 3
-PACKS = (  # the cell, and ohms of the contacts
-    (Cell(), 0.0),
-    (Cell(capacity=0.93, exchange=0.8, start_soc=0.97), 0.0),
-    (Cell(capacity=0.88, exchange=0.65), 0.0),
-    (Cell(capacity=0.8, exchange=0.55, start_soc=0.95), 0.0),
-    (Cell(capacity=0.9), 0.02),
-    (Cell(capacity=0.85, exchange=0.8, start_soc=0.97), 0.015),
-    (Cell(capacity=0.95, exchange=0.6), 0.0),
-    (Cell(capacity=0.85), 0.0),
-)
+FLIGHTS = 3
+# Two series, each with the seeds of its flights and of its noise; of each pack the cell, and ohms of the contacts.
+SERIES = (
+    (7_700_000, 7000, (
+        (Cell(), 0.0),
+        (Cell(capacity=0.93, exchange=0.8, start_soc=0.97), 0.0),
+        (Cell(capacity=0.88, exchange=0.65), 0.0),
+        (Cell(capacity=0.8, exchange=0.55, start_soc=0.95), 0.0),
+        (Cell(capacity=0.9), 0.02),
+        (Cell(capacity=0.85, exchange=0.8, start_soc=0.97), 0.015),
+        (Cell(capacity=0.95, exchange=0.6), 0.0),
+        (Cell(capacity=0.85), 0.0),
+    )),
+    (8_800_000, 9000, (
+        (Cell(), 0.0),
+        (Cell(capacity=0.93, exchange=0.8, start_soc=0.97), 0.0),
+        (Cell(capacity=0.88, exchange=0.65), 0.0),
+        (Cell(capacity=0.8, exchange=0.55, start_soc=0.95), 0.0),
+        (Cell(capacity=0.78, exchange=0.7), 0.01),
+        (Cell(capacity=0.85, exchange=0.8, start_soc=0.97), 0.015),
+        (Cell(capacity=0.9, exchange=0.5, diffusivity=0.8), 0.005),
+        (Cell(capacity=0.85), 0.0),
+    )),
+)  # fmt: skip
 INSTANTS = ("25%", "50%", "120 s", "60 s")
 
 
 def make(folder: Path) -> None:
-    """Fly the packs and write FOLDER/W1..W8/flight_K.csv."""
-    for number, (cell, contacts_ohm) in enumerate(PACKS):
-        for k in range(1, FLIGHTS + 1):
-            true = flown(folder / "flown", cell, SEED + 100 * number + k)
-            shown = readings(true, Sensors(harness_ohm=contacts_ohm), np.random.default_rng(7000 + 10 * number + k))
-            write(folder / f"W{number + 1}" / f"flight_{k}.csv", shown)
-        print(f"W{number + 1}", flush=True)
+    """Fly the packs and write FOLDER/W01..W16/flight_K.csv."""
+    for series, (seed, noise_seed, packs) in enumerate(SERIES):
+        for number, (cell, contacts_ohm) in enumerate(packs):
+            name = f"W{len(packs) * series + number + 1:02d}"
+            for k in range(1, FLIGHTS + 1):
+                true = flown(folder / "flown", cell, seed + 100 * number + k)
+                noise = np.random.default_rng(noise_seed + 10 * number + k)
+                write(folder / name / f"flight_{k}.csv", readings(true, Sensors(harness_ohm=contacts_ohm), noise))
+            print(name, flush=True)
 
 
 def score(folder: Path, battery: Path) -> None:

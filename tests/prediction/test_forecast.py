@@ -27,7 +27,7 @@ from uavbatt.prediction import sampling
 from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import ConstantLoad
+from uavbatt.prediction.load import ConstantLoad, LoggedLoad
 from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
@@ -85,6 +85,20 @@ def test_linear_voltage_gives_the_energy_integral(power_W: float) -> None:
     found = forecast(plain_pack(a_V + b_V * SOC_GRID), belief(z0, exact=True), power_W)
     assert found.median_s == pytest.approx(expected_s + MEAN_LAG_S, rel=0.004, abs=3.0)
     assert found.hi_s - found.lo_s < 2.0  # nothing is uncertain
+
+
+def test_a_climb_that_ends_the_flight_is_felt_when_it_comes() -> None:
+    """A pack that is 0.2 V a cell above the cut-off, and 0.2 V below it in the climb, ends as the climb comes."""
+    made, now = plain_pack(3.6 + 0.2 * SOC_GRID, 0.1), belief(0.8, exact=True)
+    rows_s = np.arange(0.0, 2000.0)
+    late_s = []
+    for climb_s in range(100, 120):
+        load = LoggedLoad(rows_s, np.where(rows_s < climb_s, 180.0, 410.0))
+        found = Forecaster(made, ForecastSettings(load)).forecast(now, 0.0)
+        assert found is not None
+        assert found.lo_s - 1.0 <= climb_s + MEAN_LAG_S <= found.hi_s + 1.0
+        late_s.append(found.median_s - climb_s - MEAN_LAG_S)
+    assert np.mean(late_s) == pytest.approx(0.0, abs=1.0)
 
 
 def test_a_sinking_voltage_ends_it_sooner_than_charge_counting_says() -> None:

@@ -34,6 +34,7 @@ class Question(NamedTuple):
     dt_s: Array
     reserve_soc: float
     by_rows: bool
+    unresolved_s: float = 0.0  # how long is a step within which the power may change
     at_take_off: AtTakeOff | None = None  # what was expected then
     route: RouteAsked | None = None  # what else the forecast says, of the route and of the way home
     ways: WaysAsked = WaysAsked()  # when that was asked; earlier than now: it counts down

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate, true_current
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
@@ -165,6 +166,7 @@ class Forecaster:
             dt_s=scenarios.dt_s,
             reserve_soc=self.settings.reserve_soc,
             by_rows=by_rows,
+            unresolved_s=0.0 if by_rows or isinstance(load, ConstantLoad) else dt_s,
             at_take_off=self._at_take_off and self._at_take_off.at_power(time_s, now.flight_W),
         )
         if not navigation.has_way:
@@ -206,7 +208,7 @@ class Forecaster:
     def _forecast(self, question: Question, ends: EndTimes) -> Forecast:
         """Quantiles of the simulated ends."""
         time_s, horizon_s = question.time_s, question.horizon_s
-        fresh = EndTimes(*(np.sort(np.minimum(times_s, horizon_s)) for times_s in ends))
+        fresh = EndTimes(*(np.sort(np.minimum(_spread(question, times_s), horizon_s)) for times_s in ends))
         if question.at_take_off is not None:
             fresh = question.at_take_off.joined(time_s, fresh)
         ends_s = self._last.steadied(fresh.end_s, time_s) if self._last is not None else fresh.end_s
@@ -269,6 +271,12 @@ def _step_s(load: Load, typical_s: float) -> float:
     is_steady = isinstance(load, ConstantLoad)
     steps, longest_s = (STEADY_STEPS, LONGEST_STEADY_STEP_S) if is_steady else (STEPS, LONGEST_STEP_S)
     return min(max(typical_s / steps, SHORTEST_STEP_S), longest_s)
+
+
+def _spread(question: Question, times_s: Array) -> Array:
+    """Return the ends of the draws [s] with what the steps leave open: when within one of them a load comes."""
+    within_s = question.unresolved_s * sampling.within_step()
+    return np.asarray(np.where(times_s > 0.0, np.maximum(times_s + within_s, 0.0), times_s))
 
 
 def _refused(time_s: float, reason: str) -> Remaining:

@@ -38,7 +38,8 @@ SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
 class Scenarios(NamedTuple):
     """Loads that may come: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
 
-    `dt_s` [steps] are the lengths of the steps.
+    `dt_s` [steps] are the lengths of the steps. A step's power is that of the instant at which it begins, where its
+    voltage is judged: the mean over `stretches_s` around it.
     """
 
     power_W: Array
@@ -183,6 +184,17 @@ class RecentMean:
         return swinging(constant(self.typical_W(now), swings.mean_sd, dt_s, steps), swings)
 
 
+def stretches_s(dt_s: Array) -> Array:
+    """Return the edges [steps + 1] of the stretches of time [s] for whose mean power the beginning of each step stands.
+
+    A mean over the step itself would have a climb felt half a step before it comes.
+
+    dt_s : lengths of the steps [steps]
+    """
+    middles_s = np.cumsum(dt_s) - 0.5 * dt_s
+    return np.concatenate([[0.0], middles_s])
+
+
 def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenarios:
     """Constant powers, log-normal around `power_W` [W]."""
     levels_W = power_W * equal_levels(spread, SCENARIOS)
@@ -258,17 +270,18 @@ class LoggedLoad:
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """The one scenario that came true; beyond the log, the mean of its last minute.
 
-        Means over each step, or, when the log's rows are slow, its own rows.
+        Means around the instants that are judged, or, when the log's rows are slow, its own rows.
         """
         last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
         if float(np.median(np.diff(self.time_s))) > SLOW_ROW_S:
             return self._rows(now.time_s, dt_s, steps, last_W)
         pieces_J = 0.5 * (self.power_W[1:] + self.power_W[:-1]) * np.diff(self.time_s)
         energy_J = np.concatenate([[0.0], np.cumsum(pieces_J)])
-        edges_s = now.time_s + dt_s * np.arange(steps + 1)
+        length_s = np.full(steps, dt_s)
+        edges_s = now.time_s + stretches_s(length_s)
         beyond_s = np.maximum(edges_s - self.time_s[-1], 0.0)
         drawn_J = np.interp(edges_s, self.time_s, energy_J) + beyond_s * last_W
-        return Scenarios(np.maximum(np.diff(drawn_J) / dt_s, 1.0)[:, None], np.ones(1), np.full(steps, dt_s))
+        return Scenarios(np.maximum(np.diff(drawn_J) / np.diff(edges_s), 1.0)[:, None], np.ones(1), length_s)
 
     def _rows(self, time_s: float, dt_s: float, steps: int, last_W: float) -> Scenarios:
         later = self.time_s >= time_s - 1e-6

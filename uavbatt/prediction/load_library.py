@@ -51,7 +51,7 @@ class LearnedLoad:
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Every flight of the library from where it stood as this one stands, at three levels of power."""
         grid_s = GRID_S * np.arange(self.power_W.shape[1])
-        ahead_s = dt_s * (np.arange(steps) + 0.5)
+        ahead_s = dt_s * np.arange(steps)
         flights = self.power_W.shape[0]
         traces_W = np.empty((steps, flights))
         for i in range(flights):

@@ -9,7 +9,7 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, power, terms
-from uavbatt.prediction.load import Now, Scenarios, Swings, swinging
+from uavbatt.prediction.load import Now, Scenarios, Swings, stretches_s, swinging
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_pieces import Pieces
 
@@ -58,9 +58,9 @@ class RouteLoad:
         levels, fast, stretch = factors(self)
         watts = np.append(self.piece_W, self.level * self.powers.hover_W)[:, None] * levels
         watts *= np.append(farness(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
-        edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
+        edges_s = stretches_s(dt_s)
         drawn_J = _energy_J(self.ahead.pieces.ends_s, watts, edges_s[:, None] / stretch) * stretch
-        power_W = np.maximum(np.diff(drawn_J, axis=0) / dt_s[:, None], LOWEST_POWER_W)
+        power_W = np.maximum(np.diff(drawn_J, axis=0) / np.diff(edges_s)[:, None], LOWEST_POWER_W)
         return Scenarios(power_W, np.full(SCENARIOS, 1.0 / SCENARIOS), dt_s)
 
 

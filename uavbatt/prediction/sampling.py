@@ -65,6 +65,12 @@ def shuffled(count: int) -> Array:
     return np.random.default_rng(_SEED + 2 + count).permutation((np.arange(DRAWS) + 0.5) / DRAWS)
 
 
+@cache
+def within_step() -> Array:
+    """[DRAWS] places -0.5..0.5 that spread draws over a step: no simulation tells when within it a load comes."""
+    return shuffled(DRAWS) - 0.5
+
+
 def samples(belief: Belief) -> Array:
     """Columns [8, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
 
