@@ -236,12 +236,12 @@ class Estimator:
                     continue
                 rows, since = self._begun(clean[k:], filter_window), k
             row = rows[k - since]
-            found = self._estimate(sample, row)
-            if self._is_another_pack(found, row.belief):
+            if row.belief is not None and self._filter is not None:
+                self._swap = self._swap.after(sample, row.innovation, row.belief, self._filter.pack)
+            if self._swap.is_another:  # enough rows by now have shown another pack than the one that is believed in
                 rows, since = self._begun(clean[k:], filter_window), k
                 row, self._known = rows[0], self._known.anew()
-                found = self._estimate(sample, row)
-            yield self._forecast_for(sample, found, row.belief, navigation_at(sample.time_s))
+            yield self._forecast_for(sample, row, navigation_at(sample.time_s))
 
     def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:
         """The samples as the filter may have them, each with the memory of the cleaning after it."""
@@ -278,18 +278,10 @@ class Estimator:
         self._swap, self._monitor, self._wall = SwapWatch(), Monitor(), LastWall()
         return self._filter, self._forecaster
 
-    def _estimate(self, sample: Sample, row: Filtered) -> Estimate:
-        return estimate_of(sample, row, self._warnings(sample, row.summary))
-
-    def _is_another_pack(self, found: Estimate, belief: Belief | None) -> bool:
-        """True if enough rows by now have shown another pack than the one that is believed in."""
-        if belief is not None and self._filter is not None:
-            self._swap = self._swap.after(found, belief, self._filter.pack)
-        return self._swap.is_another
-
-    def _forecast_for(self, sample: Sample, found: Estimate, belief: Belief | None, navigation: Navigation) -> Pending:
-        """The estimate with what speaks against it, and the forecast that it leads to."""
+    def _forecast_for(self, sample: Sample, row: Filtered, navigation: Navigation) -> Pending:
+        """The estimate of a row with what speaks against it, and the forecast that it leads to."""
         assert self._filter is not None and self._forecaster is not None
+        belief, found = row.belief, estimate_of(sample, row, self._warnings(sample, row.summary))
         self._monitor = self._monitor.after(sample, found, belief, self._filter.pack)
         found = self._monitor.judged(found)
         if self._known.refusal:

@@ -84,17 +84,16 @@ class RecentLoad(NamedTuple):
         if not math.isfinite(self.time_s):
             return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
         dt_s = max(time_s - self.time_s, 0.0)
-        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
-        window_W = power_W + (self.window_W - power_W) * math.exp(-dt_s / WINDOW_TAU_S)
-        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
-        strayed = (window_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.variance
-        gusty = (gust_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.gust_variance
-        keep = math.exp(-dt_s / SPREAD_TAU_S)
-        variance, gust_variance = (
-            strayed + (self.variance - strayed) * keep,
-            gusty + (self.gust_variance - gusty) * keep,
-        )
-        return RecentLoad(time_s, mean_W, window_W, variance, gust_W, gust_variance)
+        means = ((self.mean_W, MEAN_TAU_S), (self.window_W, WINDOW_TAU_S), (self.gust_W, GUST_TAU_S))
+        mean_W, window_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
+        variances = [self.variance, self.gust_variance]
+        if mean_W > 0.0:
+            keep, shown = (
+                math.exp(-dt_s / SPREAD_TAU_S),
+                [(some_W / mean_W - 1.0) ** 2 for some_W in (window_W, gust_W)],
+            )
+            variances = [now + (was - now) * keep for was, now in zip(variances, shown, strict=True)]
+        return RecentLoad(time_s, mean_W, window_W, variances[0], gust_W, variances[1])
 
     @property
     def swings(self) -> Swings:
