@@ -195,7 +195,7 @@ class Forecaster:
         if question is None:
             return None
         power_W = load.typical_W(self._now(belief, take_off_s, NOWHERE))
-        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question))
+        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question, enough=1.0))
         return AtTakeOff(take_off_s, power_W, *(tuple(times_s.tolist()) for times_s in ends))
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
