@@ -34,8 +34,8 @@ NAMES = {
 IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
 # Both ways cost as much as the end itself, and what was said of them counts down: of forecasts a second apart, every
-# second one asks.
-ROUTE_PERIOD_S = 1.9
+# fourth one asks; a replay, with five seconds between two, always does.
+ROUTE_PERIOD_S = 3.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
 
@@ -80,7 +80,7 @@ def powers_of(load: Load) -> Powers:
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
     """Return the load to come: the route's where it is known and nobody has stated another one."""
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
-    level, level_sd = progress.level(powers)
+    level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
     home: Ahead | str = home_now(progress, navigation, time_s)
     if not math.isfinite(level):
