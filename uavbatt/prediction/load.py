@@ -79,10 +79,8 @@ class RecentLoad(NamedTuple):
         mean_W, window_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
         variances = [self.variance, self.gust_variance]
         if mean_W > 0.0:
-            keep, shown = (
-                math.exp(-dt_s / SPREAD_TAU_S),
-                [(some_W / mean_W - 1.0) ** 2 for some_W in (window_W, gust_W)],
-            )
+            keep = math.exp(-dt_s / SPREAD_TAU_S)
+            shown = [(some_W / mean_W - 1.0) ** 2 for some_W in (window_W, gust_W)]
             variances = [now + (was - now) * keep for was, now in zip(variances, shown, strict=True)]
         return RecentLoad(time_s, mean_W, window_W, variances[0], gust_W, variances[1])
 

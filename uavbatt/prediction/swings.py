@@ -16,8 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.prediction.sampling import LONGEST, held
 
 MEAN_TAU_S, WINDOW_TAU_S, GUST_TAU_S = 60.0, 20.0, 5.0  # of the averages
-# What a flight's power does around its mean: gusts of seconds, and manoeuvres (a climb, wind on the nose) of most of a
-# minute. It is the latter that end a flight early: near empty the cut-off lies a climb away.
+# A manoeuvre is a climb or wind on the nose: these end a flight early, near empty the cut-off lies a climb away.
 GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
 LARGEST_SWING, LARGEST_MANOEUVRES = 0.6, 0.4  # of both together, and of these alone
 SMALLEST_SPREAD = 0.03
