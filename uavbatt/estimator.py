@@ -26,13 +26,13 @@ from typing import NamedTuple
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.known_size import KnownSize, nothing_seen
-from uavbatt.battery.openloop import States, states
 from uavbatt.battery.remembered import PackHealth, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
 from uavbatt.battery.typical_power import typical_power_W
-from uavbatt.estimation.assumed_load import unmetered_pack
+from uavbatt.engine import PLAIN, Engine
+from uavbatt.estimation.assumed_load import unmetered_estimate, unmetered_pack
 from uavbatt.estimation.filter import BeliefSummary, Filtered, SocFilter, estimate_of, unknown
 from uavbatt.estimation.kalman import filterpy_condition
 from uavbatt.estimation.monitor import Monitor
@@ -41,7 +41,7 @@ from uavbatt.estimation.recursion import Window, filter_window
 from uavbatt.estimation.remarks import remarks
 from uavbatt.limits import HIGHEST_C_RATE, Names
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, answers, end_times
+from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
 from uavbatt.prediction.last_wall import LastWall
@@ -56,20 +56,6 @@ __all__ = ["PLAIN", "Engine", "Estimator", "Past"]
 LONGEST_WINDOW = 4096
 
 
-class Engine(NamedTuple):
-    """The works that can be done at once for many rows or columns; an Estimator uses the first two.
-
-    `PLAIN` does them in numpy, `compiled.engine()` in compiled code; live programs need neither.
-    """
-
-    filter_window: Window = filter_window  # the filter over the rows of a window
-    answers: Answers = answers  # the ends of forecasts
-    states: States = states  # the model without correction, for `diagnosis`
-
-
-PLAIN = Engine()
-
-
 class Past(NamedTuple):
     """The memory of an estimator beside its belief: how the flight went, and what is known of the sensors."""
 
@@ -81,13 +67,23 @@ class Past(NamedTuple):
         return Past(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
 
 
+class Followed(NamedTuple):
+    """The pack that is followed from its first row on; another pack, or another size of it, begins another."""
+
+    filter: SocFilter
+    forecaster: Forecaster
+    is_guessed: bool  # begun for a current that nobody measured
+    swap: SwapWatch = SwapWatch()
+    monitor: Monitor = Monitor()
+    wall: LastWall = LastWall()
+
+
 class Estimator:
     """State of charge and remaining time of one battery.
 
     battery : the battery file; options : what the caller states of the pack; settings : load to come,
     reserve and period of the forecasts; engine : how `run` works its windows; remembered : the health of a pack that
-    was met before.
-    `step` always takes measurements in by filterpy.
+    was met before. `step` always takes measurements in by filterpy.
     """
 
     def __init__(
@@ -101,15 +97,11 @@ class Estimator:
         self.battery, self.remembered = battery, remembered
         self.options = options or PackOptions()
         self.settings = settings or ForecastSettings()
-        self._filter: SocFilter | None = None
-        self._forecaster: Forecaster | None = None
+        self._followed: Followed | None = None
         load = self.settings.load
         power_W = load.power_W if isinstance(load, ConstantLoad) else NAN
         self._cleaner = Cleaner(stated_power_W=power_W)
-        self._swap = SwapWatch()
         self._known = nothing_seen(battery, self.options, stated_power(load))
-        self._monitor, self._wall = Monitor(), LastWall()
-        self._is_guessed = False  # the filter was begun for a current that nobody measured
         self._engine = engine
         self._in_flight: Window = partial(filter_window, condition=filterpy_condition())
 
@@ -130,13 +122,13 @@ class Estimator:
         Raises UsageError for a number that cannot be, BadInput or Uncertified for a file that is not what it should be.
         """
         options = PackOptions(cells=cells, capacity_Ah=capacity_Ah, cutoff_V=cutoff_V, spelt=Names())
-        content = battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
-        return cls(content, options, ForecastSettings(reserve_soc=reserve_soc))
+        file = battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
+        return cls(file, options, ForecastSettings(reserve_soc=reserve_soc))
 
     @property
     def belief(self) -> Belief | None:
         """The filter's belief after the last sample; None before the first complete one."""
-        return self._filter.belief if self._filter is not None else None
+        return self._followed.filter.belief if self._followed is not None else None
 
     @property
     def pack_size(self) -> PackSize | None:
@@ -158,14 +150,14 @@ class Estimator:
         if before is None or now is None or now is before:
             return
         if (now.cells, now.capacity_Ah) != (before.cells, before.capacity_Ah):
-            self._filter = self._forecaster = None
-        elif self._filter is not None and self._forecaster is not None:
-            self._filter.pack = self._forecaster.pack = self._pack(now)
+            self._followed = None
+        elif self._followed is not None:
+            self._followed.filter.pack = self._followed.forecaster.pack = self._pack(now)
 
     @property
     def past(self) -> Past | None:
         """The memory that is saved with the belief; None before the first sample."""
-        return Past(self._forecaster.memory, self._cleaner) if self._forecaster is not None else None
+        return Past(self._followed.forecaster.memory, self._cleaner) if self._followed is not None else None
 
     def restore(
         self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
@@ -174,17 +166,17 @@ class Estimator:
         self._known = self._known._replace(facts=facts, size=size)
         if past is not None:
             self._cleaner = past.cleaner
-        soc_filter, forecaster = self._begin(size)
-        soc_filter.restore(belief, current_A)
-        self._swap = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since is a silence
+        silence = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since
+        self._followed = self._begun()._replace(swap=silence)
+        self._followed.filter.restore(belief, current_A)
         if past is not None:
-            forecaster.recall(past.forecaster)
+            self._followed.forecaster.recall(past.forecaster)
 
     def before_take_off(self, time_s: float) -> Forecast | None:
         """Return the endurance of a flight that began now [s], from the charge believed; None while unknown."""
-        if self.belief is None or self._forecaster is None:
+        if self.belief is None or self._followed is None:
             return None
-        return self._forecaster.before_take_off(self.belief, time_s)
+        return self._followed.forecaster.before_take_off(self.belief, time_s)
 
     def step(self, sample: Sample, navigation: Navigation = NOWHERE) -> tuple[Estimate, Remaining]:
         """Take one sample in; returns the estimate and the remaining time after it.
@@ -204,21 +196,8 @@ class Estimator:
         """
         rest = iter(samples)
         while window := list(islice(rest, LONGEST_WINDOW)):
-            yield from self._window(window, navigation_at or (lambda _: NOWHERE), self._engine)
-
-    def _window(
-        self, samples: list[Sample], navigation_at: Callable[[float], Navigation], engine: Engine
-    ) -> Iterator[tuple[Estimate, Remaining]]:
-        """The rows of one window, the forecasts of some of them simulated side by side."""
-        waiting: list[Pending] = []
-        questions = 0
-        for pending in self._pending(samples, navigation_at, engine.filter_window):
-            waiting.append(pending)
-            questions += pending.question is not None
-            if questions == SIDE_BY_SIDE:
-                yield from finished(waiting, engine.answers)
-                waiting, questions = [], 0
-        yield from finished(waiting, engine.answers)
+            coming = self._pending(window, navigation_at or (lambda _: NOWHERE), self._engine.filter_window)
+            yield from finished(coming, self._engine.answers)
 
     def _pending(
         self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
@@ -226,22 +205,26 @@ class Estimator:
         """Take the rows of one window in. The filter works ahead; for another pack it works the rest anew."""
         cleaned = self._cleaned(samples)
         clean = [sample for _, sample in cleaned]
-        rows, since = (self._filter.run(clean, filter_window) if self._filter is not None else []), 0
+        rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
         for k, (raw, (self._cleaner, sample)) in enumerate(zip(samples, cleaned, strict=True)):
             self._know(self._known.after(raw, sample))
-            if self._filter is None or self._cleaner.guessed != self._is_guessed:
+            followed = self._followed
+            if followed is None or self._cleaner.guessed != followed.is_guessed:
                 refused = self._why_not_begin(sample)
                 if refused is not None:
                     yield Pending(sample, refused, None, refused.reason)
                     continue
-                rows, since = self._begun(clean[k:], filter_window), k
+                followed = self._begun()
+                rows, since = followed.filter.run(clean[k:], filter_window), k
             row = rows[k - since]
-            found = self._estimate(sample, row)
-            if self._is_another_pack(found, row.belief):
-                rows, since = self._begun(clean[k:], filter_window), k
+            if row.belief is not None:
+                swap = followed.swap.after(sample, row.innovation, row.belief, followed.filter.pack)
+                followed = followed._replace(swap=swap)
+            if followed.swap.is_another:  # enough rows by now have shown another pack than the one believed in
+                followed = self._begun()
+                rows, since = followed.filter.run(clean[k:], filter_window), k
                 row, self._known = rows[0], self._known.anew()
-                found = self._estimate(sample, row)
-            yield self._forecast_for(sample, found, row.belief, navigation_at(sample.time_s))
+            yield self._forecast_for(followed, sample, row, navigation_at(sample.time_s))
 
     def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:
         """The samples as the filter may have them, each with the memory of the cleaning after it."""
@@ -263,45 +246,28 @@ class Estimator:
             return replace(unknown(sample, self._known.refusal), warnings=(self._known.refusal,))
         return None
 
-    def _begun(self, coming: Sequence[Sample], filter_window: Window) -> list[Filtered]:
-        """A new battery from the first of the coming samples on; returns the filter after each."""
-        assert self.pack_size is not None
-        soc_filter, _ = self._begin(self.pack_size)
-        return soc_filter.run(coming, filter_window)
+    def _begun(self) -> Followed:
+        """A pack before its first row: nothing that was believed of the last one holds."""
+        assert self._known.size is not None
+        pack = self._pack(self._known.size)
+        soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
+        return Followed(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
 
-    def _begin(self, size: PackSize) -> tuple[SocFilter, Forecaster]:
-        """Forget the last battery: nothing that was believed of it holds."""
-        pack = self._pack(size)
-        self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
-        self._forecaster = Forecaster(pack, self.settings)
-        self._is_guessed = self._cleaner.guessed
-        self._swap, self._monitor, self._wall = SwapWatch(), Monitor(), LastWall()
-        return self._filter, self._forecaster
-
-    def _estimate(self, sample: Sample, row: Filtered) -> Estimate:
-        return estimate_of(sample, row, self._warnings(sample, row.summary))
-
-    def _is_another_pack(self, found: Estimate, belief: Belief | None) -> bool:
-        """True if enough rows by now have shown another pack than the one that is believed in."""
-        if belief is not None and self._filter is not None:
-            self._swap = self._swap.after(found, belief, self._filter.pack)
-        return self._swap.is_another
-
-    def _forecast_for(self, sample: Sample, found: Estimate, belief: Belief | None, navigation: Navigation) -> Pending:
-        """The estimate with what speaks against it, and the forecast that it leads to."""
-        assert self._filter is not None and self._forecaster is not None
-        self._monitor = self._monitor.after(sample, found, belief, self._filter.pack)
-        found = self._monitor.judged(found)
+    def _forecast_for(self, followed: Followed, sample: Sample, row: Filtered, navigation: Navigation) -> Pending:
+        """The estimate of a row with what speaks against it, and the forecast that it leads to."""
+        pack, forecaster, belief = followed.filter.pack, followed.forecaster, row.belief
+        found = estimate_of(sample, row, self._warnings(pack, sample, row.summary))
+        monitor = followed.monitor.after(sample, found, belief, pack)
+        found = monitor.judged(found)
         if self._known.refusal:
             found = replace(found, status=Status.REFUSED, reason=self._known.refusal)
-        if self._cleaner.guessed:  # nobody measured these
-            found = replace(found, current_A=NAN, power_W=NAN)
-            if found.status is Status.OK:
-                found = replace(found, status=Status.CONVERGING, reason="no current sensor: the load is assumed")
-        self._forecaster.cell_spread_V = self._cleaner.cell_spread_V
-        refusal, question = self._forecaster.update(sample, found, belief, navigation)
-        self._wall = self._wall.after(sample, belief, self._filter.pack, self._forecaster.cutoff_V)
-        return Pending(sample, found, self._forecaster, refusal, question, self._wall.left_s(sample.time_s))
+        if self._cleaner.guessed:
+            found = unmetered_estimate(found)
+        forecaster.cell_spread_V = self._cleaner.cell_spread_V
+        refusal, question = forecaster.update(sample, found, belief, navigation)
+        wall = followed.wall.after(sample, belief, pack, forecaster.cutoff_V)
+        self._followed = followed._replace(monitor=monitor, wall=wall)
+        return Pending(sample, found, forecaster, refusal, question, wall.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:
         pack = sized(self.battery, size)
@@ -310,14 +276,13 @@ class Estimator:
         pack = with_reaction(pack, self.remembered)
         return pack._replace(sag_compensated=bool(self._known.facts.sag_compensated))
 
-    def _warnings(self, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
+    def _warnings(self, pack: Pack, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
         """All that a reader of the number must know beside it; each is said once."""
-        size = self._known.size
-        assert size is not None and self._filter is not None
-        is_metered = not self._cleaner.guessed
-        found = remarks(self.battery, size, sample, known, self._filter.pack, is_metered=is_metered)
+        size, is_metered = self._known.size, not self._cleaner.guessed
+        assert size is not None
+        found = remarks(self.battery, size, sample, known, pack, is_metered=is_metered)
         if is_metered and self.remembered is not None:
-            changed = unlike(self._filter.pack, self.remembered, known.wear, known.wear_sd)
+            changed = unlike(pack, self.remembered, known.wear, known.wear_sd)
             found = (*found, changed) if changed else found
         doubted = dict.fromkeys((*size.notices, *(doubt.words for doubt in self._known.doubts)))
         return (*found, *doubted, *self._cleaner.notices)

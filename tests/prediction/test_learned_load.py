@@ -13,17 +13,7 @@ from uavbatt.battery.vehicle_file import Phases, Trace, VehicleFile
 from uavbatt.prediction.flown import Flown
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.load import (
-    GUST_MEMORY_S,
-    MANOEUVRE_MEMORY_S,
-    Load,
-    Now,
-    RecentLoad,
-    Scenarios,
-    Swings,
-    equal_levels,
-    shown_shares,
-)
+from uavbatt.prediction.load import Load, Now, RecentLoad, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_FLIGHTS,
     FEW_SPREAD,
@@ -34,6 +24,7 @@ from uavbatt.prediction.load_library import (
     UnknownAircraft,
     learned_load,
 )
+from uavbatt.prediction.swings import GUST_MEMORY_S, MANOEUVRE_MEMORY_S, Swings, shown_shares
 
 STEP_S = 5.0
 

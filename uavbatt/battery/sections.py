@@ -165,7 +165,7 @@ class BatteryFile(Record, frozen=True):
     @property
     def is_measured(self) -> bool:
         """True if the numbers are known to come from data of this type of battery."""
-        return self.status in ("certified", "fitted")
+        return self.certificate.status in ("certified", "fitted")
 
     @property
     def caveat(self) -> str:

@@ -33,7 +33,6 @@ OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
 
 PowerRange = tuple[float, float]
-NOTHING = (None,) * 8
 SLOW_ROWS = Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
 CHARGING = Doubt("the current flows into the pack: the sensor's sign is reversed, or the pack is charged", True)
 IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", False)
@@ -75,30 +74,20 @@ class Current(NamedTuple):
 
     time_s: float = NAN
     current_A: float = NAN
-    load: Means = NO_LOAD
+    load: Means = NO_LOAD  # NO_LOAD until the first row under load: it has not flown
     drawn_Ah: float = 0.0
     plateau_Ah: float = 0.0  # of it, what was drawn while the cells were far from empty
     calm_V: float = NAN  # the rested voltage before the charge was counted; NaN when the count has a gap
     strain: Strain = NO_STRAIN
     negative_s: float = 0.0
 
-    @property
-    def has_flown(self) -> bool:
-        """True from the first row under load on."""
-        return self.load is not NO_LOAD
-
-    @property
-    def longest_negative_s(self) -> float:
-        """For how long a current may flow into a pack [s]: in flight motors that brake give some back."""
-        return REGENERATING_S if self.load is not NO_LOAD else REVERSED_S
-
     def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
         """The value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
-        gap_s, rate, has_flown = time_s - self.time_s, current_A / pack.capacity_Ah, self.has_flown
+        gap_s, rate = time_s - self.time_s, current_A / pack.capacity_Ah
         step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
         drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
         calm_V = NAN if gap_s >= LONGEST_ROW_S else self.calm_V
-        if gap_s != gap_s or (not has_flown and calm_V == calm_V):  # NaN: the first row; no count any more
+        if gap_s != gap_s or (self.load is NO_LOAD and calm_V == calm_V):  # NaN: the first row; no count any more
             calm_V = rested_V
         is_plateau = volts > PLATEAU_CELL_V * pack.cells
         strain_V = (calm_V - volts) / pack.cells - OCV_SLOPE_V * max(drawn_Ah, 0.0) / pack.capacity_Ah
@@ -132,7 +121,7 @@ class Statements(NamedTuple):
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
-        seen = self._seen(volts, not self.current.has_flown and _is_idle(raw, pack.capacity_Ah))
+        seen = self._seen(volts, self.current.load is NO_LOAD and _is_idle(raw, pack.capacity_Ah))
         long_rows = self.long_rows + 1 if time_s - self.time_s >= LONGEST_ROW_S else 0
         is_metered = math.isfinite(current_A)
         current = self.current.after(time_s, volts, current_A, seen.rested_V, pack) if is_metered else self.current
@@ -143,17 +132,21 @@ class Statements(NamedTuple):
 
         The words name no number that changes from row to row: each is said once.
         """
+        current, capacity_Ah = self.current, pack.capacity_Ah
+        load, is_minute = current.load, current.load.loaded_s >= MINUTE_S
+        may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # in flight motors that brake give some back
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
             cells_doubt(pack.cells, self.seen, resting) if self.rows else None,
             SLOW_ROWS if self.long_rows >= SEVERAL_ROWS else None,
-            CHARGING if self.current.negative_s >= self.current.longest_negative_s else None,
-            self._rate_doubt(pack.capacity_Ah),
-            self._charge_doubt(pack.capacity_Ah),
-            self._power_doubt(power_W),
+            CHARGING if current.negative_s >= may_charge_s else None,
+            _strong(load, capacity_Ah) if is_minute and load.current_A > USUAL_C_RATE[1] * capacity_Ah else None,
+            _weak(current, capacity_Ah) if current.strain.lasting_s >= MINUTE_S else None,
+            _overdrawn(current, capacity_Ah) if current.plateau_Ah > OVERDRAWN * capacity_Ah else None,
+            _unlike(load.power_W, *power_W) if is_minute and power_W is not None else None,
             IN_KELVIN if self.kelvin_rows >= SEVERAL_ROWS else None,
         )
-        if found == NOTHING:
+        if not any(found):
             return ()
         return tuple(sorted((doubt for doubt in found if doubt is not None), key=lambda doubt: not doubt.is_certain))
 
@@ -181,37 +174,39 @@ class Statements(NamedTuple):
             rested_V = min(volts if math.isnan(rested_V) else max(rested_V, volts), first_V)
         return self.seen if (first_V, rested_V) == self.seen else Seen(first_V, rested_V)
 
-    def _rate_doubt(self, capacity_Ah: float) -> Doubt | None:
-        load, strain = self.current.load, self.current.strain
-        if load.loaded_s >= MINUTE_S and load.current_A > USUAL_C_RATE[1] * capacity_Ah:
-            is_certain = load.current_A > C_RATE[1] * capacity_Ah
-            bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
-            words = f"more than {bound:g} C for a minute: is the capacity right?"
-            return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
-        if strain.lasting_s >= MINUTE_S:
-            is_certain = self.current.current_A < C_RATE[0] * capacity_Ah and strain.mean_V > SURE_STRAIN_CELL_V
-            bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
-            words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
-            return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+
+def _strong(load: Means, capacity_Ah: float) -> Doubt:
+    """A load that few packs of the stated capacity give for a minute."""
+    is_certain = load.current_A > C_RATE[1] * capacity_Ah
+    bound = C_RATE[1] if is_certain else USUAL_C_RATE[1]
+    return Doubt(
+        f"the stated {capacity_Ah:g} Ah gives more than {bound:g} C for a minute: is the capacity right?", is_certain
+    )
+
+
+def _weak(current: Current, capacity_Ah: float) -> Doubt:
+    """A load that is light for the stated capacity, and yet the voltage gives way."""
+    is_certain = current.current_A < C_RATE[0] * capacity_Ah and current.strain.mean_V > SURE_STRAIN_CELL_V
+    bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
+    words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"
+    return Doubt(f"the stated {capacity_Ah:g} Ah gives {words}", is_certain)
+
+
+def _overdrawn(current: Current, capacity_Ah: float) -> Doubt:
+    """More charge was drawn than is stated, the cells far from empty."""
+    is_certain = current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
+    share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
+    words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
+    return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
+
+
+def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
+    """A mean power [W] that the range stated of this aircraft does not hold."""
+    if low_W / POWER_FACTOR <= power_W <= high_W * POWER_FACTOR:
         return None
-
-    def _charge_doubt(self, capacity_Ah: float) -> Doubt | None:
-        if self.current.plateau_Ah <= OVERDRAWN * capacity_Ah:
-            return None
-        is_certain = self.current.plateau_Ah > SURELY_OVERDRAWN * capacity_Ah
-        share = SURELY_OVERDRAWN if is_certain else OVERDRAWN
-        words = f"{share:g} times the stated {capacity_Ah:g} Ah were drawn, and the cells are far from empty"
-        return Doubt(f"{words}: is the capacity right, or does the current read high?", is_certain)
-
-    def _power_doubt(self, power_W: PowerRange | None) -> Doubt | None:
-        if power_W is None or self.current.load.loaded_s < MINUTE_S:
-            return None
-        low_W, high_W = power_W
-        if low_W / POWER_FACTOR <= self.current.load.power_W <= high_W * POWER_FACTOR:
-            return None
-        more = "more than twice" if self.current.load.power_W > high_W else "less than half"
-        spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
-        return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
+    more = "more than twice" if power_W > high_W else "less than half"
+    spoken = f"{low_W:.0f} W" if low_W == high_W else f"{low_W:.0f} to {high_W:.0f} W"
+    return Doubt(f"this aircraft draws {more} the {spoken} that are stated of it: another aircraft's?", False)
 
 
 def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from uavbatt.compiled.cache import is_available
 
 if TYPE_CHECKING:
-    from uavbatt.estimator import Engine
+    from uavbatt.engine import Engine
 
 __all__ = ["engine", "is_available"]
 
@@ -21,6 +21,6 @@ __all__ = ["engine", "is_available"]
 def engine() -> Engine:
     """The engine whose works are compiled. Raises ImportError where numba is not installed."""
     from uavbatt.compiled import filter, forecast, openloop
-    from uavbatt.estimator import Engine
+    from uavbatt.engine import Engine
 
     return Engine(filter.filter_window, forecast.answers, openloop.states)

@@ -20,7 +20,7 @@ from uavbatt.battery.state_space import X
 from uavbatt.compiled.jit import as_numbers, compiled
 from uavbatt.prediction import sampling
 from uavbatt.prediction.batch import Question
-from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes
+from uavbatt.prediction.time_to_end import MEAN_LAG_S, SOC_IN_VOLTS, EndTimes, counted
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -42,7 +42,7 @@ def compiled_end_times(q: Question) -> EndTimes:
         drawn.row,
         q.by_rows,
     )
-    return EndTimes(*ends)
+    return counted(EndTimes(*ends))
 
 
 @compiled

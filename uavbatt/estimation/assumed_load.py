@@ -8,8 +8,10 @@ that is five times as much.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from uavbatt.battery.scaling import Pack
+from uavbatt.records import NAN, Estimate, Status
 
 ASSUMED_SD, STATED_SD = (0.5, 1.2), (0.2, 0.4)
 
@@ -26,3 +28,11 @@ def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:
         capacity_scale_sd=level_sd,
         guess_sd=about_it_sd,
     )
+
+
+def unmetered_estimate(found: Estimate) -> Estimate:
+    """The estimate without the current that nobody measured; it is never `ok`."""
+    found = replace(found, current_A=NAN, power_W=NAN)
+    if found.status is not Status.OK:
+        return found
+    return replace(found, status=Status.CONVERGING, reason="no current sensor: the load is assumed")

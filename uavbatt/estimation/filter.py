@@ -120,17 +120,17 @@ class SocFilter:
 def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list[Filtered]:
     """The rows as the filter shows them; what is told of a belief is worked out once for each."""
     found = []
-    known, moments, weight = last.summary, None, np.zeros(0)
-    x = last.belief.means if last.belief is not None else None
     for row in rows:
-        if row.moments is None:
+        at, belief, known = row.moments, last.belief, last.summary
+        if at is None:
             found.append(NOT_BEGUN)
             continue
-        if row.moments is not moments:
-            moments, weight = row.moments, row.moments.weight
-            known, x = (known if moments.x is x else summary(moments)), moments.x
-        belief = Belief(row.time_s, moments.x, moments.P, weight, ambient_C)
-        found.append(Filtered(belief, known, row.innovation))
+        if belief is None or belief.means is not at.x:
+            belief, known = Belief(row.time_s, at.x, at.P, at.weight, ambient_C), summary(at)
+        else:
+            belief = Belief(row.time_s, at.x, at.P, belief.weights, ambient_C)
+        last = Filtered(belief, known, row.innovation)
+        found.append(last)
     return found
 
 

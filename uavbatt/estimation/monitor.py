@@ -18,8 +18,6 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.sensors import (
     DEAD_S,
-    LEAST_RISE_CELL_V,
-    LOADED_C_RATE,
     REFUSED_STUCK_S,
     STUCK_S,
     LoadWatch,
@@ -43,7 +41,7 @@ MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad c
 
 
 class Innovations(NamedTuple):
-    """Mean of the normalised innovation squared over about a minute, and since when it has been too large [s]."""
+    """Mean of the normalised innovation squared over about a minute, and since when it is too large [s], else NaN."""
 
     mean: float = 0.0
     high_since_s: float = math.nan
@@ -55,10 +53,6 @@ class Innovations(NamedTuple):
         if mean <= NIS_LIMIT:
             return Innovations(mean)
         return Innovations(mean, self.high_since_s if math.isfinite(self.high_since_s) else time_s)
-
-    def is_unfitting(self, time_s: float) -> bool:
-        """They have been too large for a minute."""
-        return math.isfinite(self.high_since_s) and time_s - self.high_since_s >= NIS_AFTER_S
 
 
 class Monitor(NamedTuple):
@@ -80,8 +74,7 @@ class Monitor(NamedTuple):
             return self
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         readings = self.readings.after(time_s, volts, amps, cells)
-        least = LoadWatch(voltage_V=LEAST_RISE_CELL_V * cells, current_A=LOADED_C_RATE * capacity_Ah)
-        load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, least)
+        load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
         innovations, off_sds = self.innovations, self.off_sds
         if math.isfinite(estimate.nis):  # a block is closed: between two of them nothing new is known of these
             innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
@@ -91,9 +84,9 @@ class Monitor(NamedTuple):
         )
         doubts = [words for words, for_s in still if for_s >= STUCK_S]
         refusals = [words for words, for_s in still if for_s >= REFUSED_STUCK_S]
-        if load.dead_s(time_s) >= DEAD_S:
+        if time_s - load.gone_since_s >= DEAD_S:
             refusals.append(DEAD_CURRENT)
-        if innovations.is_unfitting(time_s):
+        if time_s - innovations.high_since_s >= NIS_AFTER_S:
             doubts.append(UNFITTING)
         if abs(off_sds) > FAR_SDS:
             doubts.append(FAR_OFF)

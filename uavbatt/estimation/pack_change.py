@@ -16,7 +16,8 @@ from typing import NamedTuple
 from uavbatt.battery import model
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
-from uavbatt.records import NAN, Estimate
+from uavbatt.estimation.recursion import Innovation
+from uavbatt.records import NAN, Sample
 
 RESTED_C_RATE, SWAP_ROWS = 0.15, 3
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
@@ -48,25 +49,25 @@ class SwapWatch(NamedTuple):
         """Return True if enough rows have shown another pack."""
         return self.rows >= SWAP_ROWS
 
-    def after(self, estimate: Estimate, belief: Belief, pack: Pack) -> SwapWatch:
-        """Return what is known after one more row, whose estimate and belief are given."""
+    def after(self, sample: Sample, row: Innovation, belief: Belief, pack: Pack) -> SwapWatch:
+        """Return what is known after one more sample, held against the model in `row`, and the belief after it."""
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
-        cell_V, current_A = estimate.voltage_V / cells, estimate.current_A
+        time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
         if not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
             return self
-        gap_s = estimate.time_s - self.seen_s
+        gap_s = time_s - self.seen_s
         row_s, bounds = self.row_s, self.bounds
         if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
-            bounds = self._bounds(gap_s, estimate.predicted_voltage_V / cells, pack)
+            bounds = self._bounds(gap_s, row.expected_V / cells, pack)
         elif gap_s > 0.0:
             row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
-            return SwapWatch(estimate.time_s, current_A, belief, row_s)
-        other = estimate.innovation_V > FAR_CELL_V * cells or cell_V < self.rested_V - FALLEN_CELL_V
+            return SwapWatch(time_s, current_A, belief, row_s)
+        other = row.innovation_V > FAR_CELL_V * cells or cell_V < self.rested_V - FALLEN_CELL_V
         if bounds is not None:
             other = other or not bounds.low_V <= cell_V <= bounds.high_V
         rows, rested_V = (self.rows + 1, self.rested_V) if other else (0, cell_V)
-        return SwapWatch(estimate.time_s, current_A, belief, row_s, bounds, rows, rested_V)
+        return SwapWatch(time_s, current_A, belief, row_s, bounds, rows, rested_V)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
         """Return what the pack that was seen last can show at rest after a silence of `gap_s`."""

@@ -65,7 +65,7 @@ class Between(NamedTuple):
     """A row within a block: what its expected voltage needs, worked out for all such rows of a window at once."""
 
     x: Array  # [members, 8]
-    weight: Array
+    log_weight: Array
     current_A: float
     voltage_V: float
 
@@ -145,21 +145,21 @@ def _between(pack: Pack, state: FilterState, sample: Sample) -> Between:
     x = state.moments.x.copy()
     capacity_As = 3600.0 * pack.installation.present_capacity_Ah * np.exp(x[:, X.LOG_CAPACITY])
     x[:, X.SOC] -= state.block.charge_As / capacity_As
-    return Between(x, state.moments.weight, state.current_A, sample.voltage_V)
+    return Between(x, state.moments.log_weight, state.current_A, sample.voltage_V)
 
 
 def _innovations(pack: Pack, rows: list[Between]) -> list[Innovation]:
     """Innovations of rows within blocks, by the members' weights."""
     if not rows:
         return []
-    x, weight = np.array([row.x for row in rows]), np.array([row.weight for row in rows])
+    x, weight = np.array([row.x for row in rows]), np.exp([row.log_weight for row in rows])
     count, members, _ = x.shape
     current_A = np.repeat([row.current_A for row in rows], members)
     volts = b.voltage(pack, x.reshape(count * members, -1).T, current_A).reshape(count, members)
     expected_V = np.sum(volts * weight, axis=1).tolist()
     return [
-        Innovation(row.voltage_V - volts_V, math.nan, volts_V, float(row.weight @ row.x[:, X.SOC]))
-        for row, volts_V in zip(rows, expected_V, strict=True)
+        Innovation(row.voltage_V - volts_V, math.nan, volts_V, float(of_row @ row.x[:, X.SOC]))
+        for row, of_row, volts_V in zip(rows, weight, expected_V, strict=True)
     ]
 
 

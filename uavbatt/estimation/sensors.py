@@ -40,11 +40,6 @@ class Still(NamedTuple):
         habit = HABIT_KEPT ** (self.rows + 1) * self.habit + (1.0 - HABIT_KEPT)
         return Still(value, time_s, step, 0, habit)
 
-    @property
-    def missed_moves(self) -> float:
-        """How many times it should have moved since it last did, by its habit."""
-        return self.rows * self.habit
-
     def age_s(self, time_s: float) -> float:
         """For how long the reading has not moved [s]; 0 before the first one."""
         return time_s - self.since_s if math.isfinite(self.since_s) else 0.0
@@ -82,8 +77,8 @@ class SinceMoved(NamedTuple):
 
     def stuck_current_s(self, capacity_Ah: float) -> float:
         """For how long the current has stood still against its habit or the voltage's turns [s]; 0 when it is sound."""
-        is_loaded = self.current.value > STILL_C_RATE * capacity_Ah
-        is_stuck = self.turns >= TURNS or (is_loaded and self.current.missed_moves >= MISSED_MOVES)
+        missed = self.current.rows * self.current.habit if self.current.value > STILL_C_RATE * capacity_Ah else 0.0
+        is_stuck = self.turns >= TURNS or missed >= MISSED_MOVES
         return self.current.age_s(self.time_s) if is_stuck else 0.0
 
 
@@ -94,16 +89,16 @@ class LoadWatch(NamedTuple):
     voltage_V: float = math.nan
     current_A: float = math.nan
     owed_V: float = math.nan  # what the cells give back when the load is gone
-    gone_since_s: float = math.nan
+    gone_since_s: float = math.nan  # NaN while the sensor is sound
 
     def after(
-        self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, least: LoadWatch
+        self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
     ) -> LoadWatch:
-        """The same with one more row; `least` holds the load that counts and the rise that shows."""
+        """The same with one more row, whose voltage the model predicts as `predicted_V` [V]."""
         fresh = LoadWatch(time_s, voltage_V, current_A)
         if not math.isfinite(self.current_A):
             return fresh
-        if self.current_A < least.current_A or current_A > DEAD_SHARE * self.current_A:
+        if self.current_A < LOADED_C_RATE * capacity_Ah or current_A > DEAD_SHARE * self.current_A:
             keep = math.exp(-max(time_s - self.time_s, 0.0) / RECENT_TAU_S)
             return LoadWatch(
                 time_s,
@@ -112,10 +107,6 @@ class LoadWatch(NamedTuple):
             )
         is_new = not math.isfinite(self.gone_since_s)
         owed_V = predicted_V - self.voltage_V if is_new else self.owed_V
-        if not owed_V > least.voltage_V or voltage_V - self.voltage_V > RECOVERED_SHARE * owed_V:
+        if not owed_V > LEAST_RISE_CELL_V * cells or voltage_V - self.voltage_V > RECOVERED_SHARE * owed_V:
             return fresh
         return self._replace(owed_V=owed_V, gone_since_s=time_s if is_new else self.gone_since_s)
-
-    def dead_s(self, time_s: float) -> float:
-        """For how long the current sensor has been dead [s]; 0 when it is sound."""
-        return time_s - self.gone_since_s if math.isfinite(self.gone_since_s) else 0.0

@@ -23,14 +23,13 @@ from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
-from uavbatt.prediction.long_steps import begun
+from uavbatt.prediction.long_steps import begun, edges_through, flown_on
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
 from uavbatt.prediction.route_path import path, way_home
 from uavbatt.prediction.route_pieces import Way
-from uavbatt.prediction.turn_back import flown_on
 from uavbatt.records import Route
 
 STEPS = 400
@@ -156,7 +155,7 @@ def _fit(
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
     known = ToCome(load, "route", "", ahead, home.ahead, "", home)
     asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
-    end_s = np.minimum(end_times(question).end_s, question.horizon_s)
+    end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
     route = route_forecast.route_answer(asked, end_s)
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
@@ -172,7 +171,9 @@ def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
     last = np.append(np.flatnonzero(goes_on), pieces.seq.size - 1)
     ends_s: Array = pieces.ends_s[last]
     going = begun(flying.pack, flying.x, flying.ambient_C)
-    soc = np.quantile(flown_on(going, flying.power_W, flying.dt_s, ends_s).state.soc, LEVELS, axis=1)
+    edges_s = edges_through(ends_s)
+    passed = flown_on(going, flying.power_W, flying.dt_s, edges_s).of(np.searchsorted(edges_s, ends_s))
+    soc = np.quantile(passed.state.soc, LEVELS, axis=1)
     return tuple(
         LegEnd(int(pieces.seq[i]), float(end_s), Point(*pieces.end[i].tolist()), *(max(float(z), 0.0) for z in charge))
         for i, end_s, charge in zip(last, ends_s, soc[[1, 0, 2]].T, strict=True)

@@ -17,7 +17,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.prediction import sampling
 from uavbatt.prediction.route_forecast import RouteAsked, WaysAsked
 from uavbatt.prediction.take_off import AtTakeOff
-from uavbatt.prediction.time_to_end import EndTimes, Normals, time_to_end
+from uavbatt.prediction.time_to_end import COUNTED, EndTimes, Normals, counted, time_to_end
 
 SIDE_BY_SIDE = 16  # more do not fit the cache
 
@@ -43,10 +43,11 @@ class Question(NamedTuple):
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
-def end_times(q: Question) -> EndTimes:
-    """Simulate one forecast; returns the end of each sample."""
+def end_times(q: Question, enough: float = COUNTED) -> EndTimes:
+    """Simulate one forecast; returns the end of each sample, none later than those of a share `enough` of them."""
     drawn = sampling.wander(q.dt_s.size, q.by_rows)
-    return time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows)
+    ends = time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows, enough=enough)
+    return counted(ends, enough)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
@@ -87,5 +88,6 @@ def _together(few: list[Question]) -> list[EndTimes]:
         Normals(drawn.bias[:, None], drawn.row[:, None]),
         few[0].by_rows,
         each(q.dt_s.size for q in few),
+        COUNTED,
     )
-    return [EndTimes(*pair) for pair in zip(*ends, strict=True)]
+    return [EndTimes(*pair) for pair in zip(*counted(ends), strict=True)]

@@ -21,13 +21,14 @@ from uavbatt.limits import check_stated
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
+from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.flown import Flown
 from uavbatt.prediction.forecast import LEVELS, Forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
 from uavbatt.prediction.route_forecast import Flying, WaysAsked
-from uavbatt.prediction.route_progress import FlightLessons, Progress
+from uavbatt.prediction.route_progress import Progress
 from uavbatt.prediction.take_off import AtTakeOff, before_take_off, is_open
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
@@ -97,7 +98,7 @@ class Forecaster:
     def recall(self, memory: Memory) -> None:
         """Go on from a past that was saved."""
         self._flown, self._at_take_off = memory.flown, memory.at_take_off
-        self._progress = self._progress.recall(memory.route)
+        self._progress = self._progress._replace(lessons=memory.route)
 
     def step(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
@@ -197,7 +198,7 @@ class Forecaster:
         if question is None:
             return None
         power_W = load.typical_W(self._now(belief, take_off_s, NOWHERE))
-        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question))
+        ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question, enough=1.0))
         return AtTakeOff(take_off_s, power_W, *(tuple(times_s.tolist()) for times_s in ends))
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:

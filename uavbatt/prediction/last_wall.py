@@ -55,29 +55,23 @@ class Fall(NamedTuple):
 
     bins: tuple[FallBin, ...] = ()
 
-    @property
-    def is_due(self) -> bool:
-        """True if the last row has begun a new bin: once a second is often enough to look."""
-        return bool(self.bins) and self.bins[-1].rows == 1
+    def is_open(self, time_s: float) -> bool:
+        """True if a row at this time falls into the last bin."""
+        return bool(self.bins) and 0.0 <= time_s - self.bins[-1].begin_s < BIN_S
 
-    def after(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
-        """The window with one more row; a clock that falls back begins anew."""
-        if not (math.isfinite(voltage_V) and math.isfinite(current_A)):
-            return self
-        if not self.bins or time_s < self.bins[-1].begin_s:
-            return Fall((FallBin(time_s, voltage_V, current_A, lag_V),))
+    def with_row(self, voltage_V: float, current_A: float) -> Fall:
+        """The window with one more row in its last bin."""
         last = self.bins[-1]
-        if time_s - last.begin_s < BIN_S:
-            share = 1.0 / (last.rows + 1)
-            volts = last.voltage_V + share * (voltage_V - last.voltage_V)
-            amps = last.current_A + share * (current_A - last.current_A)
-            return Fall((*self.bins[:-1], FallBin(last.begin_s, volts, amps, last.lag_V, last.rows + 1)))
-        kept = tuple(row for row in self.bins if time_s - row.begin_s <= max(WINDOWS_S))
-        return Fall((*kept, FallBin(time_s, voltage_V, current_A, lag_V)))
+        share = 1.0 / (last.rows + 1)
+        volts = last.voltage_V + share * (voltage_V - last.voltage_V)
+        amps = last.current_A + share * (current_A - last.current_A)
+        return Fall((*self.bins[:-1], FallBin(last.begin_s, volts, amps, last.lag_V, last.rows + 1)))
 
-    def begins(self, time_s: float) -> bool:
-        """True if a row at this time begins a new bin, which needs the lag."""
-        return not self.bins or not 0.0 <= time_s - self.bins[-1].begin_s < BIN_S
+    def with_bin(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
+        """The window with a row that begins a bin; after a clock that fell back there is no other."""
+        before = self.bins if self.bins and time_s >= self.bins[-1].begin_s else ()
+        kept = (row for row in before if time_s - row.begin_s <= max(WINDOWS_S))
+        return Fall((*kept, FallBin(time_s, voltage_V, current_A, lag_V)))
 
     def _is_level(self, cutoff_V: float) -> bool:
         """True if the voltage fell so little over the window that no bend could matter: most of a flight."""
@@ -159,13 +153,16 @@ class LastWall(NamedTuple):
 
     def after(self, sample: Sample, belief: Belief | None, pack: Pack, cutoff_V: float) -> LastWall:
         """The value after one more sample and the belief that it led to; cutoff_V [V] is where the flight ends."""
-        cells, lag_V, ends_s = float(pack.installation.cells), 0.0, self.ends_s
-        if belief is not None and self.fall.begins(sample.time_s):
+        time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
+        if not (math.isfinite(volts) and math.isfinite(amps)):
+            return self
+        if self.fall.is_open(time_s):
+            return LastWall(self.fall.with_row(volts, amps), self.ends_s)
+        cells, lag_V = float(pack.installation.cells), 0.0
+        if belief is not None:
             lag_V = cells * float(belief.weights @ belief.means[:, [X.POLARISATION, X.DIFFUSION]].sum(axis=1))
-        fall = self.fall.after(sample.time_s, sample.voltage_V, sample.current_A, lag_V)
-        if fall.is_due:
-            ends_s = (*ends_s[1:], sample.time_s + fall.time_left_s(cells, cutoff_V))
-        return LastWall(fall, ends_s)
+        fall = self.fall.with_bin(time_s, volts, amps, lag_V)  # once a second is often enough to look
+        return LastWall(fall, (*self.ends_s[1:], time_s + fall.time_left_s(cells, cutoff_V)))
 
     def left_s(self, time_s: float) -> float:
         """Seconds until the measured voltage itself is at the cut-off; infinite where it does not fall."""

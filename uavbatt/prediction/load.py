@@ -16,18 +16,9 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.sampling import LONGEST, held
+from uavbatt.prediction.swings import GUST_TAU_S, MEAN_TAU_S, WINDOW_TAU_S, Swings, swings_shown, swung
 
-MEAN_TAU_S = 60.0
-WINDOW_TAU_S = 20.0
 SPREAD_TAU_S = 240.0
-GUST_TAU_S = 5.0
-# What a flight's power does around its mean: gusts of seconds, and manoeuvres (a climb, wind on the nose) of most of a
-# minute. It is the latter that end a flight early: near empty the cut-off lies a climb away.
-GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
-LARGEST_SWING, LARGEST_MANOEUVRES = 0.6, 0.4  # of both together, and of these alone
-SMALLEST_SPREAD = 0.03
-STEPS_IN_BLOCK = 32
 # Before a flight has shown its own: as manoeuvres of 15 % and gusts of 10 % would look.
 PRIOR_SPREAD, PRIOR_GUST = 0.062, 0.116
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
@@ -85,62 +76,19 @@ class RecentLoad(NamedTuple):
         if not math.isfinite(self.time_s):
             return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
         dt_s = max(time_s - self.time_s, 0.0)
-        mean_W = power_W + (self.mean_W - power_W) * math.exp(-dt_s / MEAN_TAU_S)
-        window_W = power_W + (self.window_W - power_W) * math.exp(-dt_s / WINDOW_TAU_S)
-        gust_W = power_W + (self.gust_W - power_W) * math.exp(-dt_s / GUST_TAU_S)
-        strayed = (window_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.variance
-        gusty = (gust_W / mean_W - 1.0) ** 2 if mean_W > 0.0 else self.gust_variance
-        keep = math.exp(-dt_s / SPREAD_TAU_S)
-        variance, gust_variance = (
-            strayed + (self.variance - strayed) * keep,
-            gusty + (self.gust_variance - gusty) * keep,
-        )
-        return RecentLoad(time_s, mean_W, window_W, variance, gust_W, gust_variance)
+        means = ((self.mean_W, MEAN_TAU_S), (self.window_W, WINDOW_TAU_S), (self.gust_W, GUST_TAU_S))
+        mean_W, window_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
+        variances = [self.variance, self.gust_variance]
+        if mean_W > 0.0:
+            keep = math.exp(-dt_s / SPREAD_TAU_S)
+            shown = [(some_W / mean_W - 1.0) ** 2 for some_W in (window_W, gust_W)]
+            variances = [now + (was - now) * keep for was, now in zip(variances, shown, strict=True)]
+        return RecentLoad(time_s, mean_W, window_W, variances[0], gust_W, variances[1])
 
     @property
     def swings(self) -> Swings:
-        """The two processes of whose variances the two averages have shown parts: least squares, none negative."""
-        seen, (slow, fast) = np.array([self.variance, self.gust_variance]), shown_shares()
-        manoeuvres, gusts = np.linalg.solve(np.column_stack([slow, fast]), seen)
-        if manoeuvres < 0.0:
-            manoeuvres, gusts = 0.0, fast @ seen / (fast @ fast)
-        elif gusts < 0.0:
-            manoeuvres, gusts = slow @ seen / (slow @ slow), 0.0
-        return Swings(math.sqrt(manoeuvres), math.sqrt(gusts))
-
-
-class Swings(NamedTuple):
-    """Relative sd of the power's two wandering parts around its mean, as they are and not as an average shows them."""
-
-    manoeuvres: float
-    gusts: float
-
-    @property
-    def mean_sd(self) -> float:
-        """Relative sd of the mean of a coming flight around that of the last minute, at least 3 %."""
-        left = MANOEUVRE_MEMORY_S / (MANOEUVRE_MEMORY_S + MEAN_TAU_S)
-        return math.hypot(SMALLEST_SPREAD, min(self.manoeuvres, 1.0) * math.sqrt(left))
-
-
-def shown_share(short_s: float, long_s: float, memory_s: float) -> float:
-    """Share of its variance that a process of this memory (Ornstein-Uhlenbeck) shows as one exponential average
-    around a longer one: var(a) + var(b) - 2 cov(a, b)."""
-
-    def shared(a_s: float, b_s: float) -> float:
-        """cov/σ² = (1/(1/a + 1/m) + 1/(1/b + 1/m))/(a + b)."""
-        return (1.0 / (1.0 / a_s + 1.0 / memory_s) + 1.0 / (1.0 / b_s + 1.0 / memory_s)) / (a_s + b_s)
-
-    return shared(short_s, short_s) + shared(long_s, long_s) - 2.0 * shared(short_s, long_s)
-
-
-@cache
-def shown_shares() -> tuple[Array, Array]:
-    """Of manoeuvres, in the averages of WINDOW_TAU_S and of GUST_TAU_S; the same of gusts."""
-    slow, fast = (
-        np.array([shown_share(tau_s, MEAN_TAU_S, memory_s) for tau_s in (WINDOW_TAU_S, GUST_TAU_S)])
-        for memory_s in (MANOEUVRE_MEMORY_S, GUST_MEMORY_S)
-    )
-    return slow, fast
+        """Gusts and manoeuvres by what the averages have shown of them."""
+        return swings_shown(self.variance, self.gust_variance)
 
 
 def equal_levels(spread: float, count: int) -> Array:
@@ -202,32 +150,6 @@ def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenario
     return Scenarios(np.broadcast_to(levels_W, (steps, SCENARIOS)), weight, np.full(steps, dt_s))
 
 
-@cache
-def _normals(steps: int, scenarios: int, process: int) -> Array:
-    """Normals with mean 0 and variance 1 over the scenarios of every step, exactly: few of them must stand for all."""
-    raw = np.random.default_rng([scenarios, process]).standard_normal((steps, scenarios))
-    centred = raw - raw.mean(axis=1, keepdims=True)
-    return np.asarray(centred / centred.std(axis=1, keepdims=True))
-
-
-def _remembering(memory: Array, fresh: Array) -> Array:
-    """x[k] = memory[k-1] x[k-1] + fresh[k], [steps, n]; with equal steps a block of them in one product."""
-    out = fresh.copy()
-    if np.any(memory != memory[0]):
-        for k in range(1, out.shape[0]):
-            out[k] += memory[k - 1] * out[k - 1]
-        return out
-    powers = memory[0] ** np.arange(STEPS_IN_BLOCK + 1)
-    lag = np.subtract.outer(np.arange(STEPS_IN_BLOCK), np.arange(STEPS_IN_BLOCK))
-    within = np.where(lag >= 0, powers[np.maximum(lag, 0)], 0.0)
-    for first in range(0, out.shape[0], STEPS_IN_BLOCK):
-        block = out[first : first + STEPS_IN_BLOCK]
-        n = block.shape[0]
-        before = powers[1 : n + 1, None] * out[first - 1] if first else 0.0
-        block[:] = within[:n, :n] @ block + before
-    return out
-
-
 def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
     """The scenarios with gusts and manoeuvres of their own on them; their mean power stays.
 
@@ -235,25 +157,6 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
     """
     rough = swung(scenarios.dt_s, scenarios.power_W.shape[1], swings)
     return Scenarios(scenarios.power_W * rough, scenarios.weight, scenarios.dt_s)
-
-
-def swung(dt_s: Array, count: int, swings: Swings) -> Array:
-    """Return what `count` scenarios have of gusts and manoeuvres as factors of mean 1, [steps, count]."""
-    manoeuvres = min(swings.manoeuvres, LARGEST_MANOEUVRES)
-    gusts = min(swings.gusts, math.sqrt(LARGEST_SWING**2 - manoeuvres**2))
-    exponent, processes = np.zeros((dt_s.size, count)), ((manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))
-    for process, (sd, memory_s) in enumerate(processes):
-        if sd > 0.0:
-            variance = math.log1p(sd**2)  # of the logarithm of a factor that has mean 1 and this sd
-            exponent += math.sqrt(variance) * _wandering(dt_s, count, memory_s, process) - 0.5 * variance
-    return np.asarray(np.exp(exponent))
-
-
-def _wandering(dt_s: Array, count: int, memory_s: float, process: int) -> Array:
-    """A process of unit variance and this memory for each scenario, [steps, count]; always the same one."""
-    normals, memory = _normals(held(dt_s.size + 1), count, process), np.exp(-dt_s / memory_s)
-    fresh = np.sqrt(1.0 - memory**2)[:, None] * normals[np.arange(1, dt_s.size + 1) % LONGEST]
-    return _remembering(memory, np.concatenate([normals[:1], fresh[:-1]]))
 
 
 @dataclass(frozen=True, slots=True)

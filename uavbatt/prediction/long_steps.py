@@ -6,6 +6,8 @@ charge at its end is asked, so that a pack that would have been at its cut-off o
 
 from __future__ import annotations
 
+import math
+from itertools import cycle, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +20,10 @@ from uavbatt.battery.pack import Installation, metered_voltage, series_resistanc
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import X, drift_variance, unpack
 from uavbatt.prediction.curves import curve_tables, looked_up
+from uavbatt.prediction.sampling import wander
 
 STEP_S = 20.0
+LONGEST_STEP_S = 2.0 * STEP_S  # where only the charge is asked, not the sag of each step
 
 
 class Going(NamedTuple):
@@ -33,7 +37,7 @@ class Going(NamedTuple):
     bias_V: Array
     tables: Array  # `curves.curve_tables`
 
-    def of(self, which: NDArray[Any]) -> Going:
+    def of(self, which: NDArray[Any] | slice) -> Going:
         """Return some of several beginnings [beginnings, draws] that go on side by side."""
         return self._replace(state=State(*(column[which] for column in self.state)), bias_V=self.bias_V[which])
 
@@ -69,6 +73,39 @@ def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normal
     doubt_V2 = drift_variance(at.drift_sd_V, rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
     kick_V = np.sqrt(pack.bias_sd_V**2 * (1.0 - memory**2) + doubt_V2) * normals
     return going._replace(state=later, bias_V=memory * going.bias_V + kick_V)
+
+
+def edges_through(times_s: Array) -> Array:
+    """Return times from now, 0, through all of these [s, ascending] that are at most LONGEST_STEP_S apart."""
+    parts = [np.linspace(a, b, 1 + math.ceil((b - a) / LONGEST_STEP_S)) for a, b in pairwise([0.0, *times_s])]
+    return np.unique(np.concatenate(parts))
+
+
+def flown_on(going: Going, power_W: Array, dt_s: Array, edges_s: Array) -> Going:
+    """Return the draws at these times [edges, draws], the first is now, under a power in steps of `dt_s` [steps]."""
+    ends_s = np.concatenate([[0.0], np.cumsum(dt_s)])
+    drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
+    passed, lengths_s = [going], np.diff(edges_s)
+    mean_W = np.diff(_between(drawn_J, ends_s, edges_s), axis=0) / lengths_s[:, None]
+    for length_s, watts, normals in zip(lengths_s, mean_W, cycle(wander(lengths_s.size).bias)):
+        passed.append(walked(passed[-1], source(passed[-1]), watts, float(length_s), normals))
+    columns = zip(*(now.state for now in passed), strict=True)
+    state = State(*(np.stack(np.broadcast_arrays(*column)) for column in columns))
+    return going._replace(state=state, bias_V=np.stack([now.bias_V for now in passed]))
+
+
+def charge_at(passed: Going, edges_s: Array, at_s: Array) -> Array:
+    """Return the charge of each draw at its own time [draws], of draws at edges [edges, draws] (`flown_on`)."""
+    soc = np.asarray(passed.state.soc)
+    own = (np.interp(own_s, edges_s, column) for own_s, column in zip(at_s, soc.T, strict=True))
+    return np.asarray(np.maximum(np.fromiter(own, float, at_s.size), 0.0))
+
+
+def _between(values: Array, edges_s: Array, at_s: Array) -> Array:
+    """Rows of `values` [edges, draws] at these times, linear between the edges; beyond the last it goes straight on."""
+    right = np.clip(np.searchsorted(edges_s, at_s), 1, edges_s.size - 1)
+    share = (at_s - edges_s[right - 1]) / (edges_s[right] - edges_s[right - 1])
+    return np.asarray(values[right - 1] + share[:, None] * (values[right] - values[right - 1]))
 
 
 def above_cutoff_V(going: Going, at: Source, power_W: Array) -> Array:

@@ -6,11 +6,11 @@ Taking a row in depends on no forecast, so that nothing is lost by waiting; in f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.prediction.batch import Answers, Question
+from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
 from uavbatt.prediction.forecaster import Forecaster
 from uavbatt.prediction.last_wall import FALLS_FASTER, walled
 from uavbatt.prediction.time_to_end import EndTimes
@@ -47,8 +47,21 @@ class Pending(NamedTuple):
         return found, remaining
 
 
-def finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
-    """The estimate and the remaining time of each row, in order; `answers` simulates their forecasts at once."""
+def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
+    """The estimate and the remaining time of each row, in order; `answers` simulates some forecasts side by side."""
+    waiting: list[Pending] = []
+    questions = 0
+    for pending in coming:
+        waiting.append(pending)
+        questions += pending.question is not None
+        if questions == SIDE_BY_SIDE:
+            yield from _finished(waiting, answers)
+            waiting, questions = [], 0
+    yield from _finished(waiting, answers)
+
+
+def _finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
+    """The same of rows whose forecasts are simulated at once."""
     ends = iter(answers([row.question for row in waiting if row.question is not None]))
     for row in waiting:
         yield row.finish(next(ends) if row.question is not None else None)

@@ -79,7 +79,8 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 
 def way_of(progress: Progress) -> Way:
     """Return how legs will be flown, by those flown so far."""
-    return Way(progress.short, progress.long, progress.wind)
+    known = progress.lessons
+    return Way(known.short, known.long, known.wind)
 
 
 def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:

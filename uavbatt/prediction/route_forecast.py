@@ -14,14 +14,13 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
-from uavbatt.prediction.long_steps import STEP_S, Going, begun, source, walked
+from uavbatt.prediction.long_steps import begun, charge_at, edges_through, flown_on
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import Way, waiting
 from uavbatt.prediction.route_progress import Progress
-from uavbatt.prediction.sampling import wander
-from uavbatt.prediction.turn_back import TurnBack, turned
+from uavbatt.prediction.turn_back import Turning, looks, turned
 from uavbatt.prediction.turn_back import turn_back_times as turn_back_of
 from uavbatt.records import Route
 
@@ -35,8 +34,8 @@ NAMES = {
 IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
 # Both ways cost as much as the end itself, and what was said of them counts down: of forecasts a second apart, every
-# second one asks.
-ROUTE_PERIOD_S = 1.9
+# fourth one asks; a replay, with five seconds between two, always does.
+ROUTE_PERIOD_S = 3.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
 
@@ -59,7 +58,7 @@ class RouteAsked(NamedTuple):
     reason: str
     route_s: Array | None  # touchdown of each draw
     route_soc: Array | None
-    turn: TurnBack | None
+    turning: Turning | None
 
 
 class WaysAsked(NamedTuple):
@@ -81,7 +80,7 @@ def powers_of(load: Load) -> Powers:
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
     """Return the load to come: the route's where it is known and nobody has stated another one."""
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
-    level, level_sd = progress.level(powers)
+    level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
     home: Ahead | str = home_now(progress, navigation, time_s)
     if not math.isfinite(level):
@@ -115,42 +114,35 @@ class Flying(NamedTuple):
 
 
 def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
-    """Return the charge at both touchdowns, and what comes of turning at instants of the flight."""
+    """Return the charge at both touchdowns, and what comes of turning at instants of the flight.
+
+    The draws fly on once: through the instants of turning to the last touchdown.
+    """
     asked = RouteAsked(known.name, _reason(known), None, None, None)
     scenario = flying.scenario % SCENARIOS  # of another load the numbers of scenarios mean nothing
-    going = begun(flying.pack, flying.x, flying.ambient_C)
+    homewards, look_s, last_s = known.homewards, np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
         stretch = factors(RouteLoad(known.route, UNKNOWN, 1.0, 0.0))[2][scenario]
-        route_s = known.route.touchdown_s * stretch
-        asked = asked._replace(route_s=route_s, route_soc=_charge_at(going, flying.power_W, flying.dt_s, route_s))
-    if known.homewards is None:
+        asked = asked._replace(route_s=known.route.touchdown_s * stretch)
+        last_s = np.minimum(np.max(known.route.touchdown_s * stretch, keepdims=True), flying.dt_s.sum())
+    if homewards is not None:
+        here = homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
+        flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
+        look_s = looks(min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf))
+    if asked.route_s is None and homewards is None:
         return asked
-    here = known.homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
-    flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
-    longest_s = min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf)
-    at_home = (flown, flying.power_W, flying.dt_s, known.homewards, scenario, way, settings, longest_s)
-    return asked._replace(turn=turned(going, *at_home))
+    edges_s = edges_through(np.unique(np.concatenate([look_s, last_s])))
+    passed = flown_on(begun(flying.pack, flying.x, flying.ambient_C), flying.power_W, flying.dt_s, edges_s)
+    if asked.route_s is not None:
+        asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
+    if homewards is not None:
+        at_turn = passed.of(np.searchsorted(edges_s, look_s))
+        asked = asked._replace(turning=Turning(at_turn, look_s, flown, homewards, scenario, way, settings))
+    return asked
 
 
 def _reason(known: ToCome) -> str:
     return "; ".join(dict.fromkeys(filter(None, (known.reason, known.home_reason))))
-
-
-def _charge_at(going: Going, power_W: Array, dt_s: Array, at_s: Array) -> Array:
-    """The charge of each draw at its own time [draws], in steps joined to about STEP_S."""
-    each = max(round(STEP_S / float(dt_s[0])), 1)
-    first = np.arange(0, dt_s.size, each)
-    lengths_s = np.add.reduceat(dt_s, first)
-    watts = np.add.reduceat(power_W * dt_s[:, None], first) / lengths_s[:, None]
-    charge, begin_s = np.asarray(going.state.soc).copy(), 0.0
-    for length_s, power, normals in zip(lengths_s, watts, wander(lengths_s.size).bias, strict=False):
-        share = np.clip((at_s - begin_s) / length_s, 0.0, 1.0)
-        if not share.any() or not (going.state.soc > 0.0).any():
-            break
-        later = walked(going, source(going), power, float(length_s), normals)
-        charge += share * (later.state.soc - going.state.soc)
-        going, begin_s = later, begin_s + length_s
-    return np.asarray(np.maximum(charge, 0.0))
 
 
 def route_answer(asked: RouteAsked, end_s: Array) -> Route:
@@ -160,11 +152,13 @@ def route_answer(asked: RouteAsked, end_s: Array) -> Route:
         lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))
         risk, left_s = float(np.mean(end_s < asked.route_s)), float(np.median(asked.route_s))
         said = replace(said, left_s=left_s, soc=middle, soc_lo=lo, soc_hi=hi, risk=risk)
-    if asked.turn is None:
+    if asked.turning is None:
         return said
-    home_soc_lo, home_soc = map(float, np.quantile(asked.turn.home_soc, (0.05, 0.5)))
+    is_in_time = said.risk <= IN_TIME  # all the later instants are most of the work
+    turn = turned(asked.turning.now if is_in_time else asked.turning)
+    home_soc_lo, home_soc = map(float, np.quantile(turn.home_soc, (0.05, 0.5)))
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)
-    if said.risk <= IN_TIME:
+    if is_in_time:
         return replace(said, reason=said.reason or "the route comes home in time")
-    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_of(asked.turn, end_s), (0.05, 0.5, 0.95)))
+    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_of(turn, end_s), (0.05, 0.5, 0.95)))
     return replace(said, turn_back_s=middle_s, turn_back_lo_s=lo_s, turn_back_hi_s=hi_s)

@@ -9,9 +9,10 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, power, terms
-from uavbatt.prediction.load import Now, Scenarios, Swings, stretches_s, swinging
+from uavbatt.prediction.load import Now, Scenarios, stretches_s, swinging
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_pieces import Pieces
+from uavbatt.prediction.swings import Swings
 
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
+from uavbatt.prediction.flight_lessons import SHORT_LEG_S, Timing
 from uavbatt.prediction.route_legs import LegsTable, Phase, Point
-from uavbatt.prediction.route_progress import SHORT_LEG_S, Timing
 
 Column = NDArray[Any]
 CURVE = 1.5  # a leg that is so many times as long as the way between its ends comes from everywhere

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,26 @@ LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
 CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
 FASTEST_CLIMB_MS = 0.3
 ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is judged, is hardly above one
+
+
+class Turning(NamedTuple):
+    """Draws that turn at instants `look_s` [s], where they are `at_turn` [looks, draws], having flown along `flown`.
+
+    load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
+    """
+
+    at_turn: Going
+    look_s: Array
+    flown: Ahead
+    load: RouteLoad
+    scenario: Array
+    way: Way
+    settings: ReturnSettings
+
+    @property
+    def now(self) -> Turning:
+        """The first instant alone."""
+        return self._replace(at_turn=self.at_turn.of(slice(1)), look_s=self.look_s[:1])
 
 
 class TurnBack(NamedTuple):
@@ -56,27 +75,15 @@ class Homewards(NamedTuple):
         return np.asarray(self.power_W[k, looks][:, None] * levels * (1.0 + self.far[k, looks][:, None] * (fast - 1.0)))
 
 
-def turned(
-    going: Going,
-    flown: Ahead,
-    flown_W: Array,
-    dt_s: Array,
-    load: RouteLoad,
-    scenario: Array,
-    way: Way,
-    settings: ReturnSettings,
-    longest_s: float,
-) -> TurnBack:
-    """Return what comes of turning at instants within `longest_s` [s].
+def looks(longest_s: float) -> Array:
+    """Return the instants within `longest_s` [s] at which it is asked what comes of turning."""
+    return np.asarray(longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED)
 
-    going : the draws now
-    flown, flown_W, dt_s : the way that would be flown on, and each draw's power on it [steps, draws]
-    load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
-    """
-    look_s = longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED
-    home = _homewards(flown, look_s, load, way, settings)
-    at_turn = flown_on(going, flown_W, dt_s, look_s)
-    return _flown_home(at_turn, look_s, home, factors(load)[:, scenario])
+
+def turned(asked: Turning) -> TurnBack:
+    """Return what comes of turning."""
+    home = _homewards(asked.flown, asked.look_s, asked.load, asked.way, asked.settings)
+    return _flown_home(asked.at_turn, asked.look_s, home, factors(asked.load)[:, asked.scenario])
 
 
 def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array) -> TurnBack:
@@ -112,31 +119,6 @@ def _turning_V(at_turn: Going, power_W: Array) -> Array:
     """Return the height above the cut-off while the draws turn, in the middle of it."""
     halfway = walked(at_turn, source(at_turn), power_W, 0.5 * TURN_S, np.zeros_like(power_W))
     return above_cutoff_V(halfway, source(halfway), power_W)
-
-
-def flown_on(going: Going, power_W: Array, dt_s: Array, look_s: Array) -> Going:
-    """Return the draws at each instant [looks, draws] of a way with this power in steps of `dt_s` [steps]."""
-    edges_s = np.concatenate([[0.0], np.cumsum(dt_s)])
-    drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
-    looks_s = pairwise([0.0, *look_s])
-    parts = [np.linspace(a_s, b_s, 1 + math.ceil((b_s - a_s) / (2.0 * STEP_S))) for a_s, b_s in looks_s]
-    normals = cycle(sampling.wander(sum(map(len, parts))).bias)
-    states, biases = [], []
-    for edges in parts:
-        for begin_s, end_s in pairwise(edges):
-            mean_W = (_at(drawn_J, edges_s, end_s) - _at(drawn_J, edges_s, begin_s)) / (end_s - begin_s)
-            going = walked(going, source(going), mean_W, end_s - begin_s, next(normals))
-        states.append(going.state)
-        biases.append(going.bias_V)
-    state = type(going.state)(*(np.stack(np.broadcast_arrays(*column)) for column in zip(*states, strict=True)))
-    return going._replace(state=state, bias_V=np.stack(biases))
-
-
-def _at(values: Array, edges_s: Array, time_s: float) -> Array:
-    """Row of `values` [edges, draws] at a time, linear between the edges."""
-    right = min(max(int(np.searchsorted(edges_s, time_s)), 1), edges_s.size - 1)
-    share = (time_s - edges_s[right - 1]) / (edges_s[right] - edges_s[right - 1])
-    return np.asarray(values[right - 1] + share * (values[right] - values[right - 1]))
 
 
 def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:

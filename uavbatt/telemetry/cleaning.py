@@ -52,7 +52,7 @@ class Cleaner(NamedTuple):
         now, current_A = now._with_current(sample, assumed_power_W, most_A)
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
-        return now._with_cells(sample), sample
+        return now._with_cells(sample) if sample.cell_voltages_V else now, sample
 
     def moved(self, shift_s: float) -> Cleaner:
         """The same memory on a clock that shows `shift_s` more."""
@@ -69,7 +69,8 @@ class Cleaner(NamedTuple):
         if not math.isfinite(sample.voltage_V):
             return self, sample
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
-        if is_soon and not any(_is_near(was_V, sample.voltage_V) for was_V in (self.voltage_V, self.odd_V)):
+        known_V = (self.voltage_V, self.odd_V)
+        if is_soon and not any(abs(sample.voltage_V - was_V) <= LEAP_SHARE * was_V for was_V in known_V):
             return self._replace(odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
         return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
 
@@ -122,7 +123,3 @@ class Cleaner(NamedTuple):
         if self.cell_spread_V > NOTICED_CELL_SPREAD_V:
             found.append(f"the weakest cell is {1000 * self.cell_spread_V:.0f} mV below the mean and ends the flight")
         return tuple(found)
-
-
-def _is_near(was_V: float, now_V: float) -> bool:
-    return abs(now_V - was_V) <= LEAP_SHARE * was_V

@@ -1,0 +1,99 @@
+"""The steps of a Kalman filter for one member, in loops for numba: what `estimation.kalman` does with arrays of them.
+
+F is mostly zeros and H has one or two rows, so that loops that pass over what has no influence are far quicker than
+products of matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+from uavbatt.battery.state_space import SIZE
+from uavbatt.compiled.jit import compiled
+from uavbatt.estimation.kalman import NUDGE
+
+PER_NUDGES = 0.5 / NUDGE
+
+
+@compiled
+def predicted_covariance(F: Array, P: Array) -> Array:
+    """F P Fᵀ; what has no influence, most of F, is passed over."""
+    half, out = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+    for i in range(SIZE):
+        for k in range(SIZE):
+            share = F[i, k]
+            if share != 0.0:
+                for j in range(SIZE):
+                    half[i, j] += share * P[k, j]
+    for j in range(SIZE):
+        for k in range(SIZE):
+            share = F[j, k]
+            if share != 0.0:
+                for i in range(SIZE):
+                    out[j, i] += share * half[i, k]
+    return out
+
+
+@compiled
+def projected(P: Array, H: Array) -> tuple[Array, Array]:
+    """P Hᵀ, transposed [readings, 8], and H P Hᵀ."""
+    n = H.shape[0]
+    PHt, S = np.zeros((n, SIZE)), np.zeros((n, n))
+    for m in range(n):
+        for k in range(SIZE):
+            if H[m, k] != 0.0:
+                for j in range(SIZE):
+                    PHt[m, j] += H[m, k] * P[k, j]
+    for m in range(n):
+        for other in range(n):
+            for j in range(SIZE):
+                S[m, other] += PHt[m, j] * H[other, j]
+    return PHt, S
+
+
+@compiled
+def finite_difference_step(at: Array, x: Array, k: int) -> None:
+    """Make of point k - 1 of a central difference point k: up and down in each component in turn, `x` itself last."""
+    j = k // 2
+    if k % 2:
+        at[j] = x[j] - NUDGE[j]
+        return
+    if k > 0:
+        at[j - 1] = x[j - 1]
+    if j < SIZE:
+        at[j] = x[j] + NUDGE[j]
+
+
+@compiled
+def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
+    """One measurement of at most two readings, S = H P Hᵀ + R, with Joseph's form of the covariance as in filterpy.
+
+    (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, but from the right to the left in vectors: K has two columns at most.
+    """
+    n = y.size
+    K, later, kept = np.empty((n, SIZE)), x.copy(), P.copy()
+    determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0] if n == 2 else S[0, 0]
+    for j in range(SIZE):
+        if n == 2:
+            K[0, j] = (PHt[0, j] * S[1, 1] - PHt[1, j] * S[1, 0]) / determinant
+            K[1, j] = (PHt[1, j] * S[0, 0] - PHt[0, j] * S[0, 1]) / determinant
+        else:
+            K[0, j] = PHt[0, j] / determinant
+    for m in range(n):
+        for i in range(SIZE):
+            later[i] += K[m, i] * y[m]
+            for j in range(SIZE):
+                kept[i, j] -= K[m, i] * PHt[m, j]
+    across = np.zeros((n, SIZE))  # what K must take away once more: kept Hᵀ less K R
+    for m in range(n):
+        for i in range(SIZE):
+            for j in range(SIZE):
+                across[m, i] += kept[i, j] * H[m, j]
+            for other in range(n):
+                across[m, i] -= K[other, i] * R[other, m]
+    for m in range(n):
+        for i in range(SIZE):
+            for j in range(SIZE):
+                kept[i, j] -= across[m, i] * K[m, j]
+    return later, kept
