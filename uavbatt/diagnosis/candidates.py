@@ -43,6 +43,7 @@ class Freed:
     nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
     estimated: bool = True  # a nuisance that is not counts in the standard errors only
     shares: tuple[float, ...] = ()  # of its change that each record has; empty: all have it whole
+    within: bool = False  # the value is what the quantity gains from the beginning of each record to its end
 
     def value(self, u: Array) -> Array:
         """The value at u, kept within the bounds."""

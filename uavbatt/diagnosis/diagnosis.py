@@ -20,7 +20,7 @@ from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis import residual
+from uavbatt.diagnosis import drift, residual
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
@@ -229,7 +229,9 @@ def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Lef
         )
     for finding in findings:
         its = finding.worth.constancy
-        if its is not None and not finding.steady:
+        if finding.drift is not None:
+            found.append(drift.words(finding.drift))
+        elif its is not None and not finding.steady:
             found.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
         if all(m.candidate.name in m.candidate.resized for m in finding.members):
             found.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")

@@ -7,12 +7,13 @@ place beside the other; that the second looks like nothing as long as the first 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
+from uavbatt.diagnosis.drift import drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
@@ -39,6 +40,7 @@ class FoundEffect:
     worth: Worth
     outside: tuple[str, ...]  # the other rivals, in order
     probability: float  # that the cause is among the members, were it one of the candidates and no chance
+    drift: Refit | None = None  # with the effect drifting within each record, where that explains much more
 
     @property
     def name(self) -> str:
@@ -47,8 +49,8 @@ class FoundEffect:
 
     @property
     def steady(self) -> bool:
-        """Return True if the records agree on its value."""
-        return _steady(self.worth.constancy)
+        """Return True if the records agree on its value, and each of them from its beginning to its end."""
+        return _steady(self.worth.constancy) and self.drift is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +107,11 @@ def search(
     is_explained = explains(best, singles.most >= EVEN)
     if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
+    drift = _drift(problem, found[0].members) if found else None
+    if drift is not None:
+        found = [replace(found[0], drift=drift)]
     tell("pairs of effects")
-    pair = _best_pair(problem, options, singles, best, is_explained)
+    pair = _best_pair(problem, options, singles, drift or best, is_explained)
     if pair is None:
         return best, found, singles
     trials = []
@@ -121,6 +126,17 @@ def search(
         return best, found, singles
     best = min((f.members[0] for f in both), key=lambda f: f.total)
     return best, sorted(both, key=lambda f: -f.worth.value), singles
+
+
+def _drift(problem: Problem, members: tuple[Refit, ...]) -> Refit | None:
+    """The best single effect, by any of its names, as it drifts within each record: if that saves as much as a second
+    effect has to.
+    """
+    for fit in members:
+        drift = drifting(problem, fit) if same(fit, members[0]) else None
+        if drift is not None and saved(drift, fit) > EARNED_TOGETHER:
+            return drift
+    return None
 
 
 def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int) -> Trial:
