@@ -15,7 +15,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.drift import drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
@@ -115,10 +115,10 @@ def search(
     if pair is None:
         return best, found, singles
     trials = []
-    for name in pair.candidate.names:
-        kept = next(n for n in pair.candidate.names if n != name)
-        alone = next(f for f in singles.fits if f.candidate.name == kept)
-        trials.append(trial(problem, alone, options, FURTHER_TURNS))
+    for known in (pair.turned, pair):
+        alone = next(f for f in singles.fits if f.candidate.name == known.candidate.names[0])
+        alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # else all get the credit
+        trials.append(trial(problem, alone, options, FURTHER_TURNS, known))
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
         return best, found, singles
     both = [finding(problem, t, earned_beside(problem, pair.candidate, is_explained=True)) for t in trials]
@@ -139,11 +139,12 @@ def _drift(problem: Problem, members: tuple[Refit, ...]) -> Refit | None:
     return None
 
 
-def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int) -> Trial:
-    """Every option beside what `before` has."""
+def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
+    """Every option beside what `before` has; from where it is `known` to end, where one of them is."""
     free = [o for o in options if not related(o.names, before.candidate.names)]
     tried = [before.candidate.plus(o) for o in free]
-    fits = refit(problem, tried, start=[before] * len(tried), iterations=turns)
+    starts = [known if known is not None and c.names == known.candidate.names else before for c in tried]
+    fits = refit(problem, tried, start=starts, iterations=turns)
     fits.sort(key=lambda f: f.total)
     return Trial(before, tuple(fits), tuple(worth(f, before) for f in fits))
 
