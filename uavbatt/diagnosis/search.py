@@ -19,7 +19,8 @@ from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
-EARNED = 3.5  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EARNED = 2.6  # more than chance gave in 92 effect-free sets, 2.5: scripts/diagnose_cases_healthy.py
+EARNED_EACH = 3.5  # each of two where no single effect explains the flights; half of it: a rival, not a chance
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
 EARNED_IN_PART = 24.0  # beside a start in part
@@ -69,7 +70,7 @@ class Trial:
     @property
     def rivals(self) -> list[int]:
         """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
-        places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
+        places, least = range(len(self.fits)), max(0.5 * EARNED_EACH, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
         # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
@@ -79,8 +80,8 @@ class Trial:
             i
             for i in possible
             if i in worthy
-            or (i < first and self.worths[i].value > EARNED)
-            or (worthy and self.worths[i].value > 0.5 * EARNED and same(self.fits[i], self.fits[first]))
+            or (i < first and self.worths[i].value > EARNED_EACH)
+            or (worthy and self.worths[i].value > 0.5 * EARNED_EACH and same(self.fits[i], self.fits[first]))
         ]
 
 
@@ -122,7 +123,7 @@ def search(
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
         return best, found, singles
     both = [finding(problem, t, earned_beside(problem, pair.candidate, is_explained=True)) for t in trials]
-    if any(f.worth.value < EARNED for f in both):
+    if any(f.worth.value < EARNED_EACH for f in both):
         return best, found, singles
     best = min((f.members[0] for f in both), key=lambda f: f.total)
     return best, sorted(both, key=lambda f: -f.worth.value), singles
@@ -178,7 +179,7 @@ def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> f
     """
     if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
         return EARNED_IN_PART
-    return EARNED_BESIDE if is_explained else EARNED
+    return EARNED_BESIDE if is_explained else EARNED_EACH
 
 
 def _steady(found: Constancy | None) -> bool:
