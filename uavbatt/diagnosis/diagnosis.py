@@ -4,7 +4,8 @@ Everything is decided in one unit, the chi-square of records left out against th
 model, errors that the file states allowed for (`worth`). The start of charge is settled first; then single effects
 and pairs are searched. What is left is doubted when it is more than the file's model leaves, also with every error of
 the file at its most probable value; then, or when a value differs from record to record or drifts within them, the
-verdict is `undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same throughout.
+verdict is `undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same
+throughout.
 """
 
 from __future__ import annotations

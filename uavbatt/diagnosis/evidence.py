@@ -7,9 +7,9 @@ charge. So the misfit of a record is judged by the covariance
 
 as the battery file's `[discrepancy.wander]` learned it from effect-free records (`fitting.wander`; Rasmussen &
 Williams, Gaussian Processes, 2006, section 4.2.1, for the exponential kernel), with the error of the capacity where a
-pack runs empty, deeper than those records went. Its inverse Cholesky factor turns a residual into independent numbers of
-unit variance: their sum of squares is the chi-square that all decisions rest on. The rest before take-off is a block of
-its own, off by one constant.
+pack runs empty, deeper than those records went. Its inverse Cholesky factor turns a residual into independent numbers
+of unit variance: their sum of squares is the chi-square that all decisions rest on. The rest before take-off is a block
+of its own, off by one constant.
 """
 
 from __future__ import annotations
