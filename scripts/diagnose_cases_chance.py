@@ -15,20 +15,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+from diagnose_cases_pack import flights, ready
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.candidates import NOTHING, candidates
 from uavbatt.diagnosis.diagnosis import LEFT, left_per_number, per_number, problem_of
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.search import EARNED, FIRST_TURNS, trial
-from uavbatt.fitting.observed import Observed, from_flight
-from uavbatt.telemetry import read_log
+from uavbatt.fitting.observed import Observed
 
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
-CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 Right = Callable[[Observed], Observed]
 
 
@@ -73,16 +69,14 @@ CASES: tuple[tuple[str, Right], ...] = (
 
 def main() -> int:
     """Print the table."""
-    battery = battery_file.read_battery(Path(sys.argv[1]))
-    pack = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
+    file, pack, _ = ready(Path(sys.argv[1]))
     print("| flights | chi-square per number, V | temperature | most that any candidate is worth | left |")
     print("|---|---|---|---|---|")
     for name, put_right in CASES:
-        logs = [read_log(p) for p in sorted((TRUTH / name).glob("*.tlog"))]
-        records = [put_right(from_flight(f, CELLS, CAPACITY_AH)) for f in logs]
-        problem = problem_of(records, battery, pack)
+        records = [put_right(r) for r in flights(TRUTH / name)]
+        problem = problem_of(records, file, pack)
         idle = idle_A(problem.evidence) + IDLE_NOISE_A
-        options = candidates(battery, problem.base, has_temperature=True, idle_A=idle, without=())
+        options = candidates(file, problem.base, has_temperature=True, idle_A=idle, without=())
         nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
         tried = trial(problem, nothing, options, FIRST_TURNS)
         most = max(zip(tried.worths, tried.fits, strict=True), key=lambda wf: wf[0].value)

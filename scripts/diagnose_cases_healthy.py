@@ -9,24 +9,16 @@ Sets of 3, 4 and 8 flights in turn, drawn without putting back; --follow takes e
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections import Counter
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import numpy as np
+from diagnose_cases_pack import ready, records
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import diagnose
 from uavbatt.diagnosis.follow import follow
-from uavbatt.fitting.observed import from_flight
-from uavbatt.log_replay.run import engine_for
-from uavbatt.telemetry import read_log
 
-CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 SIZES = (3, 4, 8)
 
 
@@ -38,15 +30,14 @@ def main() -> int:
     parser.add_argument("--sets", type=int, default=50)
     parser.add_argument("--follow", action="store_true")
     given = parser.parse_args()
-    battery = battery_file.read_battery(given.battery)
-    pack, engine = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True)
-    records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in sorted(given.folder.glob("*.csv"))]
+    file, pack, engine = ready(given.battery)
+    sound = records(sorted(given.folder.glob("*.csv")))
     random, alarms, seen = np.random.default_rng(16), Counter[int](), Counter[int]()
     for number in range(given.sets):
         size = SIZES[number % len(SIZES)]
-        drawn = [records[i] for i in random.choice(len(records), size, replace=False)]
+        drawn = [sound[i] for i in random.choice(len(sound), size, replace=False)]
         run = follow if given.follow else diagnose
-        found = run(drawn, battery, pack, engine=engine)
+        found = run(drawn, file, pack, engine=engine)
         seen[size] += 1
         if found.verdict != "no_missing_effect":
             alarms[size] += 1

@@ -9,27 +9,16 @@ values lie inside their intervals (labels of truth/cases tell values, the others
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import sys
 import time
 from collections import Counter
 from dataclasses import asdict
-from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
+from diagnose_cases_pack import arguments, flights, ready
 from diagnose_cases_table import SURE, right, words, wrong_names
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import diagnose
-from uavbatt.fitting.observed import from_flight
-from uavbatt.log_replay.run import engine_for
-from uavbatt.telemetry import read_log
-
-CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 
 
 def kind(effect: str, size: str) -> str:
@@ -48,23 +37,19 @@ def chosen(names: list[str], only: str) -> list[str]:
 
 def main() -> int:
     """Print the table and the counts."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("battery", type=Path)
-    parser.add_argument("folders", type=Path, nargs="+")
+    parser = arguments()
     parser.add_argument("--only", default="")
     given = parser.parse_args()
-    battery = battery_file.read_battery(given.battery)
-    pack, engine = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True)
+    file, pack, engine = ready(given.battery)
     seen, good, wrong = Counter[str](), Counter[str](), 0
     print("| case | label | | diagnosis | s |\n|---|---|---|---|---|")
     for folder in given.folders:
         labels = json.loads((folder / "labels.json").read_text())
         for name in chosen([n for n in labels if (folder / n).resolve().is_dir()], given.only):
             effect, size = labels[name]["effect"], labels[name].get("size", "clear")
-            logs = sorted(p for p in (folder / name).iterdir() if p.suffix in (".csv", ".tlog"))
-            records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in logs]
+            records = flights(folder / name)
             began_s = time.process_time()
-            found = diagnose(records, battery, pack, engine=engine)
+            found = diagnose(records, file, pack, engine=engine)
             told = {"verdict": found.verdict, "classes": [asdict(c) for c in found.classes]}
             took_s = time.process_time() - began_s
             seen[kind(effect, size)] += 1
@@ -72,7 +57,10 @@ def main() -> int:
             wrong += wrong_names(effect, told)
             mark = "✓" if right(effect, told) else "✗"
             alarm = " !" if wrong_names(effect, told) else ""
-            print(f"| {Path(name).name} | {effect} {size} | {mark}{alarm} | {words(told)} | {took_s:.1f} |", flush=True)
+            print(
+                f"| {name.rpartition('/')[2]} | {effect} {size} | {mark}{alarm} | {words(told)} | {took_s:.1f} |",
+                flush=True,
+            )
     print("\n" + ", ".join(f"{k}: {good[k]} of {n}" for k, n in seen.items()) + f"; wrong names above {SURE}: {wrong}.")
     return 0
 

@@ -11,31 +11,22 @@ often the truth is inside the stated interval, and how healthy sets scatter.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import numpy as np
+from diagnose_cases_pack import arguments, flights, ready, records
 from diagnose_cases_table import SAME
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.candidates import NOTHING
 from uavbatt.diagnosis.classes import COVERAGE
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.search import FIRST_TURNS, RIVAL_WORTH, Trial, trial
 from uavbatt.diagnosis.worth import Worth, at_bound
-from uavbatt.fitting.observed import from_flight
-from uavbatt.log_replay.run import engine_for
-from uavbatt.telemetry import read_log
+from uavbatt.fitting.observed import Observed
 
-CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 SENSORS = {
     "current_gain": "current_gain", "voltage_gain": "voltage_gain", "voltage_offset": "voltage_offset_V",
     "current_offset": "current_offset_A", "unmetered_load": "unmetered_W", "temperature_offset": "temp_offset_K",
@@ -82,26 +73,21 @@ def told(found: list[Single], share: float, level: float) -> list[str]:
 
 def main() -> int:
     """Print each case, then the counts."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("battery", type=Path)
-    parser.add_argument("healthy", type=Path)
-    parser.add_argument("folders", type=Path, nargs="+")
+    parser = arguments("healthy")
     parser.add_argument("--size", default="quarter")
     given = parser.parse_args()
-    battery = battery_file.read_battery(given.battery)
-    pack, engine = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V)), engine_for(is_long=True)
+    file, pack, engine = ready(given.battery)
 
-    def tried(logs: list[Path]) -> list[Single]:
-        records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in logs]
-        problem = problem_of(records, battery, pack, engine.states)
+    def tried(flown: list[Observed]) -> list[Single]:
+        problem = problem_of(flown, file, pack, engine.states)
         nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
-        return singles(trial(problem, nothing, options_of(problem, battery, ()), FIRST_TURNS))
+        return singles(trial(problem, nothing, options_of(problem, file, ()), FIRST_TURNS))
 
-    flights, random, healthy = sorted(given.healthy.glob("*.csv")), np.random.default_rng(7), []
+    sound, random, healthy = records(sorted(given.healthy.glob("*.csv"))), np.random.default_rng(7), []
     for _ in range(ROUNDS):
-        order = random.permutation(len(flights))
+        order = random.permutation(len(sound))
         sets = [order[k : k + FLIGHTS] for k in range(0, order.size - FLIGHTS + 1, FLIGHTS)]
-        healthy += [tried([flights[i] for i in chosen]) for chosen in sets]
+        healthy += [tried([sound[i] for i in chosen]) for chosen in sets]
     cases, inside = [], []
     print("| case | effect | worth | place | worth most |\n|---|---|---|---|---|")
     for folder in given.folders:
@@ -109,7 +95,7 @@ def main() -> int:
             if label.get("size") != given.size:
                 continue
             effect = SAME.get(label["effect"], label["effect"])
-            found = tried(sorted(p for p in (folder / name).iterdir() if p.suffix in (".csv", ".tlog")))
+            found = tried(flights(folder / name))
             cases.append((effect, found))
             size, own = truth(effect, label), [s for s in found if s.name == effect]
             inside += [abs(s.size - size) < COVERAGE * s.sd for s in own if size is not None]

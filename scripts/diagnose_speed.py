@@ -17,16 +17,13 @@ import sys
 import time
 from pathlib import Path
 
-from uavbatt.battery import battery_file
-from uavbatt.battery.sizing import PackOptions, pack_from
+from diagnose_cases_pack import flights, ready
+
 from uavbatt.diagnosis.diagnosis import diagnose
 from uavbatt.estimator import PLAIN
-from uavbatt.fitting.observed import from_flight
 from uavbatt.log_replay.run import engine_for
-from uavbatt.telemetry import read_log
 
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
-CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 
 
 def main() -> int:
@@ -36,10 +33,8 @@ def main() -> int:
     parser.add_argument("folder", type=Path, nargs="?", default=TRUTH / "practice" / "p3")
     parser.add_argument("--profile", action="store_true")
     given = parser.parse_args()
-    battery = battery_file.read_battery(given.battery)
-    pack = pack_from(battery, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
-    logs = sorted(p for p in given.folder.iterdir() if p.suffix in (".csv", ".tlog"))
-    records = [from_flight(read_log(p), CELLS, CAPACITY_AH) for p in logs]
+    file, pack, _ = ready(given.battery)
+    records = flights(given.folder)
     print(f"{len(records)} flights of {given.folder.name}\n\n| engine | wall [s] | processor [s] |\n|---|---|---|")
     runs = (
         ("plain numpy", PLAIN),
@@ -48,11 +43,11 @@ def main() -> int:
     )
     for name, engine in runs:
         began_s, worked_s = time.perf_counter(), time.process_time()
-        diagnose(records, battery, pack, engine=engine)
+        diagnose(records, file, pack, engine=engine)
         print(f"| {name} | {time.perf_counter() - began_s:.1f} | {time.process_time() - worked_s:.1f} |", flush=True)
     if given.profile:
         profile = cProfile.Profile()
-        profile.runcall(diagnose, records, battery, pack, engine=engine_for(is_long=True))
+        profile.runcall(diagnose, records, file, pack, engine=engine_for(is_long=True))
         pstats.Stats(profile).sort_stats("tottime").print_stats(14)
     return 0
 

@@ -53,6 +53,13 @@ def test_a_healthy_set_of_three_four_or_eight_raises_no_alarm(places: range, hea
     assert {h.name for h in diagnosis.hidden} >= {"current_gain", "voltage_offset", "capacity_fade"}
 
 
+def test_a_pack_flown_deeper_than_its_capacity_is_known_bends_nothing() -> None:
+    deep = [fly(25.0 + 4.0 * k, 70.0 + 8.0 * k, 100 + k, fade=-0.016) for k in range(2)]  # two sd of the stated error
+    diagnosis = found(deep)
+    assert diagnosis.verdict == "no_missing_effect"
+    assert np.all(np.abs(diagnosis.before.v[:, 0]) < 1.0)  # sd of the start: the knee is not met by a fuller pack
+
+
 def test_what_could_hide_holds_the_truth_of_healthy_flights(healthy: Diagnosis) -> None:
     hidden = {h.name: h for h in healthy.hidden}
     for name, off in (("current_gain", 1.0), ("voltage_offset", 0.0), ("temperature_offset", 0.0)):

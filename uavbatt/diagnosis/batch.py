@@ -81,6 +81,8 @@ class Batch:
         x = np.broadcast_to(self.problem.base, (*u.shape[:3], self.problem.base.size)).copy()
         for i, columns in enumerate(self.columns):
             for k, f in sorted(enumerate(columns), key=lambda kf: kf[1].nuisance):
+                if f.within:
+                    continue
                 value = f.value(u[:, i, :, k])
                 if f.shares:
                     off = self.problem.base[f.index]
@@ -91,15 +93,27 @@ class Batch:
         soc = np.minimum(believed + self.start_sd * v[..., 0], 1.03)
         return x, Own(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
 
+    def drifts(self, u: Array) -> Array | None:
+        """Return what the quantities gain within each record, laid out as `settings` does; None if none drifts."""
+        drifting = [(i, k, f) for i, columns in enumerate(self.columns) for k, f in enumerate(columns) if f.within]
+        if not drifting:
+            return None
+        out = np.zeros((*u.shape[:3], self.problem.base.size))
+        for i, k, f in drifting:
+            out[:, i, :, f.index] = f.value(u[:, i, :, k])
+        return out
+
     def shown(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:
         """Simulate what is `wanted` of variants × candidates, in that order."""
         x, own = self.settings(u, v)
+        drift = self.drifts(u)
         return simulate(
             self.problem.pack,
             self.problem.evidence,
             x[wanted],
             Own(*(o[wanted] for o in own)),
             self.problem.states,
+            drift[wanted] if drift is not None else None,
         )
 
     def residuals(self, us: Array, vs: Array, wanted: NDArray[np.bool_]) -> tuple[Array, Array]:

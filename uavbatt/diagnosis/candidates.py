@@ -43,6 +43,7 @@ class Freed:
     nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
     estimated: bool = True  # a nuisance that is not counts in the standard errors only
     shares: tuple[float, ...] = ()  # of its change that each record has; empty: all have it whole
+    within: bool = False  # the value is what the quantity gains from the beginning of each record to its end
 
     def value(self, u: Array) -> Array:
         """The value at u, kept within the bounds."""
@@ -123,12 +124,11 @@ def nuisances(
     wear_sd : how well fade and growth of the pack are known, where it was met before.
     """
     table = file.parameters
-    capacity_sd = CAPACITY_SHARE * table.capacity_scale_sd
     resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
     if file.is_measured and table.c_rate is None:
-        capacity_sd, resistance_sd = min(capacity_sd, CAPACITY_SD), min(resistance_sd, RESISTANCE_SD)
+        resistance_sd = min(resistance_sd, RESISTANCE_SD)
     return (
-        _nuisance("fade", math.hypot(capacity_sd, wear_sd[0])),
+        _nuisance("fade", math.hypot(capacity_sd(file), wear_sd[0])),
         _nuisance("growth", math.hypot(resistance_sd, wear_sd[1])),
         _nuisance("delay_s", DELAY_SD_S, estimated=True),
         *(
@@ -138,6 +138,12 @@ def nuisances(
             if (sd := _believed_sd(file, entry, name, least_activation_sd_K)) > 0.0
         ),
     )
+
+
+def capacity_sd(file: BatteryFile) -> float:
+    """Return how well the file's capacity is known, relative."""
+    stated = CAPACITY_SHARE * file.parameters.capacity_scale_sd
+    return min(stated, CAPACITY_SD) if file.is_measured and file.parameters.c_rate is None else stated
 
 
 def _believed_sd(file: BatteryFile, entry: EffectEntry, name: str, least_activation_sd_K: float) -> float:

@@ -3,8 +3,9 @@
 Everything is decided in one unit, the chi-square of records left out against the whitened error of the battery's own
 model, errors that the file states allowed for (`worth`). The start of charge is settled first; then single effects
 and pairs are searched. What is left is doubted when it is more than the file's model leaves, also with every error of
-the file at its most probable value; then, or when a value differs from record to record, the verdict is
-`undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same in all records.
+the file at its most probable value; then, or when a value differs from record to record or drifts within them, the
+verdict is `undeclared_effect` and the effect a suspect, which does not enter the model if it is not the same
+throughout.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from uavbatt.battery import openloop
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import SOC_GRID, open_circuit_voltage
 from uavbatt.battery.scaling import Pack
-from uavbatt.diagnosis import residual
+from uavbatt.diagnosis import drift, residual
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
@@ -229,7 +230,9 @@ def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Lef
         )
     for finding in findings:
         its = finding.worth.constancy
-        if its is not None and not finding.steady:
+        if finding.drift is not None:
+            found.append(drift.words(finding.drift))
+        elif its is not None and not finding.steady:
             found.append(f"{finding.name} is not the same in all records (they differ by {its.spread:.0%} of it)")
         if all(m.candidate.name in m.candidate.resized for m in finding.members):
             found.append(f"no new effect explains it, only another size of {finding.name}, which the file already has")

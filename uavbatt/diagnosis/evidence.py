@@ -3,12 +3,13 @@
 What the best model of a battery leaves is no white noise: it wanders for a minute or more, most at both ends of the
 charge. So the misfit of a record is judged by the covariance
 
-    K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)²
+    K(t, t') = s(t) s(t') exp(-|t - t'|/tau) + noise²,   s² = sd(soc)² + (timing · slope)² + (charge error · dOCV/dsoc)²
 
 as the battery file's `[discrepancy.wander]` learned it from effect-free records (`fitting.wander`; Rasmussen &
-Williams, Gaussian Processes, 2006, section 4.2.1, for the exponential kernel). Its inverse Cholesky factor turns a
-residual into independent numbers of unit variance: their sum of squares is the chi-square that all decisions rest on.
-The rest before take-off is a block of its own, off by one constant.
+Williams, Gaussian Processes, 2006, section 4.2.1, for the exponential kernel), with the error of the capacity where a
+pack runs empty, deeper than those records went. Its inverse Cholesky factor turns a residual into independent numbers
+of unit variance: their sum of squares is the chi-square that all decisions rest on. The rest before take-off is a block
+of its own, off by one constant.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from uavbatt.battery.battery_file import BatteryFile, Wander
 from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
+from uavbatt.diagnosis.candidates import capacity_sd
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, wander
 from uavbatt.fitting.observed import Observed, Stack
@@ -139,11 +141,15 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
     known = _wander(file, float(records[0].cells))
     ohm = float(np.mean(file.parameters.resistance_ohmAh)) * records[0].cells / records[0].capacity_Ah
     stack = observed.stack(records, timing_sd_s=FLATNESS_S)
+    steep_V = _steep_V(file, ocv_soc, records[0].cells)
     numbers = range(len(records))
     start_soc, start_sd, in_part = _starts(stack, ocv_soc)
     return Evidence(
         stack=stack,
-        volts=tuple(_voltage_whitener(stack, j, start_soc[j], known, noise_V(r, ohm)) for j, r in enumerate(records)),
+        volts=tuple(
+            _voltage_whitener(stack, j, start_soc[j], known, noise_V(r, ohm), (ocv_soc[0], steep_V))
+            for j, r in enumerate(records)
+        ),
         temps=tuple(_temperature_whitener(stack, j, known) for j in numbers),
         shifted_A=_shifted(records, stack),
         known_ambient=np.array([np.isfinite(r.ambient_C) for r in records]),
@@ -207,7 +213,9 @@ def noise_V(record: Observed, ohm: float) -> float:
     return float(1.4826 * bent_V / np.sqrt(6.0 * observed.BIN_S / spacing_s))
 
 
-def _voltage_whitener(stack: Stack, j: int, start_soc: float, known: Wander, noise_sd_V: float) -> Whitener:
+def _voltage_whitener(
+    stack: Stack, j: int, start_soc: float, known: Wander, noise_sd_V: float, steep_V: tuple[Array, Array]
+) -> Whitener:
     rows = np.flatnonzero(stack.compare[:, j])
     time_s, amps = stack.time_s[rows, j], stack.current_A[rows, j]
     loaded = np.maximum.accumulate(np.abs(amps) > IDLE_C_RATE * stack.capacity_Ah[j])
@@ -216,11 +224,23 @@ def _voltage_whitener(stack: Stack, j: int, start_soc: float, known: Wander, noi
     log_sd = np.log(np.maximum(known.voltage_sd_V, 1e-6))
     wandering_V = np.exp(np.maximum(*(np.interp(first - drawn, known.soc, log_sd) for first in (start_soc, 1.0))))
     wandering_V *= _cold(known, stack.start_temp_C[j])
+    wandering_V = np.hypot(wandering_V, np.interp(start_soc - drawn, *steep_V))
     sd = np.where(loaded, np.hypot(wandering_V, wander.TIMING_S * stack.slope_Vps[rows, j]), known.rest_sd_V)
     kept = np.exp(-np.abs(time_s[:, None] - time_s) / known.voltage_time_s)
     kernel = np.where(loaded[:, None] & loaded, kept, 1.0) * sd[:, None] * sd
     kernel *= loaded[:, None] == loaded
     return _whitener(rows, ~loaded, kernel, max(known.voltage_noise_V, noise_sd_V))
+
+
+def _steep_V(file: BatteryFile, ocv_soc: tuple[Array, Array], cells: int) -> Array:
+    """Error of the voltage [V] at each charge of the table that comes of the capacity's own.
+
+    Where a pack runs empty a hundredth of its capacity is half a volt: a flight that goes deeper than those which the
+    wander was learned on would bend everything else to meet it.
+    """
+    soc, ocv_V = ocv_soc
+    out: Array = capacity_sd(file) * (1.0 - soc) * cells * np.gradient(ocv_V, soc)
+    return out
 
 
 def _cold(known: Wander, start_C: float) -> float:

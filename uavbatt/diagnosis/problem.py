@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,28 @@ class Refit:
     def quantities(self) -> Rows:
         """Places of the candidate's quantities among the columns."""
         return np.arange(len(self.columns) - len(self.candidate.freed), len(self.columns))
+
+    @property
+    def turned(self) -> Refit:
+        """Return the same refit of two effects, the first of them added last."""
+        its, first = self.candidate, self.quantities[0]
+        second = first + its.sizes[0]
+        size = len(self.columns)
+        order = [*range(first), *range(second, size), *range(first, second), *range(size, self.moves.size)]
+        return replace(
+            self,
+            candidate=replace(
+                its,
+                names=its.names[::-1],
+                freed=its.freed[its.sizes[0] :] + its.freed[: its.sizes[0]],
+                sizes=its.sizes[::-1],
+            ),
+            columns=tuple(self.columns[k] for k in order[:size]),
+            u=self.u[:, order[:size]],
+            moves=self.moves[order],
+            information=self.information[:, order][:, :, order],
+            score=self.score[:, order],
+        )
 
     def covariance_u(self, *, considered: bool) -> Array:
         """Covariance of the candidate's quantities in u.

@@ -7,18 +7,20 @@ place beside the other; that the second looks like nothing as long as the first 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
+from uavbatt.diagnosis.drift import drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
-EARNED = 3.5  # more than chance gave on effect-free flights: scripts/diagnose_cases_chance.py
+EARNED = 2.6  # more than chance gave in 90 effect-free sets, 2.5: docs/diagnosis.md
+EARNED_EACH = 3.5  # each of two where no single effect explains the flights; half of it: a rival, not a chance
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
 EARNED_IN_PART = 24.0  # beside a start in part
@@ -39,6 +41,7 @@ class FoundEffect:
     worth: Worth
     outside: tuple[str, ...]  # the other rivals, in order
     probability: float  # that the cause is among the members, were it one of the candidates and no chance
+    drift: Refit | None = None  # with the effect drifting within each record, where that explains much more
 
     @property
     def name(self) -> str:
@@ -47,8 +50,8 @@ class FoundEffect:
 
     @property
     def steady(self) -> bool:
-        """Return True if the records agree on its value."""
-        return _steady(self.worth.constancy)
+        """Return True if the records agree on its value, and each of them from its beginning to its end."""
+        return _steady(self.worth.constancy) and self.drift is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,7 @@ class Trial:
     @property
     def rivals(self) -> list[int]:
         """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
-        places, least = range(len(self.fits)), max(0.5 * EARNED, RIVAL_WORTH * self.most)
+        places, least = range(len(self.fits)), max(0.5 * EARNED_EACH, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
         # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
@@ -77,8 +80,8 @@ class Trial:
             i
             for i in possible
             if i in worthy
-            or (i < first and self.worths[i].value > EARNED)
-            or (worthy and self.worths[i].value > 0.5 * EARNED and same(self.fits[i], self.fits[first]))
+            or (i < first and self.worths[i].value > EARNED_EACH)
+            or (worthy and self.worths[i].value > 0.5 * EARNED_EACH and same(self.fits[i], self.fits[first]))
         ]
 
 
@@ -105,29 +108,44 @@ def search(
     is_explained = explains(best, singles.most >= EVEN)
     if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
+    drift = _drift(problem, found[0].members) if found else None
+    if drift is not None:
+        found = [replace(found[0], drift=drift)]
     tell("pairs of effects")
-    pair = _best_pair(problem, options, singles, best, is_explained)
+    pair = _best_pair(problem, options, singles, drift or best, is_explained)
     if pair is None:
         return best, found, singles
     trials = []
-    for name in pair.candidate.names:
-        kept = next(n for n in pair.candidate.names if n != name)
-        alone = next(f for f in singles.fits if f.candidate.name == kept)
-        trials.append(trial(problem, alone, options, FURTHER_TURNS))
+    for known in (pair.turned, pair):
+        alone = next(f for f in singles.fits if f.candidate.name == known.candidate.names[0])
+        alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # else all get the credit
+        trials.append(trial(problem, alone, options, FURTHER_TURNS, known))
     if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
         return best, found, singles
     both = [finding(problem, t, earned_beside(problem, pair.candidate, is_explained=True)) for t in trials]
-    if any(f.worth.value < EARNED for f in both):
+    if any(f.worth.value < EARNED_EACH for f in both):
         return best, found, singles
     best = min((f.members[0] for f in both), key=lambda f: f.total)
     return best, sorted(both, key=lambda f: -f.worth.value), singles
 
 
-def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int) -> Trial:
-    """Every option beside what `before` has."""
+def _drift(problem: Problem, members: tuple[Refit, ...]) -> Refit | None:
+    """The best single effect, by any of its names, as it drifts within each record: if that saves as much as a second
+    effect has to.
+    """
+    for fit in members:
+        drift = drifting(problem, fit) if same(fit, members[0]) else None
+        if drift is not None and saved(drift, fit) > EARNED_TOGETHER:
+            return drift
+    return None
+
+
+def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
+    """Every option beside what `before` has; from where it is `known` to end, where one of them is."""
     free = [o for o in options if not related(o.names, before.candidate.names)]
     tried = [before.candidate.plus(o) for o in free]
-    fits = refit(problem, tried, start=[before] * len(tried), iterations=turns)
+    starts = [known if known is not None and c.names == known.candidate.names else before for c in tried]
+    fits = refit(problem, tried, start=starts, iterations=turns)
     fits.sort(key=lambda f: f.total)
     return Trial(before, tuple(fits), tuple(worth(f, before) for f in fits))
 
@@ -161,7 +179,7 @@ def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> f
     """
     if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
         return EARNED_IN_PART
-    return EARNED_BESIDE if is_explained else EARNED
+    return EARNED_BESIDE if is_explained else EARNED_EACH
 
 
 def _steady(found: Constancy | None) -> bool:

@@ -18,6 +18,9 @@ from uavbatt.battery.pack import Installation
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import INDEX, QUANTITIES
 from uavbatt.diagnosis.evidence import SHIFTS_S, Evidence
+from uavbatt.fitting.observed import Stack
+
+MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness_ohm")
 
 
 class Own(NamedTuple):
@@ -41,12 +44,22 @@ def _cell_of(base: Parameters, x: Array) -> Parameters:
     return base._replace(**fields)
 
 
-def _installation_of(base: Pack, evidence: Evidence, x: Array) -> Installation:
+def _installation_of(base: Pack, evidence: Evidence, x: Array, drift: Array | None) -> Installation:
     records = len(evidence.names)
     variants = x.shape[0] // records
     fields = {q.name: x[..., i] for i, q in enumerate(QUANTITIES) if q.name in Installation._fields}
+    if drift is not None:
+        run = np.tile(_run(evidence.stack) - 0.5, (1, variants))
+        fields |= {name: fields[name] + run * drift[:, INDEX[name]] for name in MAY_DRIFT}
     capacity = np.tile(evidence.stack.capacity_Ah, variants)
     return Installation(cells=base.installation.cells, capacity_Ah=capacity, **fields)
+
+
+def _run(stack: Stack) -> Array:
+    """Share of each record that has gone by at each of its rows, 0 to 1."""
+    length_s = np.max(np.where(stack.compare, stack.time_s, 0.0), axis=0)
+    out: Array = np.clip(stack.time_s / length_s, 0.0, 1.0)
+    return out
 
 
 def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
@@ -79,16 +92,24 @@ def _keys(t: Array) -> tuple[Array, Array, Array, Array]:
     )
 
 
-def simulate(base: Pack, evidence: Evidence, x: Array, own: Own, walk: States = openloop.states) -> Simulated:
+def simulate(
+    base: Pack,
+    evidence: Evidence,
+    x: Array,
+    own: Own,
+    walk: States = openloop.states,
+    drift: Array | None = None,
+) -> Simulated:
     """Run quantities x [variants, records, quantities] with the records' own values.
 
-    walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin).
+    walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin); drift : like x, what
+    those that may drift gain from the beginning of each record to its end, x being their means.
     """
     stack = evidence.stack
     variants, records = own.soc.shape
     flat = x.reshape(variants * records, -1)
     cell = _cell_of(base.cell, flat)
-    installation = _installation_of(base, evidence, flat)
+    installation = _installation_of(base, evidence, flat, None if drift is None else drift.reshape(flat.shape))
     cell = pack.grown(cell, installation)
     metered_A = metered_current(evidence, flat[:, INDEX["delay_s"]], variants)
     current_A = pack.true_current(installation, metered_A, np.tile(stack.voltage_V, (1, variants)))

@@ -1,0 +1,63 @@
+"""An effect that changes within each flight: it is none that has a name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planted_flights import CAPACITY_AH, CELLS, CUTOFF_V, FILE, MISSIONS, fly
+
+from uavbatt.battery.sizing import PackOptions, pack_from
+from uavbatt.diagnosis.candidates import NOTHING
+from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of, problem_of
+from uavbatt.diagnosis.drift import drifting
+from uavbatt.diagnosis.refit import refit
+from uavbatt.fitting.observed import Observed
+from uavbatt.log_replay.run import engine_for
+
+PACK = pack_from(FILE, PackOptions(CELLS, CAPACITY_AH, CUTOFF_V))
+
+
+def from_to(record: Observed, first: float, last: float) -> Observed:
+    """The record as a current sensor shows it whose gain goes from one value to another."""
+    run = record.time_s / record.time_s[-1]
+    return replace(record, current_A=record.current_A * (first + (last - first) * run))
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Observed]:
+    return [fly(*mission) for mission in MISSIONS[:3]]
+
+
+def found(records: list[Observed]) -> Diagnosis:
+    return diagnose(records, FILE, PACK, engine=engine_for(is_long=True))
+
+
+def test_a_gain_that_grows_over_each_flight_is_no_declared_effect(flights: list[Observed]) -> None:
+    diagnosis = found([from_to(r, 1.0, 1.3) for r in flights])
+    assert diagnosis.verdict == "undeclared_effect"
+    assert any("current_gain is not the same throughout a record: it changes by +0.3" in r for r in diagnosis.reasons)
+    assert all(c.probability <= 0.4 for c in diagnosis.classes)
+    assert not diagnosis.after.candidate.names  # nothing of it enters the battery file
+
+
+def test_a_gain_that_is_the_same_throughout_is_named(flights: list[Observed]) -> None:
+    diagnosis = found([from_to(r, 1.15, 1.15) for r in flights])
+    assert diagnosis.verdict == "effect_found"
+    assert diagnosis.classes[0].members[0] == "current_gain"
+
+
+def test_a_refit_with_a_drift_finds_how_large_it_is(flights: list[Observed]) -> None:
+    problem = problem_of([from_to(r, 1.0, 1.3) for r in flights], FILE, PACK)
+    options = {o.name: o for o in options_of(problem, FILE, ())}
+    steady = refit(problem, [options["current_gain"]], start=[refit(problem, [NOTHING])[0]])[0]
+    drift = drifting(problem, steady)
+    assert drift is not None and drift.total < steady.total
+    np.testing.assert_allclose(drift.values()[0], [1.15, 0.3], atol=0.03)
+
+
+def test_what_acts_on_the_state_of_the_cell_does_not_drift(flights: list[Observed]) -> None:
+    problem = problem_of(flights, FILE, PACK)
+    fade = next(o for o in options_of(problem, FILE, ()) if o.name == "capacity_fade")
+    assert drifting(problem, refit(problem, [fade], iterations=1)[0]) is None

@@ -1,0 +1,43 @@
+"""Does an effect keep its size from take-off to landing? One that drifts within the flights has no name among ours.
+
+    value(t) = value + drift (t/T - 1/2),        t since the record began, T its length
+
+Of sensors and wiring alone: no state of the cell depends on what they are, so that they may differ from row to row.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uavbatt.battery.effects import EFFECTS, unit_words
+from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Freed
+from uavbatt.diagnosis.problem import Problem, Refit
+from uavbatt.diagnosis.refit import refit
+from uavbatt.diagnosis.simulation import MAY_DRIFT
+from uavbatt.diagnosis.worth import left_out_chi2
+
+TURNS = 8
+
+
+def drifting(problem: Problem, found: Refit) -> Refit | None:
+    """Refit an effect with a drift within each record, the same in all; None where its quantity cannot drift."""
+    first = found.candidate.freed[found.candidate.places(found.candidate.name)][0]
+    quantity = next(q for q in EFFECTS[found.candidate.name].quantities if INDEX[q.name] == first.index)
+    if quantity.name not in MAY_DRIFT:
+        return None
+    widest = quantity.high - quantity.low
+    drift = Freed(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, within=True)
+    both = found.candidate.plus(Candidate((f"{found.candidate.name} that drifts",), (drift,), (1,)))
+    return refit(problem, [both], start=[found], iterations=TURNS)[0]
+
+
+def saved(drift: Refit, steady: Refit) -> float:
+    """Return how much less chi-square a drift leaves on records left out."""
+    return float(np.sum(left_out_chi2(steady)) - np.sum(left_out_chi2(drift)))
+
+
+def words(drift: Refit) -> str:
+    """Say how the effect changes, as `current_gain is not the same throughout a record: ...`."""
+    unit = unit_words(QUANTITIES[drift.candidate.freed[-1].index].unit)
+    change = f"{drift.values()[0][-1]:+.3g} {unit}".strip()
+    return f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} within each"
