@@ -12,7 +12,6 @@ told from R₀(soc).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,7 @@ from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
 from uavbatt.fitting.limiter import limited_discharge
-from uavbatt.fitting.most_probable import NUDGE, most_probable
+from uavbatt.fitting.most_probable import most_probable
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
@@ -169,23 +168,8 @@ def _solve(
         return out
 
     tolerance = 1e-3 if robust else 1e-4
-    found = most_probable(
-        _with_neighbours(misfit), u0, is_robust=robust, evaluations=EVALUATIONS, xtol=1e-4, ftol=tolerance
-    )
+    found = most_probable(misfit, u0, is_robust=robust, evaluations=EVALUATIONS, xtol=1e-4, ftol=tolerance)
     return float(found.cost), np.asarray(found.x, dtype=float)
-
-
-def _with_neighbours(misfit: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """`misfit`, its slopes worked out ahead: of so few readings one simulation costs what twenty side by side do."""
-    asked, known = np.empty(0), np.empty((0, 0))
-
-    def looked_up(u: Array) -> Array:
-        nonlocal asked, known
-        if not np.array_equal(u[0], asked):
-            asked, known = u[0].copy(), misfit(np.vstack([u[0], u[0] + NUDGE * np.eye(u.shape[1])]))
-        return known[: u.shape[0]]
-
-    return looked_up
 
 
 def residuals(found: ColdFit, tests: OneTimeTests) -> Array:
