@@ -57,9 +57,9 @@ LONGEST_WINDOW = 4096
 
 
 class Engine(NamedTuple):
-    """The works that can be done at once for many rows or columns; an Estimator uses the first two.
+    """The functions that work on many rows at once; an `Estimator` uses the first two in `run`.
 
-    `PLAIN` does them in numpy, `compiled.engine()` in compiled code; live programs need neither.
+    `PLAIN` is their numpy form, `compiled.engine()` their compiled form. `Estimator.step` uses neither.
     """
 
     filter_window: Window = filter_window  # the filter over the rows of a window
@@ -71,7 +71,7 @@ PLAIN = Engine()
 
 
 class Past(NamedTuple):
-    """The memory of an estimator beside its belief: how the flight went, and what is known of the sensors."""
+    """The memory that an estimator keeps beside its belief: the past of the flight, and the past of the sensors."""
 
     forecaster: Memory
     cleaner: Cleaner
@@ -82,12 +82,13 @@ class Past(NamedTuple):
 
 
 class Estimator:
-    """State of charge and remaining time of one battery.
+    """An estimator turns the samples of one battery into state of charge and remaining time.
 
-    battery : the battery file; options : what the caller states of the pack; settings : load to come,
-    reserve and period of the forecasts; engine : how `run` works its windows; remembered : the health of a pack that
-    was met before.
-    `step` always takes measurements in by filterpy.
+    battery : the battery file.
+    options : the size of the pack (cells, capacity [Ah], cut-off [V]) as far as the caller states it.
+    settings : load to come, reserve and period of the forecasts.
+    engine : the functions by which `run` works many rows at once; `step` always updates by filterpy.
+    remembered : the health of a pack that earlier flights have shown, from the pack ledger.
     """
 
     def __init__(
@@ -223,7 +224,7 @@ class Estimator:
     def _pending(
         self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
     ) -> Iterator[Pending]:
-        """Take the rows of one window in. The filter works ahead; for another pack it works the rest anew."""
+        """Take the rows of one window in. The filter runs over all of them first, and anew from a changed pack on."""
         cleaned = self._cleaned(samples)
         clean = [sample for _, sample in cleaned]
         rows, since = (self._filter.run(clean, filter_window) if self._filter is not None else []), 0
@@ -270,7 +271,7 @@ class Estimator:
         return soc_filter.run(coming, filter_window)
 
     def _begin(self, size: PackSize) -> tuple[SocFilter, Forecaster]:
-        """Forget the last battery: nothing that was believed of it holds."""
+        """Begin with a pack of this size and forget the last one: nothing that was believed of it holds."""
         pack = self._pack(size)
         self._filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
         self._forecaster = Forecaster(pack, self.settings)
@@ -288,7 +289,7 @@ class Estimator:
         return self._swap.is_another
 
     def _forecast_for(self, sample: Sample, found: Estimate, belief: Belief | None, navigation: Navigation) -> Pending:
-        """The estimate with what speaks against it, and the forecast that it leads to."""
+        """Return the row with its estimate, judged by the monitor, and the forecast that is to be simulated for it."""
         assert self._filter is not None and self._forecaster is not None
         self._monitor = self._monitor.after(sample, found, belief, self._filter.pack)
         found = self._monitor.judged(found)
@@ -311,7 +312,7 @@ class Estimator:
         return pack._replace(sag_compensated=bool(self._known.facts.sag_compensated))
 
     def _warnings(self, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
-        """All that a reader of the number must know beside it; each is said once."""
+        """Return the warnings that a reader of the number must see, each once."""
         size = self._known.size
         assert size is not None and self._filter is not None
         is_metered = not self._cleaner.guessed
