@@ -81,6 +81,12 @@ def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def compiled_replays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replays in this process are compiled, however short: half the time, and to 1e-9 the same (tests/compiled)."""
+    monkeypatch.setattr("uavbatt.log_replay.run.MANY_ROWS", 0)
+
+
+@pytest.fixture
 def vehicle() -> Iterator[Any]:
     """A quad that talks over UDP (`live_rig.Vehicle`) to a port that is free."""
     from live_rig import Vehicle, free_port

@@ -22,6 +22,8 @@ from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_limits import limits_of
 from uavbatt.telemetry import read_log
 
+pytestmark = pytest.mark.usefixtures("compiled_replays")
+
 LOGS = Path(__file__).parents[2] / "logs"
 SHORT = "time_s,voltage_V,current_A\n" + "".join(
     f"{k},{16.2 - 0.002 * k:.3f},{0.1 if k < 5 else 18}\n" for k in range(90)
