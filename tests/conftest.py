@@ -87,6 +87,14 @@ def compiled_replays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages with empty drawings, for tests that ask about the words: drawings take most of a page's time."""
+    from uavbatt.report import plot
+
+    monkeypatch.setattr(plot, "drawing", lambda _, alt, *__, **___: plot._inline("<svg></svg>", alt))
+
+
+@pytest.fixture
 def vehicle() -> Iterator[Any]:
     """A quad that talks over UDP (`live_rig.Vehicle`) to a port that is free."""
     from live_rig import Vehicle, free_port
