@@ -145,18 +145,3 @@ def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
     share = sum(bool(p > 2.8 * s_r) for p in pairs) / len(pairs)
     return RangeCheck(width, factor, float(factor * s_r), bool(width <= factor * s_r), share)
-
-
-def critical_difference_of_means(r: float, R: float, n1: int, n2: int) -> float:
-    """Compute the 95 % critical difference of two laboratories' means: √(R² - r²(1 - 1/(2n_1) - 1/(2n_2)))."""
-    return math.sqrt(R**2 - r**2 * (1 - 1 / (2 * n1) - 1 / (2 * n2)))
-
-
-def critical_difference_to_reference(r: float, R: float, n: int) -> float:
-    """Compute the 95 % critical difference of a laboratory's mean to a reference: √((R² - r²(1-1/n))/2)."""
-    return math.sqrt((R**2 - r**2 * (1 - 1 / n)) / 2)
-
-
-def result_uncertainty(s_r: float, s_L: float, n: int, u_bias: float = 0.0) -> float:
-    """Compute the standard uncertainty of a mean of n results, ISO 21748: u² = s_L² + s_r²/n + u²(bias)."""
-    return math.sqrt(s_L**2 + s_r**2 / n + u_bias**2)
