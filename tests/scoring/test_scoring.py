@@ -85,6 +85,7 @@ def test_every_method_is_scored_on_every_flight() -> None:
     assert np.mean(late[m100.LOG]) < 0.3 * np.mean(late["ArduPilot mAh, rated"])  # the flights are the model's own
 
 
+@pytest.mark.slow  # the whole benchmark; where the alarm lies is asked in tests/prediction/test_forecast.py
 def test_the_alarm_goes_by_its_own_risk() -> None:
     for result in results()[m100.LEARNED]:
         said = result.lines
@@ -96,6 +97,7 @@ def test_the_alarm_goes_by_its_own_risk() -> None:
         assert result.score.alarm_at_s >= at_median.alarm_at_s
 
 
+@pytest.mark.slow
 def test_the_tables_of_the_benchmark() -> None:
     made = {t.title: t for t in m100_tables.tables(results())}
     assert len(made) == 8 and all(len(row) == len(t.head) for t in made.values() for row in t.rows)
