@@ -82,7 +82,7 @@ def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def compiled_replays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replays in this process are compiled, however short: half the time, and to 1e-9 the same (tests/compiled)."""
+    """Replays in this process are compiled, however short: half the time, and the same to rounding (tests/compiled)."""
     monkeypatch.setattr("uavbatt.log_replay.run.MANY_ROWS", 0)
 
 
