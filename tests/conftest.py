@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,12 @@ import pytest
 from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as scripts/test and the command do, before anything loads numpy
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of a hundred processes compiles the package anew
 
 from browser import Browser, program
 from command import Judged, called
+
+sys.dont_write_bytecode = False
 
 # The same examples on every machine: a run that fails can be run again. HYPOTHESIS_PROFILE=default looks for new ones.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -74,6 +78,20 @@ def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path, pack = tmp_path_factory.mktemp("short") / "short.tlog", generic_pack(capacity_Ah=2.0)
     write_log(path, simulate_flight(pack, SimulatedFlight(power_W=300.0, rate_Hz=1.0)), pack)
     return path
+
+
+@pytest.fixture
+def compiled_replays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replays in this process are compiled, however short: half the time, and the same to rounding (tests/compiled)."""
+    monkeypatch.setattr("uavbatt.log_replay.run.MANY_ROWS", 0)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages with empty drawings, for tests that ask about the words: drawings take most of a page's time."""
+    from uavbatt.report import plot
+
+    monkeypatch.setattr(plot, "drawing", lambda _, alt, *__, **___: plot._inline("<svg></svg>", alt))
 
 
 @pytest.fixture

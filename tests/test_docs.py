@@ -209,6 +209,15 @@ def test_the_readme_s_table_is_that_of_the_scores() -> None:
         assert cells == [error[2], bias[2], inside[2], error[5], bias[5], inside[5]], method
 
 
+def test_pages_quote_the_replay_that_the_readme_shows() -> None:
+    """That the README shows what the command prints is asked in tests/cli/test_first_answer.py."""
+    readme, started = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/getting_started.md"))
+    said = re.findall(r"half time: said +(\d+) s (\[\d+, \d+\])", readme)
+    assert [f"said {median} s {interval}" for median, interval in said] == re.findall(r"`(said \d.*?)`", started)
+    score = json.loads(example("summary.json"))["scores"][0]
+    assert said == [(f"{score['remaining_s']:.0f}", f"[{score['lo_s']:.0f}, {score['hi_s']:.0f}]")]
+
+
 def _score_rows(text: str, title: str) -> dict[str, list[str]]:
     table = text.partition(f"**M100: {title}")[2].partition("\n\n")[2].partition("\n\n")[0]
     return {name: cells for name, *cells in _rows(table)}

@@ -1,4 +1,4 @@
-"""The engine: who does the works that can be done at once for many rows."""
+"""The engine: the functions that work on many rows at once, in numpy or compiled."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from uavbatt.prediction.batch import Answers, answers
 
 
 class Engine(NamedTuple):
-    """The works that can be done at once for many rows or columns; an Estimator uses the first two.
+    """The functions that work on many rows at once; an `Estimator` uses the first two in `run`.
 
-    `PLAIN` does them in numpy, `compiled.engine()` in compiled code; live programs need neither.
+    `PLAIN` is their numpy form, `compiled.engine()` their compiled form. `Estimator.step` uses neither.
     """
 
     filter_window: Window = filter_window  # the filter over the rows of a window

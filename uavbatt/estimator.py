@@ -57,7 +57,7 @@ LONGEST_WINDOW = 4096
 
 
 class Past(NamedTuple):
-    """The memory of an estimator beside its belief: how the flight went, and what is known of the sensors."""
+    """The memory that an estimator keeps beside its belief: the past of the flight, and the past of the sensors."""
 
     forecaster: Memory
     cleaner: Cleaner
@@ -79,11 +79,13 @@ class Followed(NamedTuple):
 
 
 class Estimator:
-    """State of charge and remaining time of one battery.
+    """An estimator turns the samples of one battery into state of charge and remaining time.
 
-    battery : the battery file; options : what the caller states of the pack; settings : load to come,
-    reserve and period of the forecasts; engine : how `run` works its windows; remembered : the health of a pack that
-    was met before. `step` always takes measurements in by filterpy.
+    battery : the battery file.
+    options : the size of the pack (cells, capacity [Ah], cut-off [V]) as far as the caller states it.
+    settings : load to come, reserve and period of the forecasts.
+    engine : the functions by which `run` works many rows at once; `step` always updates by filterpy.
+    remembered : the health of a pack that earlier flights have shown, from the pack ledger.
     """
 
     def __init__(
@@ -202,7 +204,7 @@ class Estimator:
     def _pending(
         self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
     ) -> Iterator[Pending]:
-        """Take the rows of one window in. The filter works ahead; for another pack it works the rest anew."""
+        """Take the rows of one window in. The filter runs over all of them first, and anew from a changed pack on."""
         cleaned = self._cleaned(samples)
         clean = [sample for _, sample in cleaned]
         rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
@@ -254,7 +256,7 @@ class Estimator:
         return Followed(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
 
     def _forecast_for(self, followed: Followed, sample: Sample, row: Filtered, navigation: Navigation) -> Pending:
-        """The estimate of a row with what speaks against it, and the forecast that it leads to."""
+        """Return the row with its estimate, judged by the monitor, and the forecast that is to be simulated for it."""
         pack, forecaster, belief = followed.filter.pack, followed.forecaster, row.belief
         found = estimate_of(sample, row, self._warnings(pack, sample, row.summary))
         monitor = followed.monitor.after(sample, found, belief, pack)
@@ -277,7 +279,7 @@ class Estimator:
         return pack._replace(sag_compensated=bool(self._known.facts.sag_compensated))
 
     def _warnings(self, pack: Pack, sample: Sample, known: BeliefSummary) -> tuple[str, ...]:
-        """All that a reader of the number must know beside it; each is said once."""
+        """Return the warnings that a reader of the number must see, each once."""
         size, is_metered = self._known.size, not self._cleaner.guessed
         assert size is not None
         found = remarks(self.battery, size, sample, known, pack, is_metered=is_metered)

@@ -1,7 +1,8 @@
-"""The limits of what a pack can be: every statement about one is held against them, in every command and live.
+"""The limits of what a pack can be: every statement about a pack is checked against them, in every command and live.
 
-Two bounds each: outside the first a statement is nonsense and is not used (certain), outside the second it is odd and
-is said (likely). Cells are judged at rest or at the first rows: under load an empty cell shows anything.
+Each limit has two bounds. Outside the first a statement is impossible and is not used (certain); outside the second
+it is unusual, and a warning says so (likely). Cells are judged at rest or at the first rows: under load an empty cell
+may show any voltage.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltag
 
 
 def cells_doubt(cells: int, seen: Seen, resting: Resting) -> Doubt | None:
-    """The first voltages of a record speak against a count of cells in series, or do not (None)."""
+    """Check a count of cells in series against the first voltages of a record; None if nothing speaks against it."""
     first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
         words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
@@ -88,7 +89,10 @@ def cells_from_voltage(voltage_V: float, typical: int) -> int:
 
 
 def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan) -> Doubt | None:
-    """A pack voltage [V] that is to end the flight, or to warn of its end, is judged by the cell; NaN is not stated."""
+    """Check a cut-off or a low-voltage warning [V of the pack] by its volts per cell; None if it is usual or NaN.
+
+    what : the words before the number; rested_V : the voltage that the pack shows at rest [V], NaN while unknown.
+    """
     cell_V, (lowest_V, highest_V) = volts / cells, ENDING_CELL_V
     said = f"{what}{volts:g} V is {cell_V:.3g} V a cell of {cells}"
     if not math.isnan(volts) and not lowest_V <= cell_V <= highest_V:
@@ -102,7 +106,7 @@ def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan
 
 
 def capacity_doubt(capacity_Ah: float) -> Doubt | None:
-    """A capacity [Ah] is judged by itself; NaN is not stated."""
+    """Check a capacity [Ah]; None if it is possible or NaN."""
     lowest_Ah, highest_Ah = CAPACITY_AH
     if math.isnan(capacity_Ah) or lowest_Ah <= capacity_Ah <= highest_Ah:
         return None
@@ -111,7 +115,7 @@ def capacity_doubt(capacity_Ah: float) -> Doubt | None:
 
 
 def rate_doubt(what: str, c_rate: float) -> Doubt | None:
-    """A C-rate [1/h] that is to last is judged; one that is too low is no flight, which is said elsewhere."""
+    """Check a C-rate [1/h] that is to last for a minute; None if packs give it. Too low a rate is judged elsewhere."""
     if c_rate <= USUAL_C_RATE[1]:
         return None
     is_certain = c_rate > C_RATE[1]
@@ -127,7 +131,11 @@ def check_stated(
     reserve_soc: float = 0.0,
     names: Names = Names(),
 ) -> None:
-    """UsageError, with the argument's name and its bounds, when what the caller states cannot be; NaN is not stated."""
+    """Raise UsageError, with the argument's name and its bounds, for a statement of the caller that is impossible.
+
+    cells in series; capacity_Ah [Ah]; cutoff_V and low_V [V of the pack]; ambient_C [°C]; reserve_soc 0 to 0.99. None
+    or NaN is not stated.
+    """
     if cells is not None and not 1 <= _whole(names.cells, cells) <= MOST_CELLS:
         raise UsageError(f"{names.cells}{cells}: expected 1 to {MOST_CELLS}")
     doubt = capacity_doubt(_number(names.capacity, capacity_Ah))
@@ -172,14 +180,14 @@ def _count(cells: int) -> str:
 
 
 def _expected_cells(seen: Seen, lowest_V: float) -> str:
-    """The bounds, and the counts that the voltage fits."""
+    """Say the bounds of a cell, and the fewest cells that the voltage fits."""
     volts = seen.first_V if math.isnan(seen.rested_V) else seen.rested_V
     fewest = max(1, math.ceil(volts / FULLEST_CELL_V))
     return f"expected {lowest_V:.3g} to {HIGHEST_CELL_V:g} V before the load, as with {fewest}"
 
 
 def _slip(volts: float, cells: int) -> str:
-    """The slip that would explain a voltage that cannot be: one cell's value, or another unit."""
+    """Say the mistake that explains an impossible voltage: one cell's value, or another unit; empty if none does."""
     lowest_V, highest_V = ENDING_CELL_V
     if cells > 1 and lowest_V <= volts <= highest_V:
         return f" (one cell's value? {cells} of them make {volts * cells:g} V)"

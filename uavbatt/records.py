@@ -22,7 +22,14 @@ ALARM_RISK = 0.175
 
 
 class Status(StrEnum):
-    """May the number be shown, and if not, why."""
+    """A status says whether a number may be shown.
+
+    Attributes:
+        OK: the number holds.
+        CONVERGING: the number is shown, and doubted for the reason that is given.
+        REFUSED: there is no number, for the reason that is given.
+        STALE: there is no number, because telemetry has been missing for 3 s.
+    """
 
     OK = "ok"
     CONVERGING = "converging"
@@ -57,7 +64,11 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class PackFacts:
-    """The vehicle's own words about its battery (parameters); NaN or None where it does not say."""
+    """The parameters in which the vehicle states its pack; NaN or None where it states nothing.
+
+    Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to the voltage it
+    reports.
+    """
 
     cells_series: int | None = None
     capacity_Ah: float = NAN
@@ -80,19 +91,33 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A log as read: the rows of the chosen battery, and what the vehicle said of it and when."""
+    """A flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
+
+    Attributes:
+        source: path or name of the log.
+        kind: format of the log.
+        samples: the rows, ascending in time.
+        instance: number of this battery.
+        instances: numbers of all batteries of the log.
+        facts: what the vehicle states of the pack, each with the time [s] from which on it holds, ascending.
+        duration_s: from the log's first record to its last [s].
+        skipped_bytes: bytes that could not be read.
+        notes: what a reader of the log should know.
+        identity: aircraft, pack and date, as far as the log tells them.
+        navigation: route and position whenever they change, ascending in time.
+    """
 
     source: str
     kind: str  # "dataflash-binary" | "dataflash-text" | "tlog" | "ulog" | "csv" | "airdata" | "dji-record" | "blackbox"
     samples: tuple[Sample, ...]
     instance: int = 0
     instances: tuple[int, ...] = (0,)
-    facts: tuple[tuple[float, PackFacts], ...] = ()  # (time_s from which they hold, facts), ascending
+    facts: tuple[tuple[float, PackFacts], ...] = ()
     duration_s: float = NAN
     skipped_bytes: int = 0
     notes: tuple[str, ...] = ()
     identity: Identity = Identity()
-    navigation: tuple[Navigation, ...] = ()  # route and place whenever they change, ascending in time_s
+    navigation: tuple[Navigation, ...] = ()
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)
@@ -193,10 +218,23 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The way to come: which load was used, the route's end, the way home, and when to turn back.
+    """The part of a forecast about the route, the way home and the turn-back.
 
-    Times are seconds from now, charges 0..1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown, and
-    `reason` says why. `risk` is the probability that the end of flight comes before the route's touchdown.
+    Times are seconds from now, charges 0 to 1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown.
+
+    Attributes:
+        load: the load to come that was used: `route`, `learned`, `unknown`, `recent`, `log` or `stated`.
+        left_s: until touchdown at the route's end.
+        soc: charge at that touchdown, median.
+        soc_lo: 5 % point.
+        soc_hi: 95 % point.
+        risk: probability that the end of flight comes before that touchdown.
+        home_soc: charge at touchdown if the aircraft turned back now, median.
+        home_soc_lo: 5 % point.
+        turn_back_s: until the latest instant to turn back, median; 0 is now.
+        turn_back_lo_s: 5 % point.
+        turn_back_hi_s: 95 % point.
+        reason: why the route was not used, or why there is no turn-back.
     """
 
     load: str
@@ -213,7 +251,7 @@ class Route:
     reason: str = ""
 
     def later(self, age_s: float) -> Route:
-        """The same, `age_s` [s] after it was said."""
+        """Return it as it stands `age_s` [s] later."""
         return replace(
             self,
             left_s=_less(self.left_s, age_s),
@@ -224,7 +262,7 @@ class Route:
 
 
 def _less(time_s: float, age_s: float) -> float:
-    """A time that has run, not below zero; unknown stays unknown."""
+    """Return a time less its age, not below zero; unknown stays unknown."""
     return max(time_s - age_s, 0.0) if math.isfinite(time_s) else time_s
 
 
@@ -241,6 +279,7 @@ class Remaining:
         status: may the number be shown.
         reason: why it is not `ok`, in words.
         remaining_alarm_s: the time is shorter than that with the probability ALARM_RISK [s]: alarms go by it.
+        route: the same about route and way home; None where neither a route nor home is known.
     """
 
     time_s: float
@@ -251,4 +290,4 @@ class Remaining:
     status: Status
     reason: str = ""
     remaining_alarm_s: float = NAN
-    route: Route | None = None  # where the route or home is known
+    route: Route | None = None

@@ -23,13 +23,14 @@ from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+POWER_W = 450.0  # a flight of eight minutes
 
 
 @cache
-def flight(seed: int = 1, power_W: float = 300.0, rate_Hz: float = 1.0) -> Flight:
+def flight(seed: int = 1) -> Flight:
     pack = generic_pack()
     return Flight(
-        f"flight {seed}", "csv", tuple(simulate_flight(pack, SimulatedFlight(power_W, rate_Hz=rate_Hz, seed=seed)))
+        f"flight {seed}", "csv", tuple(simulate_flight(pack, SimulatedFlight(POWER_W, rate_Hz=1.0, seed=seed)))
     )
 
 
@@ -62,9 +63,9 @@ def test_a_trace_is_the_flight_from_take_off() -> None:
 
 def test_phases_are_means() -> None:
     phases = learned().phases
-    assert phases.flight_W == pytest.approx(300.0, rel=0.06)
-    assert phases.take_off_W == pytest.approx(300.0, rel=0.25)
-    assert phases.last_minute_W == pytest.approx(300.0, rel=0.25)
+    assert phases.flight_W == pytest.approx(POWER_W, rel=0.06)
+    assert phases.take_off_W == pytest.approx(POWER_W, rel=0.25)
+    assert phases.last_minute_W == pytest.approx(POWER_W, rel=0.25)
 
 
 def test_coarse_rows_teach_the_same_energy() -> None:
@@ -157,12 +158,13 @@ def assert_refused(path: Path, words: str) -> None:
 # --- the command -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("compiled_replays")
 def test_fit_learns_a_vehicle_and_replay_takes_it(tmp_path: Path) -> None:
     pack = generic_pack()
     logs = []
     for seed in (1, 2):
         logs.append(str(tmp_path / f"{seed}.BIN"))
-        write_log(Path(logs[-1]), list(flight(seed, rate_Hz=0.5).samples), pack)
+        write_log(Path(logs[-1]), list(flight(seed).samples), pack)
     made = tmp_path / "quad.vehicle.toml"
     runner = CliRunner()
     fitted = runner.invoke(app, ["fit", *logs, "--battery", "lipo-generic", "--vehicle", str(made)])

@@ -23,7 +23,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     pack = generic_pack(CELLS, CAPACITY_AH, CUTOFF_V, LOW_V)
     pack = with_effects(pack, {"current_gain": 1.25})
     paths = []
-    for i, (power_W, ambient_C) in enumerate([(170.0, 22.0), (150.0, 12.0)]):
+    for i, (power_W, ambient_C) in enumerate([(320.0, 22.0), (280.0, 12.0)]):
         path = folder / f"flight_{i}.csv"
         write_log(path, simulate_flight(pack, SimulatedFlight(power_W, ambient_C, rate_Hz=1.0, seed=i + 1)), pack)
         paths.append(path)

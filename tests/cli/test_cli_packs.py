@@ -11,6 +11,8 @@ from packs.made import flight
 
 from uavbatt.packs.ledger import Ledger
 
+pytestmark = pytest.mark.usefixtures("compiled_replays")
+
 
 @pytest.fixture
 def run(tmp_path):

@@ -22,6 +22,8 @@ from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_limits import limits_of
 from uavbatt.telemetry import read_log
 
+pytestmark = pytest.mark.usefixtures("compiled_replays")
+
 LOGS = Path(__file__).parents[2] / "logs"
 SHORT = "time_s,voltage_V,current_A\n" + "".join(
     f"{k},{16.2 - 0.002 * k:.3f},{0.1 if k < 5 else 18}\n" for k in range(90)
@@ -79,6 +81,9 @@ def test_the_same_numbers_stand_in_the_summary_first_line_and_lines(tmp_path: Pa
     for key in ("remaining_s", "remaining_lo_s", "remaining_hi_s", "remaining_to_low_s"):
         assert summary[key] == pytest.approx(row[key], abs=0.06), key
     assert "before you landed" in done.stdout.splitlines()[0]
+    readme = (LOGS.parent / "README.md").read_text(encoding="utf-8")
+    shown = readme.partition("$ uavbatt replay logs/quad_4s.tlog --report flight.html\n")[2].partition("```")[0]
+    assert done.stdout.replace(f"{LOGS}/", "logs/") == shown  # else: paste the new lines, and see test_docs
 
 
 def test_a_log_alone_is_replayed(short_log: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def found(file: BatteryFile, tmp_path_factory: pytest.TempPathFactory) -> Diagno
     folder = tmp_path_factory.mktemp("logs")
     pack = with_effects(pack_of(file, CELLS, CAPACITY_AH, CUTOFF_V, LOW_V), {"current_gain": 1.3})
     flights: list[Flight] = []
-    for i, (power_W, ambient_C) in enumerate([(45.0, 25.0), (55.0, 15.0), (35.0, 30.0)]):
+    for i, (power_W, ambient_C) in enumerate([(75.0, 25.0), (90.0, 15.0), (60.0, 30.0)]):
         path = folder / f"flight_{i}.csv"
         write_log(path, simulate_flight(pack, SimulatedFlight(power_W, ambient_C, rate_Hz=1.0, seed=i)), pack)
         flights.append(read_log(path))

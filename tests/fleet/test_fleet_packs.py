@@ -108,12 +108,20 @@ def remembered(path: Path) -> list[tuple[object, ...]]:
         return list(found)
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.fixture(scope="module")
+def flown(logs: Path) -> Done:
+    """The first run over the five logs, in this process."""
+    return fleet(logs, "out0")
+
+
+# Two workers: slow, for how rows come back from processes is asked in test_fleet.py and test_fleet_workers.py.
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_rows_and_ledger_are_those_of_replay_in_order_of_time(
-    workers: int, logs: Path, one_by_one: dict[str, dict[str, Any]]
+    workers: int, logs: Path, one_by_one: dict[str, dict[str, Any]], flown: Done
 ) -> None:
     output = f"out{workers}"
-    fleet(logs, output, workers)
+    done = fleet(logs, output, workers) if workers else flown
+    assert "5 logs (5 done now)" in done.stdout
     rows = table(logs, output)
     assert set(rows) == set(one_by_one)
     for name, summary in one_by_one.items():
@@ -129,29 +137,30 @@ def test_the_flights_before_make_the_next_forecast_better(one_by_one: dict[str, 
 
 
 def test_a_pack_of_other_cells_under_a_label_is_named_and_not_taken_in(
-    logs: Path, one_by_one: dict[str, dict[str, Any]]
+    logs: Path, one_by_one: dict[str, dict[str, Any]], flown: Done
 ) -> None:
     words = "expected flights of 4 cells as before, found 3: another pack under this name?"
-    done = fleet(logs, "out0")
-    assert words in done.stderr
+    assert words in flown.stderr
     assert words in table(logs, "out0")["other.tlog"]["look"]
     assert words in one_by_one["other.tlog"]["said"]
     assert one_by_one["other.tlog"]["pack_findings"] == ["another_pack"]
 
 
-def test_a_run_goes_on_where_it_was_and_a_flight_in_between_changes_those_after_it(logs: Path) -> None:
-    assert "5 logs (5 done now)" in fleet(logs, "again").stdout
-    assert "5 logs (0 done now)" in fleet(logs, "again").stdout
-    journal = logs / "again/flights.jsonl"
+def test_a_run_goes_on_where_it_was_and_a_flight_in_between_changes_those_after_it(
+    logs: Path, one_by_one: dict[str, dict[str, Any]], flown: Done
+) -> None:
+    """It goes on with the first run's own folder, so that it stands behind the tests that read that."""
+    assert "5 logs (0 done now)" in fleet(logs, "out0").stdout
+    journal = logs / "out0/flights.jsonl"
     lines = journal.read_text("utf-8").splitlines(keepends=True)
     journal.write_text("".join(lines[:2]) + lines[2][:40], "utf-8")  # interrupted while it wrote the third
-    (logs / "again/lessons.jsonl").unlink()
-    assert "5 logs (3 done now)" in fleet(logs, "again").stdout
-    assert remembered(logs / "again.sqlite") == remembered(logs / "replay.sqlite")
+    (logs / "out0/lessons.jsonl").unlink()
+    assert "5 logs (3 done now)" in fleet(logs, "out0").stdout
+    assert remembered(logs / "out0.sqlite") == remembered(logs / "replay.sqlite")
 
     write(logs / "logs", LATER, 7, 6)  # between the second and the third flight of its pack
     try:
-        assert "6 logs (2 done now)" in fleet(logs, "again").stdout
+        assert "6 logs (2 done now)" in fleet(logs, "out0").stdout
     finally:
         (logs / "logs" / LATER).unlink()
 

@@ -147,14 +147,14 @@ def test_the_same_pack_after_a_rest_is_no_other() -> None:
     bench, rows = Bench(OPTIONS, settings=SELDOM), []
     for k in range(1000):
         amps = 12.0 if k < 800 else 0.2
-        if k < 800 or k >= 920:
+        if k % 2 == 0 and (k < 800 or k >= 920):
             volts = 4.0 * float(model.cell_voltage(cell, state, amps / 5.0))
             rows.append(Sample(k / 2.0, volts, amps, 20.0, min(k, 800) * 6.0 / 3600.0, armed=k < 800))
         state = model.step(cell, state, amps / 5.0, 20.0, 0.5)
-    bench.play(rows[:800])
+    bench.play(rows[:400])
     landed = bench.daemon.board.reports[0].estimate
     bench.now_s += 60.0
-    bench.play(rows[800:])
+    bench.play(rows[400:])
     now = bench.daemon.board.reports[0].estimate
     true_soc = 1.0 - 800 * 6.0 / 3600.0 / 5.0
     assert abs(now.soc - true_soc) < min(0.03, abs(landed.soc - true_soc))

@@ -279,7 +279,7 @@ def test_a_sender_without_a_battery_does_not_shut_out_the_one_that_has_it() -> N
 def test_silence30h_pack_45(tmp_path: Path) -> None:
     """Landed, silent for 30 h, then a pack at 45 %: neither live's clock leaps, nor its recording's."""
     bench = Bench(OPTIONS, settings=SELDOM, record=RecordSection(folder=str(tmp_path), min_free_MB=0.0))
-    bench.play(flight())
+    bench.play(flight()[: GROUND_ROWS + 120])
     bench.now_s += 30.0 * 3600.0
     another = flight(0.45, seed=5)[: GROUND_ROWS + 60]
     bench.play(another)

@@ -282,6 +282,7 @@ def test_it_is_finite_in_order_and_never_negative() -> None:
             assert all(math.isnan(v) for v in (*values, remaining.remaining_to_low_s)) and remaining.reason
         else:
             assert 0.0 <= values[0] <= values[1] <= values[2] < math.inf
+            assert values[0] <= remaining.remaining_alarm_s <= values[1]  # an alarm does not wait for the median
             assert 0.0 <= remaining.remaining_to_low_s <= values[2]
             assert math.isfinite(estimate.soc)
     assert values[1] < 5.0  # the flight went on below the cut-off

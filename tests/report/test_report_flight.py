@@ -71,6 +71,7 @@ def test_an_ordinary_flight_shows_the_answer_the_figures_and_the_sources() -> No
     assert "Generic: a prior" in html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_refused_stretches_are_said_with_their_reason_and_hidden_from_the_figures() -> None:
     run = [step(float(t), **({"refused": REFUSAL} if t < 30 else {})) for t in range(100)]
     html = render(run)
@@ -81,6 +82,7 @@ def test_refused_stretches_are_said_with_their_reason_and_hidden_from_the_figure
     assert np.isfinite(rows(run).remaining_s[30:]).all()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_flight_with_nothing_but_refusals_has_a_page() -> None:
     run = [step(float(t), refused="r", status=Status.REFUSED, reason="no current in this row") for t in range(50)]
     html = render(run)
@@ -90,6 +92,7 @@ def test_a_flight_with_nothing_but_refusals_has_a_page() -> None:
     assert "no current in this row" in html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_flight_without_temperature_says_that_the_core_is_a_guess() -> None:
     assert "No pack temperature in the log" in render([step(float(t), temp_C=NAN) for t in range(50)])
 
@@ -150,6 +153,7 @@ def test_events_are_told_in_order_and_those_that_lie_close_share_a_mark() -> Non
     assert [e.words for e in apart(found, 9.0)] == ["take-off, mission", "alarm", "return", "low voltage", "landed"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_end_of_the_battery_is_said_once() -> None:
     points = (Checkpoint("half time", 250.0, 300.0, 200.0, 400.0),)
     landing = Landing(599.0, 0.0, 0.0, 0.0, NAN)
@@ -159,6 +163,7 @@ def test_the_end_of_the_battery_is_said_once() -> None:
     assert "Not checked against the truth" not in html
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_cursor_knows_no_number_that_was_refused() -> None:
     run = [step(float(t), **({"refused": REFUSAL} if t < 30 else {})) for t in range(100)]
     html = render(run)
@@ -184,6 +189,7 @@ def test_thinning_keeps_every_extreme_and_bands_never_get_narrower() -> None:
     assert (dense >= np.interp(time_s[:30_000], time_s, values)).all()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_nothing_is_drawn_across_a_gap_and_the_gap_is_named() -> None:
     run = [step(float(t)) for t in (*range(50), *range(200, 250))]
     (gap,) = stretches(run)

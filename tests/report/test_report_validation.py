@@ -19,7 +19,7 @@ from uavbatt.report.validation_page import ErrorChange
 from uavbatt.validation.gating import gate
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision
-from uavbatt.validation.judging.corridor import corridor, corridors
+from uavbatt.validation.judging.corridor import Corridor, corridor, corridors
 from uavbatt.validation.judging.findings import Finding, findings
 from uavbatt.validation.judging.readings import read_once
 from uavbatt.validation.study import paper
@@ -37,11 +37,17 @@ def said() -> tuple[Finding, ...]:
     return findings(READINGS, 25.0, corridor(READINGS, 25.0))
 
 
+@cache
+def bands(quantity: str) -> dict[float, Corridor]:
+    """The corridors of the tests, which no model moves."""
+    return corridors(READINGS, quantity)
+
+
 def made(bias_V: float = 0.005) -> Validation:
     """The stage's result for a model that is `bias_V` above the tests everywhere."""
     levels, heat = READINGS.levels(25.0), READINGS.levels(25.0, "surface_C")
-    band, limits = corridor(READINGS, 25.0), gate.Limits()
-    assert levels is not None and heat is not None and band is not None
+    band, limits = bands("voltage_V")[25.0], gate.Limits()
+    assert levels is not None and heat is not None
     measured_C = np.concatenate([heat.values, np.full_like(heat.values, math.nan)], axis=1)
     held = HeldOut(
         "circuit", 25.0, 3, levels.time_s, levels.values, levels.values + bias_V, measured_C, measured_C + 0.3
@@ -61,7 +67,7 @@ def made(bias_V: float = 0.005) -> Validation:
         for i, t in enumerate(found.time_s)
     )
     verdict = gate.overall(list(kept))
-    volts, surfaces = corridors(READINGS), corridors(READINGS, "surface_C")
+    volts, surfaces = bands("voltage_V"), bands("surface_C")
     return Validation(READINGS, limits, said(), table, volts, held, kept, verdict, None, surface_corridors=surfaces)
 
 
@@ -102,6 +108,7 @@ def test_the_verdict_comes_first_in_words(passed: str) -> None:
     assert f"{serious} serious findings" in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_model_that_is_off_fails_in_words() -> None:
     words = answer_of(validation_report(made(0.2)))
     assert words.startswith("✗ fail Do not fly on this model")
@@ -146,6 +153,7 @@ def test_a_claim_of_which_nothing_is_known_shows_no_number(passed: str) -> None:
     assert row[0].count(">–<") == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_before_and_after_has_its_place(passed: str) -> None:
     changes = (
         ErrorChange("voltage RMSE", "mV", 107.0, 80.0, "held-out tests", 0, "yes"),

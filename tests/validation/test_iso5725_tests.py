@@ -239,3 +239,22 @@ def test_two_groups_are_seen_and_coarse_readings_alone_are_not():
 def test_tolerance_factors_95_95():
     assert bands.tolerance_factor(10, 9) == pytest.approx(3.38, abs=0.005)
     assert bands.tolerance_factor(20, 19) == pytest.approx(2.752, abs=0.005)
+
+
+# --- ISO 5725-6 and ISO 21748: means against each other and against a reference -------------------------------------
+
+
+def test_critical_differences_of_single_results_are_the_limits_themselves() -> None:
+    """Two laboratories with one result each may differ by R; one result may be R/√2 from a reference (5725-6, 4.2)."""
+    r, R = 0.8, 1.3
+    assert trueness.critical_difference_of_means(r, R, 1, 1) == pytest.approx(R)
+    assert trueness.critical_difference_to_reference(r, R, 1) == pytest.approx(R / math.sqrt(2.0))
+
+
+def test_with_ever_more_results_only_the_spread_between_laboratories_is_left() -> None:
+    s_r, s_L = 0.3, 0.4
+    r, R = 2.8 * s_r, 2.8 * math.hypot(s_r, s_L)
+    assert trueness.critical_difference_of_means(r, R, 10**9, 10**9) == pytest.approx(2.8 * s_L)
+    assert trueness.critical_difference_to_reference(r, R, 10**9) == pytest.approx(2.8 * s_L / math.sqrt(2.0))
+    assert trueness.result_uncertainty(s_r, s_L, 10**9) == pytest.approx(s_L)
+    assert trueness.result_uncertainty(s_r, s_L, 1, u_bias=1.2) == pytest.approx(1.3)

@@ -190,6 +190,7 @@ def test_reproducibility_is_judged_with_three_independent_samples_and_a_bad_one_
     assert judged(0.1) == "not enough data"
 
 
+@pytest.mark.slow  # a second data set; the study and samples made up above are its witness
 def test_the_lab_set_is_judged_under_load_and_at_rest_apart(lab: Validation) -> None:
     assert lab.held.at_rest.tolist() == [True] + [False] * (lab.held.time_s.size - 1)
     assert claim(lab, "voltage bias").verdict == "pass"
@@ -200,6 +201,7 @@ def test_the_lab_set_is_judged_under_load_and_at_rest_apart(lab: Validation) -> 
     assert lab.temperatures is None
 
 
+@pytest.mark.slow
 def test_the_lab_set_ships_if_and_only_if_every_gating_claim_passes(lab: Validation) -> None:
     assert lab.verdict == gate.overall(lab.claims) == "pass"
     assert lab.battery is not None

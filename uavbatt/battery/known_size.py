@@ -1,7 +1,7 @@
-"""The size of a pack as far as it is known in flight, and what speaks against it: a value that goes from row to row.
+"""The size of a pack as far as it is known in flight, and the doubts about it; a value that is replaced at each row.
 
-What the caller states comes before what the vehicle says, and that before what the voltage tells (`sizing`); the rows
-are held against all of it (`statements`).
+The caller's statement comes first, then the vehicle's parameters, then the voltage (`sizing`). The rows of telemetry
+are compared with all of them (`statements`).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from uavbatt.records import NAN, PackFacts, Sample
 
 
 class KnownSize(NamedTuple):
-    """A pack's size by what is stated of it and what its vehicle says; `after` holds one more row against all that.
+    """A pack's size by the statements of caller and vehicle; `after` compares one more row with them.
 
-    size is None before the first voltage. stated_W: lowest and highest power [W] stated of this aircraft.
+    size : None before the first voltage; stated_W : lowest and highest power [W] stated of this aircraft.
     """
 
     battery: BatteryFile
@@ -34,7 +34,7 @@ class KnownSize(NamedTuple):
 
     @property
     def refusal(self) -> str:
-        """The words of a contradiction that is certain; empty without one."""
+        """Return the words of a contradiction that is certain; empty if there is none."""
         return self.doubts[0].words if self.doubts and self.doubts[0].is_certain else ""
 
     def with_facts(self, facts: PackFacts) -> KnownSize:
@@ -66,11 +66,11 @@ class KnownSize(NamedTuple):
         return size_of_pack(self.battery, self.options, self.facts, guessed, seen=Seen(first_V))
 
     def anew(self) -> KnownSize:
-        """Return the same size for another pack, of which no row was seen yet."""
+        """Return the same size for a pack that has just been changed, so that no row of it was seen yet."""
         return self._replace(statements=Statements())
 
     def _sized(self, guessed_cells: int) -> KnownSize:
-        """The size by what is known now, where nobody states the count of cells by this guess."""
+        """Return the size by what is known now; guessed_cells counts where nobody states the cells."""
         seen = self.statements.seen
         return self._replace(size=size_of_pack(self.battery, self.options, self.facts, guessed_cells, seen=seen))
 

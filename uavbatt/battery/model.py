@@ -102,7 +102,7 @@ def _r0_ohmAh(p: Parameters, new_ohmAh: Number, core_C: Number) -> Number:
 
 
 def source(p: Parameters, s: State) -> tuple[Number, Number]:
-    """`electromotive_force` and `resistance` in one look-up."""
+    """Return `electromotive_force` [V] and `resistance` [ohm·Ah], looked up once for both."""
     position = (s.soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
     charged_V = eq.interpolated(p.ocv_V, index, position - index)
@@ -110,7 +110,7 @@ def source(p: Parameters, s: State) -> tuple[Number, Number]:
 
 
 def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -> tuple[Number, Number]:
-    """`source` where what the tables `ocv_V` and `r0_ohmAh` say at this charge is known already."""
+    """Return `source` from `charged_V` and `new_ohmAh`, what the tables `ocv_V` and `r0_ohmAh` hold at this charge."""
     emf_V = _ocv_V(p, s.soc, charged_V) - s.polarisation_V - s.diffusion_V
     return emf_V, _r0_ohmAh(p, new_ohmAh, s.core_C)
 
@@ -138,7 +138,7 @@ def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: N
 
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
-    """c R_t [V]: what a sluggish reaction takes at once."""
+    """Return c R_t [V], the drop that a sluggish reaction takes at once."""
     if not eq.is_on(p.transfer_V):
         return 0.0
     return c_rate * eq.transfer_resistance(c_rate, p.transfer_V, p.transfer_half_rate)

@@ -165,7 +165,10 @@ def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
 
 
 def resting(battery: BatteryFile) -> Resting:
-    """A rested cell of this battery shows so much when empty, and when little is left [V], as far as a file may say."""
+    """Return the voltages [V] of a rested cell of this battery when it is empty, and when little charge is left.
+
+    Both are kept inside the limits of any cell, so that a wrong file cannot move them far.
+    """
     table = battery.parameters
     low_V = float(np.interp(LITTLE_SOC, table.ocv_soc, table.ocv_V))
     empty_V = min(table.ocv_V[0], EMPTIEST_CELL_V + RESTING_SLACK_V)
@@ -173,7 +176,7 @@ def resting(battery: BatteryFile) -> Resting:
 
 
 def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFacts, tuple[str, ...]]:
-    """The vehicle is believed but for what cannot be of a pack of so many cells; notices say what is left out."""
+    """Return the vehicle's statements that are possible for a pack of `cells`, and notices about the others."""
     capacity = capacity_doubt(said.capacity_Ah)
     critical = ending_doubt("critical voltage of the vehicle, ", said.critical_voltage_V, cells, seen.rested_V)
     low = ending_doubt("low-voltage warning of the vehicle, ", said.low_voltage_V, cells)

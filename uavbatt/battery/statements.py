@@ -39,7 +39,7 @@ IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", Fal
 
 
 class Means(NamedTuple):
-    """Rows under load last so long [s], and have these means of current and power over about their last minute."""
+    """The time under load so far [s], and the mean current [A] and power [W] over about its last minute."""
 
     loaded_s: float = 0.0
     current_A: float = NAN
@@ -55,7 +55,7 @@ class Means(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """The voltage has given way for so long, and so far [V a cell], beyond what the discharge explains."""
+    """The time for which the voltage has been lower than the discharge explains [s], and by how much [V a cell]."""
 
     lasting_s: float = 0.0
     mean_V: float = 0.0
@@ -70,7 +70,7 @@ NO_LOAD, NO_STRAIN = Means(), Strain()
 
 
 class Current(NamedTuple):
-    """The current has shown so much so far: charge, load, sign, and the strain of the voltage under it."""
+    """The current of the rows so far: charge drawn, load, sign, and the strain of the voltage under it."""
 
     time_s: float = NAN
     current_A: float = NAN
@@ -105,7 +105,7 @@ class Current(NamedTuple):
 
 
 class Statements(NamedTuple):
-    """The rows so far, as far as they speak about the statements; `after` takes in one more."""
+    """The rows so far, summed up as far as statements are compared with them; `after` takes in one more."""
 
     seen: Seen = Seen()
     rows: int = 0
@@ -165,7 +165,10 @@ class Statements(NamedTuple):
         return 0 if math.isfinite(temp_C) else self.kelvin_rows
 
     def _seen(self, volts: float, is_idle: bool) -> Seen:
-        """The highest voltage that two rows in turn have shown: one may be damaged. Rest ends with the first load."""
+        """Return the highest voltages that two rows in turn have shown, of all rows and of those at rest.
+
+        One row alone may be damaged. Rest ends with the first load.
+        """
         (first_V, rested_V), rows = self.seen, self.rows
         shown_V = min(volts, self.voltage_V) if rows else volts
         if rows < 2 or shown_V > first_V:
@@ -247,7 +250,7 @@ def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight)
 
 
 def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:
-    """UsageError when any row of the flight contradicts for certain what is believed of its pack."""
+    """Raise UsageError when a row of the flight contradicts the size of its pack for certain."""
     found = Statements()
     for sample in flight.samples:
         found = found.after(sample, sample, pack)

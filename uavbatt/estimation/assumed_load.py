@@ -1,8 +1,8 @@
-"""A pack without a current sensor: the load that is assumed for it, and how much that is doubted.
+"""A pack without a current sensor: the doubt about the load that is assumed for it.
 
-The power is that of a middling multirotor, give or take a factor of 1.6; a stated power is right to a fifth.
-Around its mean the load wanders by a fifth for a minute at a time: as independent errors of readings two seconds apart
-that is five times as much.
+The assumed power is that of a typical multirotor, within a factor of 1.6; a power that the caller states is right
+within a fifth. Around its mean the load changes by a fifth for about a minute at a time. The filter treats errors of
+blocks of two seconds as independent: so that their sum is as large, each counts as five times as much.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ASSUMED_SD, STATED_SD = (0.5, 1.2), (0.2, 0.4)
 
 
 def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:
-    """The pack with the doubt of a current that nobody measured; `is_stated`: the caller states the power.
+    """Return the pack with the doubt of a current that nobody measured; is_stated : the caller states the power.
 
     A current that is k times the assumed one is a capacity and an ohmic drop k times less: the filter doubts the
     capacity scale, which scales both, and the voltage's fall tells k as the flight goes on.

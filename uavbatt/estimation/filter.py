@@ -36,7 +36,7 @@ REFUSED_SOC_SD = 0.25
 
 
 class BeliefSummary(NamedTuple):
-    """Means and standard deviations that estimates give of a belief: the same for all rows between two updates."""
+    """Means and standard deviations of a belief that an estimate shows; they change only when a block is closed."""
 
     soc: float = NAN
     soc_sd: float = NAN
@@ -61,7 +61,7 @@ NOT_BEGUN = Filtered(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
-    """The filter holds the belief about one battery and takes its samples in.
+    """The filter takes the samples of one battery in and holds the belief about it.
 
     The belief is a sum of Gaussians, one for each capacity that the pack may have (`battery.capacity_prior`): each is
     an extended Kalman filter of its own, and the readings weigh them.
@@ -118,7 +118,7 @@ class SocFilter:
 
 
 def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list[Filtered]:
-    """The rows as the filter shows them; what is told of a belief is worked out once for each."""
+    """Return the filter after each row; the summary of a belief is worked out once and shared by its rows."""
     found = []
     for row in rows:
         at, belief, known = row.moments, last.belief, last.summary
@@ -135,7 +135,7 @@ def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list
 
 
 def summary(at: Moments) -> BeliefSummary:
-    """Mean and spread of what is told of a belief."""
+    """Return the means and standard deviations that an estimate shows of a belief."""
     weight = at.weight
     x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
     sd = np.sqrt(np.diag(covariance))
@@ -195,7 +195,7 @@ def unknown(sample: Sample, reason: str) -> Estimate:
 
 
 def known_only_to(soc_sd: float) -> str:
-    """Say how little is known of the charge; beyond any charge that there is, the number would say nothing."""
+    """Say in words how well the charge is known, without a number where the standard deviation is 1 or more."""
     return f"still settling: charge known to ±{soc_sd:.0%}" if soc_sd < 1.0 else "state of charge not known at all"
 
 

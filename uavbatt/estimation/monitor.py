@@ -1,8 +1,8 @@
-"""Do the readings and the belief still fit each other? A value that goes from row to row.
+"""The monitor checks whether readings and belief still fit each other; it is a value that is replaced at each row.
 
-A filter explains whatever it is given. So what it had to assume is held against what can be: a discrepancy far outside
-its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands still. Each
-has its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
+A filter explains whatever it is given. So what it had to assume is compared with what is possible: a discrepancy far
+outside its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands
+still. Each has its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Monitor(NamedTuple):
         return Monitor(readings, load, innovations, off_sds, is_settled, tuple(doubts), remarks, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
-        """The estimate with what the monitor has against it: refused, or converging, and the words."""
+        """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""
         if not (self.refusal or self.doubts or self.remarks):
             return estimate
         status, reason = estimate.status, estimate.reason
@@ -119,12 +119,15 @@ class Monitor(NamedTuple):
 
 
 def _misstated(estimate: Estimate, most: float) -> list[str]:
-    """Return in words what no wear explains: something stated is wrong. `most`: the largest capacity it may have."""
+    """Return words for a pack that no wear explains, so that something stated of it is wrong; empty for any other pack.
+
+    most : the largest capacity that the pack may have, as a share of the stated one.
+    """
     least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)
     return [words for words, is_so in ((SMALL, most < FAR_SMALLER), (MANY_OHMS, least_ohms > FAR_MORE_OHMS)) if is_so]
 
 
 def discrepancy_sds(belief: Belief, pack: Pack) -> float:
-    """The discrepancy that is believed in, in standard deviations of its prior where the charge is believed to be."""
+    """Return the believed error of the model's voltage in standard deviations of its prior at the believed charge."""
     mean_V, soc = belief.weights @ belief.means[:, [X.BIAS, X.SOC]]
     return float(mean_V) / math.hypot(pack.bias_sd_V, float(np.interp(soc, SOC_GRID, pack.ocv_sd_V)))

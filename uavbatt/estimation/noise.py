@@ -46,7 +46,10 @@ COMPENSATED_SHARE = 0.35
 
 
 def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
-    """Between the share for rows <= 1 s apart and that for >= 10 s, in the logarithm of the step."""
+    """Interpolate a share for rows `dt_s` [s] apart: `shares` holds that for 1 s or less and that for 10 s or more.
+
+    It is linear in the logarithm of the time between rows.
+    """
     weight = min(max(math.log10(max(dt_s, 1e-3)), 0.0), 1.0)
     return shares[0] + (shares[1] - shares[0]) * weight
 
@@ -100,9 +103,10 @@ def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Ca
 
 
 def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, before_c: float) -> Array:
-    """Return what the model's step from `mean` over `dt_s` at C-rate `rate_c`, `before_c` before it, leaves open.
+    """Return the variances of the process noise Q for a step of `dt_s` [s], [8] or [8, members] as `mean` is.
 
-    mean and result [8] or [8, members]. Over a long gap nothing says that the load went on.
+    mean : the belief before the step; rate_c : C-rate [1/h] of the step, before_c of the one before it. Over a long gap
+    nothing says that the load went on, which counts as well.
     """
     share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
     q = np.zeros(mean.shape)
@@ -124,7 +128,7 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, befor
 
 
 def reacting(rate_c: float) -> float:
-    """Share of its full size that the overpotential of a sluggish electrode has under a load."""
+    """Return the overpotential of a sluggish electrode at a C-rate [1/h] as a share of its full size, 0 to 1."""
     return abs(rate_c) / (abs(rate_c) + REACTION_HALF_RATE)
 
 
@@ -134,10 +138,11 @@ def scaled_resistance(pack: Pack, mean: Array) -> Number:
 
 
 def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: float, tau_s: float) -> Number:
-    """An overpotential whose ratio is known to a share is wrong by that share of itself: it errs as it moves.
+    """Return the process noise [V²] of an overpotential whose ratio to the resistance is known only to `share`.
 
-    While it stands still so does its error, which is the discrepancy's then. What is believed of it counts as far as
-    the load explains it: else it would grow by its own doubt, and swallow the knee of an emptying pack.
+    The overpotential is wrong by that share of itself, so that its error grows while it moves. While it stands still
+    its error does too, and belongs to the discrepancy. The belief about it counts as far as the load explains it:
+    else the overpotential would grow by its own doubt and hide the knee of an emptying pack.
     """
     now_V = np.minimum(np.abs(overpotential_V), settled_V)
     moved_V = np.abs(settled_V - now_V) * -np.expm1(-dt_s / tau_s)

@@ -1,11 +1,12 @@
-"""Is it another pack? A value that goes from row to row.
+"""The detector of a pack that was changed on the ground; it is a value that is replaced at each row.
 
-A pack is changed on the ground, and the telemetry falls silent meanwhile. What the old pack can show at rest after a
-silence is bounded: at most its open-circuit voltage at the last charge (it rested all along), at least that after the
-load had gone on to the end, its overpotentials still there. A rested pack outside, row after row, is another. After
-minutes the old one would have settled, and the bounds are those of its prediction. Without a silence a fall from row
-to row tells, since a pack at rest only rises, or far too much voltage: one that was just loaded shows too little for a
-while.
+A pack is changed on the ground, and the telemetry is silent meanwhile. After a silence the voltage that the old pack
+can show at rest has two bounds. The upper one: it rested all along, so the open-circuit voltage at its last charge.
+The lower one: the load went on to the end of the silence, and the overpotentials are still there. When the rested
+voltage is outside these bounds for several rows, it is another pack. After a silence of minutes the old pack would
+have settled, so both bounds are close to its predicted voltage. Without a silence two things tell another pack: a
+fall of the rested voltage (a pack at rest only rises), and far too much voltage (a pack that was just loaded shows
+too little for a while).
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ class Bounds(NamedTuple):
 
 
 class SwapWatch(NamedTuple):
-    """The last row with a pack (when, at what current, believing what), and how many in turn have shown another."""
+    """The last row with a pack in the aircraft, and how many rows in turn have shown another one than is believed in.
+
+    seen_s, current_A, belief : time [s], current [A] and belief of that row.
+    """
 
     seen_s: float = NAN
     current_A: float = 0.0
@@ -70,7 +74,7 @@ class SwapWatch(NamedTuple):
         return SwapWatch(time_s, current_A, belief, row_s, bounds, rows, rested_V)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
-        """Return what the pack that was seen last can show at rest after a silence of `gap_s`."""
+        """Return the voltages that the old pack can show at rest after a silence of `gap_s` [s]."""
         if gap_s > SETTLED_S or self.belief is None:
             return Bounds(predicted_V - ODD_CELL_V, predicted_V + ODD_CELL_V)
         mean, sd = self.belief.mean, math.sqrt(self.belief.covariance[X.SOC, X.SOC])

@@ -126,7 +126,10 @@ def filter_window(
 def _take(
     pack: Pack, state: FilterState, sample: Sample, condition: Condition
 ) -> tuple[FilterState, Innovation | Between]:
-    """The state after one row, and what the row shows; a row without voltage or current, or back in time, nothing."""
+    """Return the state after one row, and the row's innovation or what it will be worked out from.
+
+    A row without voltage or current, or one that goes back in time, changes nothing and has no innovation.
+    """
     dt_s = sample.time_s - state.time_s
     if not is_complete(sample) or dt_s < 0.0:
         return state, NOTHING
@@ -141,7 +144,7 @@ def _take(
 
 
 def _between(pack: Pack, state: FilterState, sample: Sample) -> Between:
-    """Within a block: the moments after the last one, less the charge drawn since."""
+    """Return a row within a block: the means after the last block, less the charge drawn since."""
     x = state.moments.x.copy()
     capacity_As = 3600.0 * pack.installation.present_capacity_Ah * np.exp(x[:, X.LOG_CAPACITY])
     x[:, X.SOC] -= state.block.charge_As / capacity_As
@@ -164,7 +167,7 @@ def _innovations(pack: Pack, rows: list[Between]) -> list[Innovation]:
 
 
 def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[FilterState, Innovation]:
-    """Take the rows of the open block in."""
+    """Close the open block: predict over its time, then condition on its means."""
     block, at = state.block, state.moments
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     rate, before = (float(c_rate(pack.installation, amps)) for amps in (mean_A, state.block_A))
@@ -217,13 +220,14 @@ def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Arra
 
 
 def weighed(log_weight: Array, innovation_V: Array, variance_V2: Array, evidence_share: float) -> Array:
-    """ln of the members' weights after each has been surprised by `innovation_V` of variance `variance_V2` [members].
+    """Return ln of the members' weights after a reading whose innovation is `innovation_V` [V] for each member.
 
-    One yardstick for all, the harmonic mean of the variances by weight: a member that holds its readings for less noisy
-    would otherwise win by that alone, since all of them believe readings less than their noise deserves. Within the
-    noise a reading counts by `evidence_share`, which is less than 1 where the model's curve is that of other makes and
-    errs alike for minutes; what is beyond it counts whole, since no slow error of the model looks like the knee of an
-    emptying pack. No weight falls below LEAST_WEIGHT: who was wrong all along may be right about the knee.
+    variance_V2 : the variance of each innovation [V²], [members]. All are judged by one variance, the harmonic mean
+    by weight: otherwise a member that expects less noise would win by that alone, since all members expect more noise
+    than there is. An innovation within the noise counts by `evidence_share`, which is less than 1 where the model's
+    curve is that of other makes and stays wrong in one direction for minutes. What is beyond the noise counts whole:
+    no slow error of the model looks like the knee of an emptying pack. No weight falls below LEAST_WEIGHT: a member
+    that was wrong so far may be right about the knee.
     """
     yardstick_V2 = 1.0 / np.sum(np.exp(log_weight) / variance_V2)
     surprise = np.minimum(innovation_V**2 / yardstick_V2, GATE)

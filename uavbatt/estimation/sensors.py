@@ -1,4 +1,4 @@
-"""Sensors that lie in silence: a reading that does not move while it must, a current that vanishes under a load."""
+"""Sensors that fail without a word: a reading that stands still although it must move, a current that vanishes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35
 
 
 class Still(NamedTuple):
-    """A reading since it last moved: its value, since when [s] and for how many rows; and how it used to move.
+    """A reading since its last change: its value, the time of that change [s] and the rows since.
 
-    step : the smallest that it ever made; habit : the share of rows in which it moved.
+    step : its smallest change so far; habit : the share of rows in which it used to change.
     """
 
     value: float = math.nan
@@ -41,12 +41,12 @@ class Still(NamedTuple):
         return Still(value, time_s, step, 0, habit)
 
     def age_s(self, time_s: float) -> float:
-        """For how long the reading has not moved [s]; 0 before the first one."""
+        """Return the time since its last change [s]; 0 before the first reading."""
         return time_s - self.since_s if math.isfinite(self.since_s) else 0.0
 
 
 class SinceMoved(NamedTuple):
-    """Voltage and current since they last moved: what was drawn meanwhile, how often the voltage turned."""
+    """Voltage and current since their last changes, the charge drawn meanwhile, and the turns of the voltage."""
 
     time_s: float = math.nan
     voltage: Still = Still()
@@ -70,20 +70,20 @@ class SinceMoved(NamedTuple):
         return SinceMoved(time_s, voltage, current, drawn_Ah, turn_V, is_rising, turns)
 
     def stuck_voltage_s(self, cells: float, capacity_Ah: float) -> float:
-        """For how long the voltage has stood still although it must have moved [s]; 0 when it is sound."""
+        """Return how long the voltage has stood still although the charge drawn must have moved it [s]; 0 if sound."""
         step_V = min(self.voltage.step, COARSEST_STEP_V)
         must_V = LEAST_FALL_V * cells * self.drawn_Ah / capacity_Ah
         return self.voltage.age_s(self.time_s) if must_V > max(STUCK_STEPS * step_V, STUCK_V) else 0.0
 
     def stuck_current_s(self, capacity_Ah: float) -> float:
-        """For how long the current has stood still against its habit or the voltage's turns [s]; 0 when it is sound."""
+        """Return how long the current has stood still against its habit or the voltage's turns [s]; 0 if sound."""
         missed = self.current.rows * self.current.habit if self.current.value > STILL_C_RATE * capacity_Ah else 0.0
         is_stuck = self.turns >= TURNS or missed >= MISSED_MOVES
         return self.current.age_s(self.time_s) if is_stuck else 0.0
 
 
 class LoadWatch(NamedTuple):
-    """The load of the last seconds, and since when the current is gone from under it while the voltage stays down."""
+    """The load of the last seconds, and since when the current has vanished while the voltage stayed low."""
 
     time_s: float = math.nan
     voltage_V: float = math.nan
@@ -94,7 +94,7 @@ class LoadWatch(NamedTuple):
     def after(
         self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
     ) -> LoadWatch:
-        """The same with one more row, whose voltage the model predicts as `predicted_V` [V]."""
+        """Return it with one more row, whose voltage the model predicts as `predicted_V` [V]."""
         fresh = LoadWatch(time_s, voltage_V, current_A)
         if not math.isfinite(self.current_A):
             return fresh

@@ -1,8 +1,8 @@
-"""Voltage and current of the same instant, out of telemetry that reports one of them later than the other.
+"""Alignment of voltage and current in telemetry that reports one of them later than the other.
 
 With the effect `current_delay` a row holds the voltage of now and the current of `delay_s` ago (negative: the other
-way round). The late one cannot be had earlier, so the early one is held back until its partner comes: nothing ever
-depends on what follows.
+way round). The late quantity cannot be known earlier, so the early one is held back until the late one comes. So no row
+depends on a later one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from uavbatt.records import Sample
 
 
 class Skew:
-    """Samples in, samples out whose earlier quantity is the one that belongs to the later."""
+    """A memory that gives each sample voltage and current of one instant; `delay_s` [s] as in `current_delay`."""
 
     def __init__(self, delay_s: float) -> None:
         self.delay_s = delay_s

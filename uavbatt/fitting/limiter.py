@@ -33,18 +33,18 @@ def limited_discharge(
     """
     out = np.empty((2, time_s.size, asked.size))
     state, now_s, lags_of = start, 0.0, dict[float, model.Lags]()
+    cell = cell_in(state)
+    emf_V, r_ohmAh = model.source(cell, state)
     for k, until_s in enumerate(time_s):
         while now_s < until_s - 1e-9:
             dt_s = min(step_s, until_s - now_s)
-            cell = cell_in(state)
             if dt_s not in lags_of:
                 lags_of[dt_s] = model.lags(cell, dt_s)
-            emf_V, r_ohmAh = model.source(cell, state)
             rate = limited_rate(emf_V, r_ohmAh, asked, limit_V)
             state = model.step_with_resistance(cell, state, rate, r_ohmAh, ambient_C, dt_s, lags_of[dt_s])
+            cell = cell_in(state)
+            emf_V, r_ohmAh = model.source(cell, state)
             now_s += dt_s
-        cell = cell_in(state)
-        emf_V, r_ohmAh = model.source(cell, state)
         rate = limited_rate(emf_V, r_ohmAh, asked, limit_V) if until_s > 0.0 else np.zeros_like(asked)
         out[0, k], out[1, k] = model.loaded_voltage(cell, emf_V, r_ohmAh, rate), state.sensor_C
     return out

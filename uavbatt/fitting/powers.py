@@ -118,7 +118,7 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
         induced_ms=induced_ms,
         **{term: _rounded(share, 4) for term, share in zip(TERMS, shares, strict=True)},
         level_sd=_rounded(_spread(hovers_W / hovers_W.mean() - 1.0, UNKNOWN.level_sd), 4),
-        fast_sd=_rounded(_spread(_unusual(told, columns, left), UNKNOWN.fast_sd), 4),
+        fast_sd=_rounded(_spread(_unusual(told, left), UNKNOWN.fast_sd), 4),
         row_sd=_rounded(float(np.sqrt(np.average(np.concatenate(left) ** 2, weights=count))), 4),
         flights=len(told),
         seconds=_rounded(sum(float(r.length_s.sum()) for r in told), 0),
@@ -132,7 +132,7 @@ def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:
     return np.asarray(np.bincount(cell, np.concatenate(counts))[cell], float)
 
 
-def _unusual(told: list[PowerRows], columns: list[Array], left: list[Array]) -> Array:
+def _unusual(told: list[PowerRows], left: list[Array]) -> Array:
     """Return what remains of each flight's mean power where it flies far from its hover: fast or climbing."""
     means = []
     for rows, misfit in zip(told, left, strict=True):

@@ -1,4 +1,6 @@
-"""The feed that never puts anybody wrong: NAMED_VALUE_FLOAT of every battery. Alarms are `announced`.
+"""The default feed: NAMED_VALUE_FLOAT of every battery, which no ground station takes for a measurement.
+
+Alarms are sent by `announced`.
 
 Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery, where a route or home is known TURN_S [s] and
 HOME_SOC [0..1], seconds until the turn-back and charge after turning now; `_N` behind it for battery N. What is not

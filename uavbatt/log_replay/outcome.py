@@ -21,7 +21,15 @@ CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """The forecast at one instant before the known end: error = forecast - truth [s]; inside = in the interval."""
+    """The forecast at one instant before the end that the log shows.
+
+    Attributes:
+        label: the instant in words.
+        before_end_s: time left in truth [s].
+        remaining_s: the forecast's median [s]; NaN if it was refused.
+        lo_s: its 5 % point [s].
+        hi_s: its 95 % point [s].
+    """
 
     label: str
     before_end_s: float
@@ -31,7 +39,7 @@ class Checkpoint:
 
     @property
     def error_s(self) -> float:
-        """Positive is optimistic; NaN when refused."""
+        """Forecast less truth [s]: positive is optimistic, NaN if the forecast was refused."""
         return self.remaining_s - self.before_end_s
 
     @property
@@ -58,7 +66,20 @@ class Landing:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One replay in figures."""
+    """A replayed flight in figures; NaN is unknown.
+
+    Attributes:
+        rows: rows of the battery.
+        duration_s: from the first row to the last [s].
+        end_voltage_V: of the pack at the last row [V].
+        end_soc: state of charge at the last row, 0 to 1.
+        end_soc_sd: its standard deviation.
+        end_of_flight_s: when the log itself reaches the end of flight [s].
+        refused_in_air: share of the rows in the air, after the first minute, without a forecast.
+        mean_nis: mean normalised innovation squared; 1 is what the filter expects.
+        checkpoints: forecasts before that end, with their errors; empty without one.
+        landing: the forecast at the last row in the air; None if the log shows no flight.
+    """
 
     rows: int
     duration_s: float
@@ -69,11 +90,11 @@ class Outcome:
     refused_in_air: float
     mean_nis: float
     checkpoints: tuple[Checkpoint, ...]
-    landing: Landing | None = None  # None: the log shows no flight
+    landing: Landing | None = None
 
 
 def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
-    """Figures of a finished replay; the truth is the end of flight that the log itself shows, if it does."""
+    """Return the figures of a finished replay; forecasts are judged by the end of flight that the log itself shows."""
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
     amps = np.array([s.estimate.current_A for s in run])

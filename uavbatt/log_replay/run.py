@@ -1,4 +1,4 @@
-"""A flight log through the estimator: the same lines as in flight, a row out for each row in."""
+"""Replay of a flight log: each row of the log gives one output line, the same as in flight."""
 
 from __future__ import annotations
 
@@ -92,14 +92,14 @@ def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
 
 
 def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
-    """The rows in pieces in which the vehicle says the same all along."""
+    """Yield the rows in stretches during which the vehicle's facts do not change, each with those facts."""
     since_s = [time_s for time_s, _ in flight.facts]
     for count, rows in groupby(flight.samples, key=lambda sample: bisect_right(since_s, sample.time_s)):
         yield flight.facts[count - 1][1] if count else PackFacts(), rows
 
 
 class WaySaid(NamedTuple):
-    """The forecasts of a replay that spoke of a route or of the way home: time [s] and what was said."""
+    """The forecasts of a replay about a route or the way home, each with its time [s]."""
 
     rows: list[tuple[float, Route]]
 
@@ -110,11 +110,11 @@ class WaySaid(NamedTuple):
 
     @property
     def why_no_route(self) -> str:
-        """The commonest reason why the route was not the load to come; empty without one."""
+        """The most frequent reason why the route was not the load to come; empty if there is none."""
         reasons = Counter(route.reason for _, route in self.rows if route.load != "route" and route.reason)
         return reasons.most_common(1)[0][0] if reasons else ""
 
 
 def way_said(run: Iterable[ReplayedRow]) -> WaySaid:
-    """Return what a replay said of the way, row by row; no rows where neither a mission nor a home was known."""
+    """Return the forecasts of a replay about the way; empty where neither a mission nor a home was known."""
     return WaySaid([(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None])

@@ -44,7 +44,7 @@ class Flown(NamedTuple):
         return max(self.flown_J / self.flown_s if self.flown_s > 0.0 else max(self.load.mean_W, 1.0), 1.0)
 
     def after(self, sample: Sample, power_W: float, c_rate: float) -> Flown:
-        """Return the past with one more row, its power [W] and its C-rate."""
+        """Return the past with one more row, its power [W] and its C-rate [1/h]."""
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
         now = self._carried(sample, dt_s, c_rate)
         if not math.isfinite(now.flying_since_s):
@@ -68,7 +68,7 @@ class Flown(NamedTuple):
         )
 
     def _carried(self, sample: Sample, dt_s: float, c_rate: float) -> Flown:
-        """The past that knows by its smoothed C-rate and the armed flag if the motors carry the aircraft."""
+        """Return the past that knows, by smoothed C-rate and armed flag, whether the motors carry the aircraft."""
         row_s, time_s = self.row_s, sample.time_s
         if 0.0 < dt_s <= LONGEST_ROW_S:
             row_s = dt_s + (row_s - dt_s) * ROW_MEMORY if math.isfinite(row_s) else dt_s
@@ -81,7 +81,7 @@ class Flown(NamedTuple):
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
     def _spooled_up(self, power_W: float) -> Flown:
-        """All before was the motors' spool-up if the power has risen by half: the flight begins here."""
+        """Begin the flight at this row if the power has risen by half: all before was the motors' spool-up."""
         if not self.load.gust_W * self.flown_s > SPOOLED_UP * self.flown_J:
             return self
         fresh = RecentLoad().after(self.time_s, power_W)

@@ -1,12 +1,13 @@
-"""The last wall: how soon the measured voltage itself reaches the cut-off, whatever is believed of the charge.
+"""The last wall: an upper bound of the time left, from the fall of the measured voltage towards the cut-off.
 
     V + v_lag = a + b t + c t² - r I    least squares over 40 s and over 60 s, t = 0 now, c <= 0 <= r
     h + b t + c t² = 0                  h: what is left above the cut-off under the window's mean current
 
-Of the model only the lagging overpotentials are used, so that the sag after a climb is not taken for an emptying pack.
-The later of the two windows counts, and only when both falls stand out of their scatter. On packs of many makes the
-time is then right to a factor of two in the last 45 s, and too long before: it bounds what is said and never lengthens
-it. Rows slower than every three seconds show no such fall.
+It does not depend on the believed charge. Of the model only the lagging overpotentials are used, so that the sag
+after a climb is not taken for an emptying pack. The longer time of the two windows counts, and only when both falls
+stand out of their scatter. On packs of many makes that time is right to a factor of two in the last 45 s, and too
+long before: so it can shorten a forecast and never lengthens one. Rows slower than every three seconds show no such
+fall.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class Fall(NamedTuple):
         return Fall((*kept, FallBin(time_s, voltage_V, current_A, lag_V)))
 
     def _is_level(self, cutoff_V: float) -> bool:
-        """True if the voltage fell so little over the window that no bend could matter: most of a flight."""
+        """True if the voltage fell too little over the window to reach the cut-off in sight, as in most of a flight."""
         part = len(self.bins) // 4
         first_V = sum(row.voltage_V for row in self.bins[:part]) / part
         last_V = sum(row.voltage_V for row in self.bins[-part:]) / part
@@ -82,7 +83,7 @@ class Fall(NamedTuple):
         return (last_V - cutoff_V) * over_s > LEVEL * SIGHT_S * max(first_V - last_V, 0.0)
 
     def time_left_s(self, cells: float, cutoff_V: float) -> float:
-        """Seconds until the pack's voltage is at `cutoff_V`; infinite where no fall tells."""
+        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it."""
         judged = self.bins[-JUDGED_BINS:]
         if not judged or judged[-1].voltage_V - cutoff_V > WITHIN_REACH_V * cells:
             return math.inf
@@ -101,7 +102,10 @@ class Fall(NamedTuple):
 
 
 def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
-    """Time left by the fall over one window of rows (time, voltage, current, lag); infinite when none stands out."""
+    """Return the time left [s] by the fall over one window; infinite when no fall stands out of the scatter.
+
+    rows : [rows, 4] of time [s] (0 is now), voltage [V], current [A] and lagging overpotential [V].
+    """
     t, volts, amps, lag_V = rows.T
     if len(t) < FEWEST_BINS or -t[0] < LEAST_SPAN * window_s:
         return math.inf
@@ -118,7 +122,7 @@ def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
 
 
 def _crossing_s(height_V: float, slope: float, bend: float) -> float:
-    """First t >= 0 at which height + slope t + bend t² is 0, for bend <= 0; infinite when it never is."""
+    """Return the first t >= 0 at which height + slope t + bend t² is 0, for bend <= 0; infinite when it never is."""
     if height_V <= 0.0:
         return 0.0
     if bend > -1e-9:
@@ -129,7 +133,7 @@ def _crossing_s(height_V: float, slope: float, bend: float) -> float:
 
 
 def bounded(said: Remaining, left_s: float) -> Remaining:
-    """`said` with no point later than the voltage allows, `left_s` from now [s]."""
+    """Return `said` with no point later than the voltage allows: the cut-off comes `left_s` [s] from now."""
     if not (math.isfinite(left_s) and math.isfinite(said.remaining_s)):
         return said
     lo, alarm, median, hi = (
@@ -143,9 +147,9 @@ def bounded(said: Remaining, left_s: float) -> Remaining:
 
 
 class LastWall(NamedTuple):
-    """The last wall as a value that goes from row to row: the fall of the voltage, and when its last looks saw the end.
+    """The last wall, a value that is replaced at each row: the fall of the voltage, and the ends that it has shown.
 
-    Once is chance: the bound holds when SURE_LOOKS looks on end agree that there is one.
+    One look may be chance: the bound is the latest end of the last SURE_LOOKS looks.
     """
 
     fall: Fall = Fall()
@@ -165,12 +169,12 @@ class LastWall(NamedTuple):
         return LastWall(fall, (*self.ends_s[1:], time_s + fall.time_left_s(cells, cutoff_V)))
 
     def left_s(self, time_s: float) -> float:
-        """Seconds until the measured voltage itself is at the cut-off; infinite where it does not fall."""
+        """Return the seconds until the measured voltage is at the cut-off; infinite where it does not fall."""
         return max(max(self.ends_s) - time_s, 0.0)
 
 
 def walled(said: Remaining, wall_s: float) -> Remaining:
-    """`said` bounded by the last wall, `wall_s` from now [s]; a number of no width is never `ok`."""
+    """Return `said` bounded by the last wall, `wall_s` [s] from now; an interval of no width is never `ok`."""
     if not math.isfinite(said.remaining_s):
         return said
     now = bounded(said, wall_s) if wall_s < math.inf else said

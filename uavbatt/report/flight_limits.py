@@ -21,7 +21,7 @@ OTHERWISE_SAID = (ALARM, "not certified", TURN_BACK)  # warnings that stand on t
 def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:
     """Return the sentences that stand under the first answer, the weightiest first."""
     return [
-        *_alarm(outcome, steps),
+        *_alarm(steps),
         _charge_words(outcome),
         *_ended_by_voltage(outcome, resolved, steps),
         *_doubts(outcome, steps),
@@ -64,7 +64,7 @@ def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
     return [f"{w[:1].upper()}{w[1:]}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
 
 
-def _alarm(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
+def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
     """The alarm with the time since which it stood until the end."""
     known = [s.remaining for s in steps if s.remaining.status is not Status.REFUSED]
     since_s = math.nan
