@@ -50,13 +50,15 @@ DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
 COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
-SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 3000.0
+# Nearly: as the cell warms and empties it is another by 5 to 20 mV within some minutes.
+SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 1500.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # Of a make that nobody tested the printed capacity is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
 # Its curve is a mean over makes, off for minutes at a time and always to the same side: a tenth of the readings is new,
 # and its wide discrepancy takes up what the drop is wrong by.
-UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE, UNKNOWN_MAKE_BIAS_SD_V = 0.1, 0.06, 0.02
+UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE = 0.1, 0.06
+UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
 # A fit has seen few packs at rest but full ones; a mean over makes is at rest as good anywhere.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
 # The standard error of a parameter is its own, whatever the others do; but a curve found too high at every charge goes
@@ -171,7 +173,7 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         capacity_scale_sd=file.parameters.capacity_scale_sd * widening,
         capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
         bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
-        bias_tau_s=max(left.voltage_autocorrelation_s, SERVICE_BIAS_TAU_S),
+        bias_tau_s=max(left.voltage_autocorrelation_s, UNKNOWN_MAKE_BIAS_TAU_S if unknown else SERVICE_BIAS_TAU_S),
         ocv_sd_V=ocv_sd_V,
         ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
