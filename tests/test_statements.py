@@ -45,10 +45,10 @@ LOGS = Path(__file__).parents[1] / "logs"
 
 
 @cache
-def flown() -> tuple[Sample, ...]:
+def flown(seconds: int = 240) -> tuple[Sample, ...]:
     """Four minutes of a flight of the pack, the ground before it included."""
     pack = generic_pack()
-    return tuple(simulate_flight(pack, SimulatedFlight(300.0, 20.0, rate_Hz=1.0, seed=3))[:240])
+    return tuple(simulate_flight(pack, SimulatedFlight(300.0, 20.0, rate_Hz=1.0, seed=3))[:seconds])
 
 
 @cache
@@ -101,6 +101,15 @@ def test_a_count_of_cells_that_is_hardly_possible_is_said() -> None:
     """16.7 V at rest are 3.3 V a cell of five: an empty pack of five, or a full one of four."""
     rows = after(PackOptions(cells=5, capacity_Ah=5.0))
     assert "5 cells in series at 3.3" in said(rows) and "nearly empty, or another count" in said(rows)
+
+
+def test_a_pack_that_looks_nearly_empty_and_flies_on_has_another_count_of_cells() -> None:
+    """A full pack of four that is stated as one of five: 3.3 V a cell, and then a third of its charge."""
+    rows = after(PackOptions(cells=5, capacity_Ah=5.0), samples=flown(450))
+    refused_s = next(row[0].time_s for row in rows if is_refused(row) and "another count" in row[0].reason)
+    drawn_Ah = sum(sample.current_A for sample in flown(450) if sample.time_s <= refused_s) / 3600.0
+    assert drawn_Ah == pytest.approx(0.3 * 5.0, rel=0.05)
+    assert is_refused(rows[-1])
 
 
 def test_a_damaged_first_voltage_refuses_no_flight() -> None:

@@ -85,6 +85,16 @@ def test_charge_is_counted(step_s: float) -> None:
     assert float(end_state(cell(), model.rested(1.0, 25.0), 0.5, 25.0, step_s, 3600.0).soc) == pytest.approx(0.5)
 
 
+def test_a_silence_of_thirty_hours_is_thirty_silences_of_one() -> None:
+    """A pack at rest forgets its load, in as many steps as an hour has, however long it lay."""
+    p = generic()
+    once = warm = model.rested(0.6, 40.0)._replace(polarisation_V=0.05, diffusion_V=0.02)
+    for _ in range(30):
+        once = model.advance(p, once, 0.001, 10.0, 3600.0)
+    assert model.stride(p, 30 * 3600.0).steps == model.stride(p, 3600.0).steps
+    assert model.advance(p, warm, 0.001, 10.0, 30 * 3600.0) == pytest.approx(once, abs=1e-4)
+
+
 def test_charge_that_comes_back() -> None:
     p, start = generic(), model.rested(0.6, 25.0)
     there = model.advance(p, start, 2.0, 25.0, 60.0)

@@ -32,6 +32,7 @@ LOWEST_SOC, GRID_STEP = float(SOC_GRID[0]), float(SOC_GRID[1] - SOC_GRID[0])
 LAST_POSITION = SOC_GRID.size - 1.0
 TURN_CHARGE = 0.03  # share of the charge after which the voltage is two thirds of the way to its discharge branch
 LONGEST_STEP_S = 5.0  # temperature and resistance are held over a step; beyond this the error shows
+MOST_STEPS = 720  # of a silence of more than an hour, in which a pack rests: longer steps move nothing then
 
 
 class Parameters(NamedTuple):
@@ -245,7 +246,7 @@ def _core_C(
 
 
 class Stride(NamedTuple):
-    """A step of any length as equal steps no longer than LONGEST_STEP_S."""
+    """A step of any length as equal steps no longer than LONGEST_STEP_S, or as MOST_STEPS of them."""
 
     steps: int
     dt_s: float
@@ -254,12 +255,12 @@ class Stride(NamedTuple):
 
 def stride(p: Parameters, dt_s: float) -> Stride:
     """The equal steps that make `dt_s`."""
-    steps = max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9)))
+    steps = min(max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9))), MOST_STEPS)
     return Stride(steps, dt_s / steps, lags(p, dt_s / steps))
 
 
 def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: float) -> State:
-    """`dt_s` seconds at constant current, in equal steps no longer than LONGEST_STEP_S."""
+    """`dt_s` seconds at constant current, in the equal steps of `stride`."""
     return advance_by(p, s, c_rate, ambient_C, stride(p, dt_s))
 
 
