@@ -27,7 +27,6 @@ from uavbatt.prediction import sampling
 from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
-from uavbatt.prediction.last_wall import walled
 from uavbatt.prediction.load import ConstantLoad, LoggedLoad
 from uavbatt.prediction.time_to_end import time_to_end
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
@@ -377,17 +376,3 @@ def test_reference_flights(shared_data: Path) -> None:
     for path in sorted((shared_data / "truth/reference/r0").glob("*.tlog")):
         rows, refused = judge(path, battery_file.read_battery("lipo-generic"), PackOptions(), 60.0)
         assert rows > 200 and refused <= 0.05 * rows, path.name
-
-
-# --- an interval that says too much ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("lo_s", "hi_s", "status"), [(399.5, 400.5, "refused"), (390.0, 410.0, "ok"), (0.0, 0.0, "converging")]
-)
-def test_a_number_that_claims_to_be_known_to_the_second_is_none(lo_s: float, hi_s: float, status: str) -> None:
-    """Draws that all fly alike are a fault, as of a charge believed at zero; at the cut-off no time is left."""
-    middle_s = 0.5 * (lo_s + hi_s)
-    shown = walled(Remaining(0.0, middle_s, lo_s, hi_s, NAN, Status.OK, ""), math.inf)
-    assert shown.status is Status(status)
-    assert math.isnan(shown.remaining_s) is (status == "refused")

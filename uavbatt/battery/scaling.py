@@ -51,7 +51,7 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
 # Nearly: as the cell warms and empties it is another by 5 to 20 mV within some minutes.
-SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 1500.0
+SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # Of a make that nobody tested the printed capacity is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45

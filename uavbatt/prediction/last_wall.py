@@ -34,7 +34,6 @@ OUTSTANDING = 6.0  # standard errors of the slope
 SHARES = (0.5, 0.63, 1.25, 2.5)
 SURE_LOOKS = 5  # a second apart
 CONTRADICTED_S = 120.0
-LEAST_WIDTH = 0.005  # of the time said: nothing about a pack is known so well
 FALLS_FASTER = (
     "the voltage falls faster than the charge says: an older or smaller pack, or a current sensor that reads low"
 )
@@ -181,7 +180,7 @@ def walled(said: Remaining, wall_s: float) -> Remaining:
     now = bounded(said, wall_s) if wall_s < math.inf else said
     if wall_s < min(said.remaining_lo_s, CONTRADICTED_S) and now.status is not Status.REFUSED:
         now = replace(now, status=Status.CONVERGING, reason=FALLS_FASTER)
-    if now.remaining_hi_s - now.remaining_lo_s > LEAST_WIDTH * now.remaining_s:
+    if now.remaining_hi_s > now.remaining_lo_s:
         return now
     if now.remaining_hi_s <= 0.0:
         return replace(now, status=Status.CONVERGING, reason=AT_CUTOFF)
