@@ -133,11 +133,11 @@ class RecentMean:
 
 
 def stretches_s(dt_s: Array) -> Array:
-    """Return the edges [steps + 1] of the stretches of time [s] for whose mean power the beginning of each step stands.
+    """Return the times [steps + 1] between which the power is averaged [s]: one stretch around each instant judged.
 
-    A mean over the step itself would have a climb felt half a step before it comes.
+    A step is judged at its beginning. A mean over the step itself would have a climb felt half a step before it comes.
 
-    dt_s : lengths of the steps [steps]
+    dt_s : lengths of the steps [steps], in seconds
     """
     middles_s = np.cumsum(dt_s) - 0.5 * dt_s
     return np.concatenate([[0.0], middles_s])
