@@ -21,29 +21,23 @@ from porous_cases import CAPACITY_AH, CELLS, Cell, Sensors, flown, readings, wri
 
 CUTOFF_V, FLYING_A = 13.2, 3.0
 FLIGHTS = 3
-# Two series, each with the seeds of its flights and of its noise; of each pack the cell, and ohms of the contacts.
+# Of each pack the cell, and ohms of the contacts.
+PACKS = (
+    (Cell(), 0.0),
+    (Cell(capacity=0.93, exchange=0.8, start_soc=0.97), 0.0),
+    (Cell(capacity=0.88, exchange=0.65), 0.0),
+    (Cell(capacity=0.8, exchange=0.55, start_soc=0.95), 0.0),
+    (Cell(capacity=0.9), 0.02),
+    (Cell(capacity=0.85, exchange=0.8, start_soc=0.97), 0.015),
+    (Cell(capacity=0.95, exchange=0.6), 0.0),
+    (Cell(capacity=0.85), 0.0),
+)
+FIFTH, SEVENTH = (Cell(capacity=0.78, exchange=0.7), 0.01), (Cell(capacity=0.9, exchange=0.5, diffusivity=0.8), 0.005)
+# Two series, each with the seeds of its flights and of its noise; the second has two other packs among them.
 SERIES = (
-    (7_700_000, 7000, (
-        (Cell(), 0.0),
-        (Cell(capacity=0.93, exchange=0.8, start_soc=0.97), 0.0),
-        (Cell(capacity=0.88, exchange=0.65), 0.0),
-        (Cell(capacity=0.8, exchange=0.55, start_soc=0.95), 0.0),
-        (Cell(capacity=0.9), 0.02),
-        (Cell(capacity=0.85, exchange=0.8, start_soc=0.97), 0.015),
-        (Cell(capacity=0.95, exchange=0.6), 0.0),
-        (Cell(capacity=0.85), 0.0),
-    )),
-    (8_800_000, 9000, (
-        (Cell(), 0.0),
-        (Cell(capacity=0.93, exchange=0.8, start_soc=0.97), 0.0),
-        (Cell(capacity=0.88, exchange=0.65), 0.0),
-        (Cell(capacity=0.8, exchange=0.55, start_soc=0.95), 0.0),
-        (Cell(capacity=0.78, exchange=0.7), 0.01),
-        (Cell(capacity=0.85, exchange=0.8, start_soc=0.97), 0.015),
-        (Cell(capacity=0.9, exchange=0.5, diffusivity=0.8), 0.005),
-        (Cell(capacity=0.85), 0.0),
-    )),
-)  # fmt: skip
+    (7_700_000, 7000, PACKS),
+    (8_800_000, 9000, (*PACKS[:4], FIFTH, PACKS[5], SEVENTH, PACKS[7])),
+)
 INSTANTS = ("25%", "50%", "120 s", "60 s")
 
 

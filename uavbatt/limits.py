@@ -25,6 +25,8 @@ AMBIENT_C = (-40.0, 60.0)
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
 HIGHEST_C_RATE = 200.0  # of any row: a pack that gives it is empty in 18 s
+# No pack that rested nearly empty gives so much of its charge, nor does one of twice the capacity that is stated.
+EMPTY_OVERDRAWN = 0.3
 LONGEST_ROW_S = 90.0  # rows farther apart are no telemetry: milliseconds
 KELVIN = (230.0, 360.0)  # a cell's temperature in the wrong unit
 POWER_FACTOR = 2.0  # beyond it another aircraft flew
@@ -65,8 +67,13 @@ class Names(NamedTuple):
 OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltage ", "--ambient-c ", "--reserve-soc ")
 
 
-def cells_doubt(cells: int, seen: Seen, resting: Resting) -> Doubt | None:
-    """Check a count of cells in series against the first voltages of a record; None if nothing speaks against it."""
+def cells_doubt(
+    cells: int, seen: Seen, resting: Resting, drawn_Ah: float = 0.0, capacity_Ah: float = math.inf
+) -> Doubt | None:
+    """Check a count of cells in series against the first voltages of a record; None if nothing speaks against it.
+
+    drawn_Ah : charge drawn since [Ah], of the stated `capacity_Ah` [Ah]: a pack that rested nearly empty gives little.
+    """
     first_V, rested_V = seen.first_V / cells, seen.rested_V / cells
     if first_V > HIGHEST_CELL_V or first_V < LOWEST_CELL_V:
         words = f"{seen.first_V:.1f} V is {first_V:.1f} V a cell, {_expected_cells(seen, LOWEST_CELL_V)}"
@@ -75,7 +82,11 @@ def cells_doubt(cells: int, seen: Seen, resting: Resting) -> Doubt | None:
         words = f"{seen.rested_V:.1f} V at rest is {rested_V:.1f} V a cell, {_expected_cells(seen, resting.empty_V)}"
         return Doubt(f"{_count(cells)}: {words}", True)
     if rested_V < resting.low_V:
-        return Doubt(f"{_count(cells)} at {rested_V:.1f} V a cell at rest: nearly empty, or another count", False)
+        words = f"{_count(cells)} at {rested_V:.1f} V a cell at rest"
+        if drawn_Ah > EMPTY_OVERDRAWN * capacity_Ah:
+            drawn = f"{EMPTY_OVERDRAWN:g} times the stated {capacity_Ah:g} Ah were drawn since"
+            return Doubt(f"{words}, and {drawn}: another count", True)
+        return Doubt(f"{words}: nearly empty, or another count", False)
     if first_V > FULLEST_CELL_V:
         return Doubt(f"{_count(cells)} at {first_V:.1f} V a cell: fuller than cells are, or another count", False)
     return None

@@ -31,8 +31,6 @@ STRAIN_CELL_V, SURE_STRAIN_CELL_V = 0.08, 0.15
 OCV_SLOPE_V, PLATEAU_CELL_V = 1.5, 3.5
 # Charge drawn against the charge stated, the cells still far from empty: sensors read up to a third too much.
 OVERDRAWN, SURELY_OVERDRAWN = 1.2, 1.5
-# No pack that rested nearly empty gives so much of its charge, nor does one of twice the capacity that is stated.
-EMPTY_OVERDRAWN = 0.3
 
 PowerRange = tuple[float, float]
 SLOW_ROWS = Doubt(f"the rows are more than {LONGEST_ROW_S:.0f} s apart: is their time in milliseconds?", True)
@@ -139,7 +137,7 @@ class Statements(NamedTuple):
         may_charge_s = REVERSED_S if load is NO_LOAD else REGENERATING_S  # in flight motors that brake give some back
         found = (
             Doubt(pack.refusal, True) if pack.refusal else None,
-            self._cells_doubt(pack, resting) if self.rows else None,
+            cells_doubt(pack.cells, self.seen, resting, current.drawn_Ah, capacity_Ah) if self.rows else None,
             SLOW_ROWS if self.long_rows >= SEVERAL_ROWS else None,
             CHARGING if current.negative_s >= may_charge_s else None,
             _strong(load, capacity_Ah) if is_minute and load.current_A > USUAL_C_RATE[1] * capacity_Ah else None,
@@ -151,16 +149,6 @@ class Statements(NamedTuple):
         if not any(found):
             return ()
         return tuple(sorted((doubt for doubt in found if doubt is not None), key=lambda doubt: not doubt.is_certain))
-
-    def _cells_doubt(self, pack: PackSize, resting: Resting) -> Doubt | None:
-        """The doubt about the count of cells; certain where a pack that looked nearly empty flies on and on."""
-        doubt, cell_V = cells_doubt(pack.cells, self.seen, resting), self.seen.rested_V / pack.cells
-        if doubt is None or doubt.is_certain or not cell_V < resting.low_V:
-            return doubt
-        if self.current.drawn_Ah <= EMPTY_OVERDRAWN * pack.capacity_Ah:
-            return doubt
-        words = f"{EMPTY_OVERDRAWN:g} times the stated {pack.capacity_Ah:g} Ah were drawn since"
-        return Doubt(f"{pack.cells} cells in series at {cell_V:.1f} V a cell at rest, and {words}: another count", True)
 
     def denies(self, cells: int, resting: Resting) -> bool:
         """True if the voltages say for certain that there are not so many cells."""

@@ -17,22 +17,22 @@ PER_NUDGES = 0.5 / NUDGE
 
 
 @compiled
-def predicted_covariance(F: Array, P: Array) -> Array:
-    """F P Fᵀ; what has no influence, most of F, is passed over."""
-    half, out = np.zeros((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+def sparse_product(F: Array, M: Array) -> Array:
+    """F M; what has no influence, most of F, is passed over."""
+    out = np.zeros((SIZE, SIZE))
     for i in range(SIZE):
         for k in range(SIZE):
             share = F[i, k]
             if share != 0.0:
                 for j in range(SIZE):
-                    half[i, j] += share * P[k, j]
-    for j in range(SIZE):
-        for k in range(SIZE):
-            share = F[j, k]
-            if share != 0.0:
-                for i in range(SIZE):
-                    out[j, i] += share * half[i, k]
+                    out[i, j] += share * M[k, j]
     return out
+
+
+@compiled
+def predicted_covariance(F: Array, P: Array) -> Array:
+    """F P Fᵀ, as F (F P)ᵀ: P is symmetric."""
+    return sparse_product(F, sparse_product(F, P).T)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""What a flight's power does around its mean: gusts of seconds and manoeuvres of most of a minute.
+"""The swings of the power around its mean: gusts, which last seconds, and manoeuvres, which last most of a minute.
 
 Both are Ornstein-Uhlenbeck processes. A flight shows parts of them as averages over different times (`swings_shown`),
 and flies on with what it has shown (`swung`).
