@@ -14,7 +14,7 @@ from uavbatt.diagnosis.words import separating
 
 COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches
 SLOWEST_POLARISATION_S = 30.0
-NEVER_SURE, DOUBTED = 0.97, 0.4  # share of the candidates' probability that is kept: the cause may be none of them
+NEVER_SURE = 0.97  # share of the candidates' probability that is kept at most: the cause may be none of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +37,14 @@ class EffectClass:
     would_separate: str
 
 
-def class_of(problem: Problem, finding: FoundEffect, doubted: bool) -> EffectClass:
-    """A finding as it is told; `doubted` when the model is not believed to be complete."""
+def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectClass:
+    """A finding as it is told; `believed`: how likely it is that the cause is one of the candidates at all."""
     members = _named(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
         parameters.update(intervals(fit))
     outside = [name for name in finding.outside if name not in members]
-    sure = finding.probability * (DOUBTED if doubted else NEVER_SURE)
-    return EffectClass(members, round(sure, 3), parameters, separating(members, next(iter(outside), None)))
+    return EffectClass(members, round(believed * finding.probability, 3), parameters, separating(members, next(iter(outside), None)))
 
 
 def start_class(problem: Problem, nothing: Refit) -> EffectClass:

@@ -25,17 +25,18 @@ from uavbatt.diagnosis import drift, residual
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
-from uavbatt.diagnosis.classes import EffectClass, Hidden, class_of, hidden, start_class
+from uavbatt.diagnosis.classes import NEVER_SURE, EffectClass, Hidden, class_of, hidden, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.residual import Residual, Shape
-from uavbatt.diagnosis.search import FoundEffect, Trial, search
+from uavbatt.diagnosis.search import SUSPECT, FoundEffect, Trial, search
 from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
+USUAL = 1.05  # what it leaves of the voltage of effect-free flights, at most
 FAR = 2.0  # a residual of so many times the file's own is not explained, whatever errors its tables may have
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
@@ -109,7 +110,7 @@ def diagnose(
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
     reasons = doubts(problem, findings, best, left, floor_V(file, problem))
-    found = tuple(class_of(problem, f, bool(reasons)) for f in findings)
+    found = tuple(class_of(problem, f, believed(left, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
     if not steady:  # a value that differs from record to record makes a suspect, and cannot stand in a battery file
@@ -205,6 +206,11 @@ def per_number(problem: Problem, fit: Refit) -> Left:
         squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
         numbers += [first, size]
     return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
+
+
+def believed(left: Left, reasons: tuple[str, ...]) -> float:
+    """Return how likely it is that the cause is one of the candidates: less, the nearer the model is to being doubted."""
+    return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
 def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
 from uavbatt.diagnosis.course import Course, OwnValues, courses, on_course, own_values
-from uavbatt.diagnosis.diagnosis import Verdict, doubts, floor_V, left_per_number, options_of, problem_of
+from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, floor_V, left_per_number, options_of, problem_of
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import related
@@ -103,7 +103,7 @@ def follow(
         verdict=verdict,
         flights=tuple(names[i] for i in order),
         left_out=tuple(r.name for r in records if r.name not in names),
-        effects=tuple(_told(problem, t, bool(why)) for t in traces),
+        effects=tuple(_told(problem, t, believed(left, why)) for t in traces),
         reasons=why,
     )
 
@@ -203,7 +203,7 @@ def _chosen(tried: list[_Tried]) -> _Tried:
     return min(possible, key=lambda t: t.fit.total - (GROWS if not t.course.grows else 0.0))
 
 
-def _told(problem: Problem, trace: _Trace, doubted: bool) -> Followed:
+def _told(problem: Problem, trace: _Trace, sure: float) -> Followed:
     """A trace with each flight's own value, as it is shown."""
     fit = trace.effect.members[0]
     freed = fit.candidate.freed[fit.candidate.places(trace.effect.name)][0]
@@ -214,5 +214,5 @@ def _told(problem: Problem, trace: _Trace, doubted: bool) -> Followed:
         Interval(float(v), float(max(v - h, freed.low)), float(min(v + h, freed.high)), UNITS[name])
         for v, h in zip(values, half, strict=True)
     )
-    told = class_of(problem, trace.effect, doubted)
+    told = class_of(problem, trace.effect, sure)
     return Followed(told, trace.course, trace.earliest, trace.latest, own, name, float(off), trace.effect.worth.value)

@@ -20,7 +20,6 @@ from uavbatt.diagnosis.problem import Problem, Refit
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
-RIVAL = 0.135  # the least weight, of that of the best: two such sigmas
 # Effects of one family are hardly told apart: two of them together only cancel each other, and a class seats one of
 # each family before it seats a second that is not quite the same.
 FAMILIES = (

@@ -16,17 +16,19 @@ from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.drift import drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import RIVAL, related, same, seated, weights
+from uavbatt.diagnosis.rivals import related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 2.6  # more than chance gave in 90 effect-free sets, 2.5: docs/diagnosis.md
 EARNED_EACH = 3.5  # each of two where no single effect explains the flights; half of it: a rival, not a chance
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
+SUSPECT = 0.4  # the most that is said of what is worth less than that, and of a model that is doubted
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
 EARNED_IN_PART = 24.0  # beside a start in part
 EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value
+SEATED = 0.95  # of the rivals' probability: a class has room for so much of it before it leaves one out
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
 SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
 TRIED = 6  # pairs that are weighed against each other
@@ -161,16 +163,32 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     likely = _likely(problem, fits)
     if steady:  # what differs from record to record is no rival to what does not, but for the effects of one family
         likely = np.where([related((f.candidate.name,), steady) for f in fits], likely, 0.0)
-    order = [i for i in np.argsort(-likely, kind="stable") if likely[i] >= RIVAL * np.max(likely)]
-    members = [order[k] for k in seated([fits[i] for i in order])]
+    likely = likely / np.sum(likely)
+    order = np.argsort(-likely, kind="stable")
+    order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
+    members = [int(order[k]) for k in seated([fits[i] for i in order])]
     its = tried.worths[tried.rivals[members[0]]]
-    no_chance = max(its.value, 0.0) / (max(its.value, 0.0) + earned)
+    no_chance = _no_chance(problem, fits[members[0]], tried.before, its, earned)
     return FoundEffect(
         members=tuple(fits[i] for i in members),
         worth=its,
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
-        probability=float(np.sum(likely[members]) / np.sum(likely)) * no_chance,
+        probability=float(np.sum(likely[members])) * no_chance,
     )
+
+
+def _no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
+    """Return how likely an effect is no chance, by what it is worth against what it had to be worth.
+
+    The second of two is judged twice: with the errors of the file held, and with all of them at their most probable
+    value, which may leave it nothing to explain. Either view has been wrong where the other was right.
+    """
+    views = [max(its.value, 0.0)]
+    if before.candidate.names:
+        bent = refit(problem, [fit.candidate, before.candidate], start=[fit, before], file_errors=True)
+        views.append(min(max(bent[1].total - bent[0].total, 0.0), views[0]))
+    share = float(np.mean([view / (view + earned) for view in views]))
+    return share if its.value >= earned else min(share, SUSPECT)
 
 
 def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:
