@@ -44,7 +44,9 @@ def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectC
     for fit in finding.members:
         parameters.update(intervals(fit))
     outside = [name for name in finding.outside if name not in members]
-    return EffectClass(members, round(believed * finding.probability, 3), parameters, separating(members, next(iter(outside), None)))
+    return EffectClass(
+        members, round(believed * finding.probability, 3), parameters, separating(members, next(iter(outside), None))
+    )
 
 
 def start_class(problem: Problem, nothing: Refit) -> EffectClass:

@@ -209,7 +209,7 @@ def per_number(problem: Problem, fit: Refit) -> Left:
 
 
 def believed(left: Left, reasons: tuple[str, ...]) -> float:
-    """Return how likely it is that the cause is one of the candidates: less, the nearer the model is to being doubted."""
+    """Return how likely the cause is one of the candidates: the less, the nearer the model is to being doubted."""
     return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 

@@ -20,8 +20,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
-# Effects of one family are hardly told apart: two of them together only cancel each other, and a class seats one of
-# each family before it seats a second that is not quite the same.
+# Effects of one family are hardly told apart: two of them together only cancel each other.
 FAMILIES = (
     {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
     {"current_offset", "unmetered_load"},
@@ -71,15 +70,14 @@ def same(one: Refit, other: Refit) -> bool:
 
 
 def seated(fits: Sequence[Refit]) -> list[int]:
-    """Places of the refits that a class has room for, likeliest first.
+    """Places of the refits that a class has room for, likeliest first; what is the same as the best comes before them.
 
-    What is the same as the best comes first, then one of each family, then the rest. A pack that has faded and one with
-    a weak cell differ in the last minute only: where one is named, so is the other, if it is a rival at all.
+    A pack that has faded and one with a weak cell differ in the last minute only: where one is named, so is the other,
+    if it is a rival at all.
     """
     names = [f.candidate.name for f in fits]
     twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
     if "capacity_fade" in [names[i] for i in twins]:
         twins += [i for i, name in enumerate(names) if name == "weak_cell"]
-    first = [i for i, name in enumerate(names) if i not in twins and not related((name,), names[:i])]
-    others = [i for i in range(len(fits)) if i not in twins and i not in first]
-    return (twins + first + others)[:LARGEST_CLASS]
+    others = [i for i in range(len(fits)) if i not in twins]
+    return (twins + others)[:LARGEST_CLASS]
