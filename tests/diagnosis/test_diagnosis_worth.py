@@ -14,8 +14,10 @@ from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
 from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
-from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose, options_of
+from uavbatt.diagnosis.diagnosis import LEFT, USUAL, Diagnosis, Left, believed, diagnose, options_of
 from uavbatt.diagnosis.rivals import FAMILIES, seated
+from uavbatt.diagnosis.search import SUSPECT, no_chance
+from uavbatt.diagnosis.worth import Worth
 from uavbatt.fitting.observed import Observed
 from uavbatt.log_replay.run import engine_for
 
@@ -135,3 +137,23 @@ def test_a_weak_cell_is_seated_beside_a_faded_pack(healthy: Diagnosis) -> None:
              for k, n in enumerate(names)]  # fmt: skip
     assert [names[i] for i in seated(apart)] == ["capacity_fade", "weak_cell", "unmetered_load"]
     assert seated(apart[1:]) == [0, 1, 2]
+
+
+def test_a_likelier_name_of_the_same_family_is_seated_before_a_less_likely_one_of_another(healthy: Diagnosis) -> None:
+    names = ("resistance_growth", "harness_resistance", "slow_diffusion", "initial_charge")
+    apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + 10.0 * k)
+             for k, n in enumerate(names)]  # fmt: skip
+    assert seated(apart) == [0, 1, 2]
+
+
+def test_what_is_worth_less_than_is_asked_is_never_told_as_likely(healthy: Diagnosis) -> None:
+    def told(value: float) -> float:
+        its = Worth(np.array([value]), value, 1.0, None)
+        return no_chance(healthy.problem, healthy.before, healthy.before, its, earned=12.0)
+
+    assert told(11.9) <= SUSPECT < told(12.1) < told(36.0)
+
+
+def test_an_effect_whose_model_is_nearly_doubted_is_told_with_less() -> None:
+    shares = [believed(Left(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)]
+    assert shares[0] == shares[1] > shares[2] > shares[3] == believed(Left(0.8, 1.0), ("something is left",))

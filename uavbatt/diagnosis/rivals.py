@@ -20,6 +20,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
+FARTHEST = 30.0  # of these: no weight is nothing, so that shares of what is left are numbers
 # Effects of one family are hardly told apart: two of them together only cancel each other.
 FAMILIES = (
     {"current_gain", "capacity_fade", "weak_cell", "rate_capacity"},
@@ -52,7 +53,7 @@ def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:
         stated = np.einsum("rme,rm->e", slopes, d)
         spread = np.sqrt(float(np.sum(shared * d**2)) + float(np.sum(stated**2)))
         sigmas = max(float(np.sum(d**2)) + behind, 0.0) / max(2.0 * spread, 1e-6)
-        out[i] = np.exp(-0.5 * (sigmas / TEMPER) ** 2)
+        out[i] = np.exp(-0.5 * min(sigmas / TEMPER, FARTHEST) ** 2)
     return out
 
 

@@ -168,16 +168,15 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
     members = [int(order[k]) for k in seated([fits[i] for i in order])]
     its = tried.worths[tried.rivals[members[0]]]
-    no_chance = _no_chance(problem, fits[members[0]], tried.before, its, earned)
     return FoundEffect(
         members=tuple(fits[i] for i in members),
         worth=its,
         outside=tuple(f.candidate.name for i, f in enumerate(fits) if i not in members),
-        probability=float(np.sum(likely[members])) * no_chance,
+        probability=float(np.sum(likely[members])) * no_chance(problem, fits[members[0]], tried.before, its, earned),
     )
 
 
-def _no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
+def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
     """Return how likely an effect is no chance, by what it is worth against what it had to be worth.
 
     The second of two is judged twice: with the errors of the file held, and with all of them at their most probable
