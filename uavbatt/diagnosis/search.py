@@ -16,7 +16,7 @@ from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.drift import drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import related, same, seated, weights
+from uavbatt.diagnosis.rivals import FARTHEST, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 2.6  # more than chance gave in 90 effect-free sets, 2.5: docs/diagnosis.md
@@ -27,7 +27,7 @@ EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most
 EARNED_IN_PART = 24.0  # beside a start in part
 EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
 RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
-UNSTEADY = 0.35  # spread between records, relative to the value
+UNSTEADY = 0.35  # spread between records, relative to the value: an sd, and the most that is called steady
 SEATED = 0.95  # of the rivals' probability: a class has room for so much of it before it leaves one out
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
 SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
@@ -155,14 +155,14 @@ def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int,
 def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     """The class of the rivals that cannot be told from the best, which had to be worth more than `earned`.
 
+    A rival is the less likely the more it differs from record to record, and a hair of steadiness decides nothing.
+
     What is hardly worth that is as likely as not a chance: the second of two that were worth 12 to 15 was right in
     five of eight cases.
     """
     fits = [tried.fits[i] for i in tried.rivals]
-    steady = [f.candidate.name for i, f in zip(tried.rivals, fits, strict=True) if _steady(tried.worths[i].constancy)]
-    likely = _likely(problem, fits)
-    if steady:  # what differs from record to record is no rival to what does not, but for the effects of one family
-        likely = np.where([related((f.candidate.name,), steady) for f in fits], likely, 0.0)
+    spread = np.array([c.spread if (c := tried.worths[i].constancy) else 0.0 for i in tried.rivals])
+    likely = _likely(problem, fits) * np.exp(-0.5 * np.minimum(spread / UNSTEADY, FARTHEST) ** 2)
     likely = likely / np.sum(likely)
     order = np.argsort(-likely, kind="stable")
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
