@@ -179,8 +179,8 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
 def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
     """Return how likely an effect is no chance, by what it is worth against what it had to be worth.
 
-    The second of two is judged twice: with the errors of the file held, and with all of them at their most probable
-    value, which may leave it nothing to explain. Either view has been wrong where the other was right.
+    One of two is judged twice: with the errors of the file held, and with all of them at their most probable value,
+    which may leave it nothing to explain. Either view has been wrong where the other was right.
     """
     views = [max(its.value, 0.0)]
     if before.candidate.names:
