@@ -135,8 +135,15 @@ def test_a_weak_cell_is_seated_beside_a_faded_pack(healthy: Diagnosis) -> None:
     names = ("capacity_fade", "unmetered_load", "voltage_offset", "weak_cell")
     apart = [replace(fits, candidate=Candidate((n,), (), (0,)), residual=fits.residual + 10.0 * k)
              for k, n in enumerate(names)]  # fmt: skip
-    assert [names[i] for i in seated(apart)] == ["capacity_fade", "weak_cell", "unmetered_load"]
+    assert [names[i] for i in seated(apart)] == ["capacity_fade", "unmetered_load", "weak_cell"]
     assert seated(apart[1:]) == [0, 1, 2]
+
+
+def test_a_weak_cell_takes_the_seat_of_a_second_name_of_the_fade(healthy: Diagnosis) -> None:
+    leaves = {"resistance_growth": 0.0, "current_gain": 10.0, "capacity_fade": 10.0, "weak_cell": 20.0}
+    apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + d)
+             for n, d in leaves.items()]  # fmt: skip
+    assert [list(leaves)[i] for i in seated(apart)] == ["resistance_growth", "capacity_fade", "weak_cell"]
 
 
 def test_a_likelier_name_of_the_same_family_is_seated_before_a_less_likely_one_of_another(healthy: Diagnosis) -> None:

@@ -74,11 +74,14 @@ def seated(fits: Sequence[Refit]) -> list[int]:
     """Places of the refits that a class has room for, likeliest first; what is the same as the best comes before them.
 
     A pack that has faded and one with a weak cell differ in the last minute only: where one is named, so is the other,
-    if it is a rival at all.
+    if it is a rival at all, in the seat of what is but another name of the fade or else of the least likely.
     """
     names = [f.candidate.name for f in fits]
     twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
-    if "capacity_fade" in [names[i] for i in twins]:
-        twins += [i for i, name in enumerate(names) if name == "weak_cell"]
-    others = [i for i in range(len(fits)) if i not in twins]
-    return (twins + others)[:LARGEST_CLASS]
+    seats = (twins + [i for i in range(len(fits)) if i not in twins])[:LARGEST_CLASS]
+    faded, weak = (names.index(n) if n in names else -1 for n in ("capacity_fade", "weak_cell"))
+    giving = [i for i in seats if i not in (*twins, faded)]
+    if faded not in seats or weak in (*seats, -1) or not giving:
+        return seats
+    gives = max(giving, key=lambda i: (same(fits[i], fits[faded]), seats.index(i)))
+    return [i for i in seats if i != gives] + [weak]
