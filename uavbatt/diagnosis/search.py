@@ -83,8 +83,11 @@ class Trial:
             for i in possible
             if i in worthy
             or (i < first and self.worths[i].value > EARNED_EACH)
-            or (worthy and self.worths[i].value > 0.5 * EARNED_EACH and same(self.fits[i], self.fits[first]))
+            or (worthy and same(self.fits[i], self.fits[first]) and self._is_something(i))
         ]
+
+    def _is_something(self, i: int) -> bool:
+        return self.worths[i].value > 0.5 * EARNED_EACH or not same(self.fits[i], self.before)
 
 
 def search(
