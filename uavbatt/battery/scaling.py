@@ -34,6 +34,7 @@ class Pack(NamedTuple):
     ocv_drift_sd_V: Array  # the part of it that is another at another charge
     temperature_sd_K: float
     row_share: float  # part of a change of current between rows that a row's voltage does not show
+    drop_share: float  # relative error of the drop under load, from reading to reading
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
     evidence_share: float  # of a reading within its noise, when capacities are compared: less where errors last
@@ -46,6 +47,7 @@ class Pack(NamedTuple):
 # Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
 # row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
 ROW_SHARE = 0.12
+DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
 COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
 # sluggishly. That takes a voltage at once when the load comes, the same at every charge and temperature: 0.05 V a cell
@@ -57,8 +59,9 @@ SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # Of a make that nobody tested the printed capacity is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45
-# Its curve is a mean over makes, off for minutes at a time and always to the same side: a tenth of the readings is new.
-UNKNOWN_MAKE_EVIDENCE = 0.1
+# Its curve is a mean over makes, off for minutes at a time and always to the same side: a tenth of the readings is new,
+# and its wide discrepancy takes up what the drop is wrong by.
+UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE = 0.1, 0.06
 UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
 # A fit has seen few packs at rest but full ones; a mean over makes is at rest as good anywhere.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
@@ -180,6 +183,7 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
         row_share=ROW_SHARE,
+        drop_share=UNKNOWN_MAKE_DROP_SHARE if unknown else DROP_SHARE,
         lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
         rested_share=UNKNOWN_MAKE_RESTED_SHARE if unknown else RESTED_SHARE,
         evidence_share=UNKNOWN_MAKE_EVIDENCE if unknown else 1.0,

@@ -37,8 +37,6 @@ OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
 VOLTAGE_SD_V = 0.004
-# Relative error of the drop under load, from reading to reading; what is the same in all readings is the discrepancy's.
-DROP_SHARE = 0.06
 # An autopilot's own compensation is as good as its guess of the resistance.
 COMPENSATED_SHARE = 0.35
 
@@ -162,5 +160,5 @@ def reaction_sd_V(pack: Pack, rate_c: float) -> Number:
 
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
     """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
-    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else DROP_SHARE, pack.guess_sd)
+    share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else pack.drop_share, pack.guess_sd)
     return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2
