@@ -16,7 +16,7 @@ from uavbatt.diagnosis.blocks import evidence_by_block
 from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
 from uavbatt.diagnosis.diagnosis import LEFT, USUAL, Diagnosis, Left, believed, diagnose, options_of
 from uavbatt.diagnosis.rivals import FAMILIES, seated
-from uavbatt.diagnosis.search import SUSPECT, no_chance
+from uavbatt.diagnosis.search import SUSPECT, Trial, no_chance
 from uavbatt.diagnosis.worth import Worth
 from uavbatt.fitting.observed import Observed
 from uavbatt.log_replay.run import engine_for
@@ -164,3 +164,14 @@ def test_what_is_worth_less_than_is_asked_is_never_told_as_likely(healthy: Diagn
 def test_an_effect_whose_model_is_nearly_doubted_is_told_with_less() -> None:
     shares = [believed(Left(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)]
     assert shares[0] == shares[1] > shares[2] > shares[3] == believed(Left(0.8, 1.0), ("something is left",))
+
+
+@pytest.mark.parametrize(("apart", "rivals"), [(10.0, [0, 1]), (0.0, [0])])
+def test_another_name_of_the_likeliest_is_a_rival_unless_it_leaves_what_nothing_leaves(
+    healthy: Diagnosis, apart: float, rivals: list[int]
+) -> None:
+    before = healthy.before
+    fits = tuple(replace(before, candidate=Candidate((n,), (), (0,)), residual=before.residual + apart)
+                 for n in ("current_gain", "capacity_fade"))  # fmt: skip
+    worths = tuple(Worth(np.array([value]), value, 1.0, None) for value in (36.0, 1.1))
+    assert Trial(before, fits, worths).rivals == rivals
