@@ -2,7 +2,8 @@
 
 A filter explains whatever it is given. So what it had to assume is compared with what is possible: a discrepancy far
 outside its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands
-still. Each has its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
+still. Each has its words: `doubts` make an `ok` estimate `converging`, `refusal` makes it `refused`, and `remarks` are
+warnings only.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Monitor(NamedTuple):
     load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
-    is_settled: bool = False  # the knee has shown how much a pack holds that is not what is stated
+    is_settled: bool = False  # the capacity of a pack that is not what is stated has become known well enough
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -99,7 +100,7 @@ class Monitor(NamedTuple):
             self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         )
         doubts += misstated
-        if not is_settled:  # and nothing has said by how much
+        if not is_settled:  # nothing has shown yet how much it holds instead
             refusals += misstated
         refusal = refusals[0] if refusals else ""
         return Monitor(readings, load, innovations, off_sds, is_settled, tuple(doubts), remarks, refusal)
