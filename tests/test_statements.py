@@ -227,9 +227,10 @@ FACTS = PackFacts(capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -> None:
-    estimator = Estimator(battery_file.read_battery("lipo-generic"), settings=EVERY_30_S)
+    generic = battery_file.read_battery("lipo-generic")
+    estimator = Estimator(generic, settings=EVERY_30_S, engine=engine_for(is_long=True))
     estimator.update_facts(replace(FACTS, cells_series=cells, critical_voltage_V=3.5 * cells))
-    rows = [estimator.step(sample) for sample in flown()]
+    rows = list(estimator.run(flown()))
     pack = estimator.pack_size
     assert pack is not None and (pack.cells, pack.cells_from, pack.cutoff_V) == (
         4,

@@ -23,7 +23,7 @@ from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-POWER_W = 450.0  # a flight of eight minutes
+POWER_W = 700.0  # a flight of five minutes
 
 
 @cache

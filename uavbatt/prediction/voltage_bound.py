@@ -69,8 +69,8 @@ class Fall(NamedTuple):
     def with_bin(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
         """The window with a row that begins a bin; after a clock that fell back there is no other."""
         before = self.bins if self.bins and time_s >= self.bins[-1].begin_s else ()
-        kept = (row for row in before if time_s - row.begin_s <= max(WINDOWS_S))
-        return Fall((*kept, FallBin(time_s, voltage_V, current_A, lag_V)))
+        first = next((k for k, row in enumerate(before) if time_s - row.begin_s <= max(WINDOWS_S)), len(before))
+        return Fall((*before[first:], FallBin(time_s, voltage_V, current_A, lag_V)))
 
     def _is_level(self, cutoff_V: float) -> bool:
         """True if the voltage fell too little over the window to reach the cut-off in sight, as in most of a flight."""
