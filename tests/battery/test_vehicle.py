@@ -158,7 +158,6 @@ def assert_refused(path: Path, words: str) -> None:
 # --- the command -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_fit_learns_a_vehicle_and_replay_takes_it(tmp_path: Path) -> None:
     pack = generic_pack()
     logs = []

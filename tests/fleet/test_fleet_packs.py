@@ -46,8 +46,8 @@ def write(folder: Path, name: str, serial: int, day: int) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_flights() -> Iterator[None]:
-    """Replay and fleet are compiled, however few the rows: the same to rounding (tests/compiled)."""
-    with patch("uavbatt.log_replay.run.MANY_ROWS", 0), patch("uavbatt.fleet.fly.MANY_FLIGHTS", 0):
+    """The fleet is compiled, however few its flights, as the replays are: the same to rounding (tests/compiled)."""
+    with patch("uavbatt.fleet.fly.MANY_FLIGHTS", 0):
         yield
 
 
