@@ -29,19 +29,6 @@ ASK_FOR_THE_STUDY = {
 }  # fmt: skip
 
 
-# They come first, in this order: while one process makes the compiled code, which all replays here wait for, the other
-# fits the study; and nothing long is left over for the end.
-FIRST = ("test_compiled", "study", "live")
-
-
-def scope_of(nodeid: str) -> str:
-    """Tests of one scope stay in one process."""
-    name = Path(nodeid.partition("::")[0]).stem
-    if name == "test_faults_flown":  # the longest file; what shares a flight is named by its scenario
-        return nodeid.rpartition("[")[2]
-    return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
-
-
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Where two processes share the tests (scripts/test), a file stays in one, for its tests share results.
@@ -53,14 +40,16 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return scope_of(nodeid)
+            name = Path(nodeid.partition("::")[0]).stem
+            if name == "test_faults_flown":  # the longest file; what shares a flight is named by its scenario
+                return nodeid.rpartition("[")[2]
+            return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
 
     return ByFile(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark a test by what it asks for, measured data or the live process; put what is long first."""
-    items.sort(key=lambda item: [*FIRST, scope_of(item.nodeid)].index(scope_of(item.nodeid)))
+    """Mark a test by what it asks for: measured data, or the live process."""
     for item in items:
         asked = getattr(item, "fixturenames", ())
         if "shared_data" in asked:
