@@ -30,7 +30,7 @@ ASK_FOR_THE_STUDY = {
 
 
 # They come first, one in each process: the live tests mostly wait, the second makes the compiled code, for which all
-# replays would wait, the third is long and needs none.
+# replays would wait, the third is long and needs little of it.
 FIRST = ("live", "test_compiled", "study")
 
 

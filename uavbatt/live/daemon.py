@@ -4,7 +4,7 @@
                |                                   |
                +-> recording (.tlog)               +-> recording (.jsonl), saved state
 
-Nothing in the loop waits: links do not block, and a slow reader is dropped. The clock is an argument. Only this loop
+Nothing in a turn waits: links do not block, and a slow reader is dropped. The clock is an argument. Only this loop
 feeds the watchdog and sends the heartbeat, so that both stop when the process hangs.
 """
 
