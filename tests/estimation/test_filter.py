@@ -24,7 +24,7 @@ from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 DT_S = 2.0
 READING_SD_V = 0.012  # a cell
-WALK = np.array([3e-5, 4e-4, 4e-4, 0.03, 0.03, 3e-4, 3e-4, 8e-4])  # sd of each component after a second
+WALK = np.array([3e-5, 4e-4, 4e-4, 0.03, 0.03, 3e-4, 3e-4, 8e-4, 2e-4])  # sd of each component after a second
 
 
 @pytest.fixture
@@ -34,15 +34,15 @@ def plain_noise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_plain_noise(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(noise, "process_variances", lambda made, mean, rate_c, dt_s, before_c: WALK**2 * dt_s)
-    patch.setattr(noise, "voltage_variance", lambda *_, **__: READING_SD_V**2)
+    patch.setattr(noise, "process_variances", lambda made, mean, rate_c, dt_s: WALK**2 * dt_s)
+    patch.setattr(noise, "reading_variance", lambda made, mean, *_: np.full(mean.shape[1:], (4 * READING_SD_V) ** 2))
 
 
 def known_pack() -> Pack:
     """The generic cell in a pack that scatters little, so that the filter's linearisation is good."""
     return pack()._replace(
-        resistance_scale_sd=0.06, capacity_scale_sd=0.02, bias_sd_V=0.005, bias_tau_s=120.0, temperature_sd_K=0.4,
-        ocv_sd_V=np.zeros(SOC_GRID.size), ocv_drift_sd_V=np.zeros(SOC_GRID.size),
+        resistance_scale_sd=0.06, capacity_scale_sd=0.02, bias_sd_V=0.005, bias_tau_s=120.0, reaction_sd_V=0.005,
+        temperature_sd_K=0.4, ocv_sd_V=np.zeros(SOC_GRID.size), ocv_drift_sd_V=np.zeros(SOC_GRID.size),
     )  # fmt: skip
 
 
@@ -93,10 +93,14 @@ class ClosedForm:
         x = self.x
         rate = sample.current_A / (5.0 * math.exp(x[X.LOG_CAPACITY]))
         drop_V = rate * R0 * math.exp(x[X.LOG_RESISTANCE])
-        expected_V = 4 * (FLOOR_V + SLOPE_V * x[X.SOC] - x[X.POLARISATION] - x[X.DIFFUSION] - drop_V + x[X.BIAS])
+        share = rate / (rate + linear_pack().cell.transfer_half_rate)  # of the reaction's drop at a large load
+        cell_V = FLOOR_V + SLOPE_V * x[X.SOC] - x[X.POLARISATION] - x[X.DIFFUSION] - drop_V + x[X.BIAS]
+        expected_V = 4 * (cell_V - share * x[X.REACTION])
         H = np.zeros((2, SIZE))
         H[0, [X.SOC, X.POLARISATION, X.DIFFUSION, X.BIAS]] = 4 * SLOPE_V, -4, -4, 4
-        H[0, X.LOG_RESISTANCE], H[0, X.LOG_CAPACITY] = -4 * drop_V, 4 * drop_V
+        bent_V = share * (1.0 - share) * x[X.REACTION]  # that share falls with a larger capacity
+        H[0, X.LOG_RESISTANCE], H[0, X.LOG_CAPACITY] = -4 * drop_V, 4 * (drop_V + bent_V)
+        H[0, X.REACTION] = -4 * share
         H[1, X.SENSOR] = 1.0
         R = np.diag([(4 * READING_SD_V) ** 2, 0.4**2])
         innovation = np.array([sample.voltage_V - expected_V, sample.temp_C - x[X.SENSOR]])
@@ -143,7 +147,7 @@ def own_flight(seed: int, rows: int, made: Pack) -> tuple[list[Estimate], list[f
     """The filter on data drawn from its own model with its own noise, and the true soc of each row."""
     rng = np.random.default_rng(seed)
     ours, before_A = SocFilter(made), 12.0
-    first_V = float(b.voltage(made, np.array([0.8, 0, 0, 20, 20, 0, 0, 0.0]), before_A))
+    first_V = float(b.voltage(made, np.array([0.8, 0, 0, 20, 20, 0, 0, 0, 0.0]), before_A))
     ours.step(Sample(0.0, first_V, before_A, 20.0))
     belief = ours.belief
     assert belief is not None

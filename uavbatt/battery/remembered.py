@@ -52,6 +52,7 @@ class Scales(NamedTuple):
 # Of a pack of which nothing is remembered nor assumed, so wide that a belief tells what the flight itself said.
 UNKNOWN = Scales(np.array([0.0, -0.05]), np.diag([0.3**2, 0.2**2]))
 HALF_CHARGE, HOVER_C_RATE = 0.5, 2.5
+REMEMBERED_REACTION_SD_V = 0.025
 REACTION_SHARE = 0.6  # more makes plans of aged packs too long in the cold, less too short in the warmth
 TO_SCALES = np.array([[1.0, 1.0], [0.0, 1.0]])  # an ohm·Ah is an ohm times an Ah
 FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
@@ -89,7 +90,10 @@ def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
     """
     if health is None or not health.may_be(pack):
         return pack
-    return pack._replace(cell=pack.cell._replace(transfer_V=_reacting_V(pack, float(scales_of(pack, health).mean[0]))))
+    return pack._replace(
+        cell=pack.cell._replace(transfer_V=_reacting_V(pack, float(scales_of(pack, health).mean[0]))),
+        reaction_sd_V=REMEMBERED_REACTION_SD_V,
+    )
 
 
 def _reacting_V(pack: Pack, log_resistance: float) -> float:

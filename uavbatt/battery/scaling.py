@@ -29,12 +29,13 @@ class Pack(NamedTuple):
     capacity_short_sd: float  # beside it, for less than is stated: who prints a capacity seldom prints too little
     bias_sd_V: float  # discrepancy of the model, per cell
     bias_tau_s: float
+    reaction_sd_V: float  # of the drop that its electrodes take beyond those of its type at a large load, per cell
     ocv_sd_V: Array  # on SOC_GRID: how far the file's own open-circuit voltage may be off, per cell
     ocv_drift_sd_V: Array  # the part of it that is another at another charge
     temperature_sd_K: float
     row_share: float  # part of a change of current between rows that a row's voltage does not show
-    lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     drop_share: float  # relative error of the drop under load, from reading to reading
+    lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
     evidence_share: float  # of a reading within its noise, when capacities are compared: less where errors last
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
@@ -54,8 +55,11 @@ ROW_SHARE = 0.12
 DROP_SHARE = 0.09  # what is the same in all readings is the discrepancy's
 COLLAPSE_V = 4.0  # volts per unit of charge
 # A pack in service is not the pack that was tested: electrodes that have aged or are of another batch react more
-# sluggishly, which is a nearly constant part of the voltage (0.05 V at 0.6 of the exchange current), and no test shows.
-# Nearly: as the cell warms and empties it is another by 5 to 20 mV within some minutes.
+# sluggishly. That takes a voltage at once when the load comes, the same at every charge and temperature: 0.05 V a cell
+# at 0.6 of the exchange current, where a pack may be that has lost a sixth of its charge. With less room for it, its
+# drop is taken for ohms, which grow in the cold and at the knee, and for charge that makes up for them.
+SERVICE_REACTION_SD_V = 0.05
+# What is left wanders: as the cell warms and empties it is another by 5 to 20 mV within some minutes.
 SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # Of a make that nobody tested the printed capacity is no measurement either.
@@ -179,12 +183,13 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
         bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, UNKNOWN_MAKE_BIAS_TAU_S if unknown else SERVICE_BIAS_TAU_S),
+        reaction_sd_V=SERVICE_REACTION_SD_V,
         ocv_sd_V=ocv_sd_V,
         ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),
         row_share=ROW_SHARE,
-        lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
         drop_share=UNKNOWN_MAKE_DROP_SHARE if unknown else DROP_SHARE,
+        lag_share=(_lag_share(file, "polarisation_ratio"), _lag_share(file, "diffusion_ratio")),
         rested_share=UNKNOWN_MAKE_RESTED_SHARE if unknown else RESTED_SHARE,
         evidence_share=UNKNOWN_MAKE_EVIDENCE if unknown else 1.0,
     )

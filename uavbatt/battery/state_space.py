@@ -1,4 +1,4 @@
-"""State space of a pack: a mean and a covariance over eight named components, for each member of a sum of Gaussians.
+"""State space of a pack: a mean and a covariance over nine named components, for each member of a sum of Gaussians.
 
 The components are the cell's state, two slow scales that tell this pack from its type, and the model's own
 slowly wandering error, so that a filter does not take a misfit of the model for knowledge:
@@ -6,8 +6,10 @@ slowly wandering error, so that a filter does not take a misfit of the model for
     soc, polarisation_V, diffusion_V, core_C, sensor_C    state of an average cell
     log_resistance, log_capacity                          ln of this pack's scale against the battery file
     bias_V                                                discrepancy per cell, an Ornstein-Uhlenbeck process
+    reaction_V                                            drop at a large load that this pack's electrodes take beyond
+                                                          those of its type (`model.transfer_drop`); it stays
 
-`transition` and `voltage` act on columns: x [8] or [8, batch]. Filter and forecast share them.
+`transition` and `voltage` act on columns: x [9] or [9, batch]. Filter and forecast share them.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ class X(IntEnum):
     LOG_RESISTANCE = 5
     LOG_CAPACITY = 6
     BIAS = 7
+    REACTION = 8
 
 
 SIZE = len(X)
@@ -47,7 +50,7 @@ DOUBT_LENGTH = 1.0  # of the charge
 class Belief:
     """A belief is a sum of Gaussians at `time_s`; each member holds another capacity of the pack for likely.
 
-    means [members, 8], covariances [members, 8, 8], weights [members] with sum 1; the ambient temperature [°C] is
+    means [members, 9], covariances [members, 9, 9], weights [members] with sum 1; the ambient temperature [°C] is
     the one that the heat flows to.
     """
 
@@ -59,22 +62,22 @@ class Belief:
 
     @classmethod
     def gaussian(cls, time_s: float, mean: Array, covariance: Array, ambient_C: float) -> Belief:
-        """A belief of one member: mean [8], covariance [8, 8]."""
+        """A belief of one member: mean [9], covariance [9, 9]."""
         return cls(time_s, mean[None], covariance[None], np.ones(1), ambient_C)
 
     @property
     def mean(self) -> Array:
-        """Mean [8] of the whole sum."""
+        """Mean [9] of the whole sum."""
         return np.asarray(self.weights @ self.means)
 
     @property
     def covariance(self) -> Array:
-        """Covariance [8, 8] of the whole sum: within the members and between their means."""
+        """Covariance [9, 9] of the whole sum: within the members and between their means."""
         return mixed_covariance(self.means, self.covariances, self.weights)
 
 
 def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
-    """Covariance [8, 8] of a sum of Gaussians."""
+    """Covariance [9, 9] of a sum of Gaussians."""
     apart = means - weights @ means
     return np.asarray(np.tensordot(weights, covariances, 1) + (apart.T * weights) @ apart)
 
@@ -93,7 +96,10 @@ def unpack(pack: Pack, x: Array) -> Unpacked:
         capacity_Ah=pack.installation.capacity_Ah * np.exp(x[X.LOG_CAPACITY]),
     )
     cell = grown(pack.cell, installation)
-    cell = cell._replace(resistance_gain=cell.resistance_gain * np.exp(x[X.LOG_RESISTANCE]))
+    cell = cell._replace(
+        resistance_gain=cell.resistance_gain * np.exp(x[X.LOG_RESISTANCE]),
+        transfer_V=cell.transfer_V + x[X.REACTION],
+    )
     state = State(x[X.SOC], x[X.POLARISATION], x[X.DIFFUSION], x[X.CORE], x[X.SENSOR])
     return Unpacked(cell, installation, state)
 
@@ -133,7 +139,9 @@ def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
 
 def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
     """`voltage` of a vector that is unpacked already."""
-    if pack.sag_compensated:
+    rate = c_rate(now.installation, current_A)
+    uncompensated_V = model.transfer_drop(now.cell, rate) if pack.sag_compensated else 0.0
+    if pack.sag_compensated:  # by a guess of the resistance; a reaction takes a voltage that is none
         current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
-    return metered_voltage(now.installation, true_V + now.installation.cells * bias_V)
+    return metered_voltage(now.installation, true_V + now.installation.cells * (bias_V - uncompensated_V))

@@ -55,9 +55,7 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
 
 
 @compiled
-def predict(
-    pack: Pack, x: Array, P: Array, mean_A: float, block_A: float, ambient_C: float, dt_s: float
-) -> tuple[Array, Array]:
+def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_s: float) -> tuple[Array, Array]:
     """Mean and covariance `dt_s` later, as `kalman.predict` by `state_space.transition`."""
     columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
     stride, bias_kept = model.stride(pack.cell, dt_s), eq.decay(dt_s, pack.bias_tau_s)
@@ -68,13 +66,12 @@ def predict(
         columns[k, X.SOC], columns[k, X.POLARISATION], columns[k, X.DIFFUSION] = later[:3]
         columns[k, X.CORE], columns[k, X.SENSOR] = later.core_C, later.sensor_C
         columns[k, X.LOG_RESISTANCE], columns[k, X.LOG_CAPACITY] = at[X.LOG_RESISTANCE], at[X.LOG_CAPACITY]
-        columns[k, X.BIAS] = eq.relax_to(at[X.BIAS], 0.0, bias_kept)
+        columns[k, X.BIAS], columns[k, X.REACTION] = eq.relax_to(at[X.BIAS], 0.0, bias_kept), at[X.REACTION]
     for j in range(SIZE):
         for i in range(SIZE):
             F[i, j] = (columns[2 * j, i] - columns[2 * j + 1, i]) * PER_NUDGES[j]
     spread = predicted_covariance(F, P)
-    rate, before = c_rate(pack.installation, mean_A), c_rate(pack.installation, block_A)
-    q = noise.process_variances(pack, x, rate, dt_s, before)
+    q = noise.process_variances(pack, x, c_rate(pack.installation, mean_A), dt_s)
     for j in range(SIZE):
         spread[j, j] += q[j]
     return columns[2 * SIZE], spread
@@ -140,7 +137,7 @@ def close(
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V = 0.0, 0.0, 0.0
     for k in range(members):
-        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / block[1], block_A, ambient_C, block[1])
+        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / block[1], ambient_C, block[1])
         step_A = mean_A - block_A
         mean, spread, innovation_V[k], variance_V2[k], nis, volts = update(
             pack, mean, spread, block[3] / block[0], mean_A, mean_C, step_A
@@ -187,7 +184,7 @@ def run(
 ) -> tuple[Any, ...]:
     """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
 
-    Returns the moments (means [m, members, 8], covariances and ln of the weights, the given one first), which of them
+    Returns the moments (means [m, members, 9], covariances and ln of the weights, the given one first), which of them
     is in force after each row, time of the last row taken in at each row, what each row shows [n, 4] as `Innovation`
     has it, and where that ends: currents of the last row and block [A], the open block.
     """

@@ -22,7 +22,7 @@ from uavbatt.battery.pack import Installation
 from uavbatt.compiled.cache import cache_dir
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-REPLACED = ("resistance_gain", "capacity_Ah", "soc")  # the fields that the model replaces in its records
+REPLACED = ("resistance_gain", "transfer_V", "capacity_Ah", "soc")  # the fields that the model replaces in its records
 OWN_TWIN = (equations.is_on,)
 
 

@@ -37,7 +37,7 @@ def predicted_covariance(F: Array, P: Array) -> Array:
 
 @compiled
 def projected(P: Array, H: Array) -> tuple[Array, Array]:
-    """P Hᵀ, transposed [readings, 8], and H P Hᵀ."""
+    """P Hᵀ, transposed [readings, 9], and H P Hᵀ."""
     n = H.shape[0]
     PHt, S = np.zeros((n, SIZE)), np.zeros((n, n))
     for m in range(n):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
 # Steps of the difference quotients: far above rounding, far below any curvature of the model.
-NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4])
+NUDGE = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-4, 1e-4, 1e-4, 1e-4])
 
 Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
 
@@ -31,8 +31,8 @@ Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
 class Moments(NamedTuple):
     """A sum of Gaussians: means, covariances and ln of the weights of its members."""
 
-    x: Array  # [members, 8]
-    P: Array  # [members, 8, 8]
+    x: Array  # [members, 9]
+    P: Array  # [members, 9, 9]
     log_weight: Array  # [members]
 
     @property
@@ -44,8 +44,8 @@ class Moments(NamedTuple):
 def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
     """Differentiate `function` at every member, all columns in one call of it.
 
-    function : columns [8, any] -> values [n, any]; x : [members, 8].
-    Returns (∂f/∂x [members, n, 8] by central differences, f(x) [members, n]).
+    function : columns [9, any] -> values [n, any]; x : [members, 9].
+    Returns (∂f/∂x [members, n, 9] by central differences, f(x) [members, n]).
     """
     nudges = np.diag(NUDGE)
     points = np.concatenate([x[:, None], x[:, None] + nudges, x[:, None] - nudges], axis=1)
@@ -56,9 +56,9 @@ def jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array
 
 
 def predict(transition: Callable[[Array], Array], x: Array, P: Array, process_Q: Array) -> tuple[Array, Array]:
-    """Carry means [members, 8] and covariances [members, 8, 8] over one step.
+    """Carry means [members, 9] and covariances [members, 9, 9] over one step.
 
-    transition : columns [8, any] -> columns after the step; process_Q : variances of the process noise [members, 8].
+    transition : columns [9, any] -> columns after the step; process_Q : variances of the process noise [members, 9].
     Returns the means and covariances after it.
     """
     F, moved = jacobian(transition, x)
@@ -66,9 +66,9 @@ def predict(transition: Callable[[Array], Array], x: Array, P: Array, process_Q:
 
 
 def condition(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
-    """Condition means [members, 8] and covariances [members, 8, 8] on one measurement of n readings.
+    """Condition means [members, 9] and covariances [members, 9, 9] on one measurement of n readings.
 
-    innovation : measured less expected [members, n]; observation : H [members, n, 8];
+    innovation : measured less expected [members, n]; observation : H [members, n, 9];
     noise_R : covariance of the measurement noise [members, n, n]. Returns the means and covariances after it.
     """
     PHt = P @ np.swapaxes(observation, 1, 2)

@@ -15,16 +15,12 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, State
+from uavbatt.battery.pack import c_rate
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
-# An electrode that reacts more sluggishly than the tested ones takes a voltage at once when the load comes, nearly the
-# same at every load (half of it at 0.3 C: Butler and Volmer), 0.05 V a cell at 0.6 of the exchange current: a pack that
-# has lost a sixth of its charge may be there. Less room for it, and its drop is taken for ohms, which grow in the cold
-# and at the knee, and for charge that makes up for them.
-REACTION_SD_V, REACTION_HALF_RATE = 0.05, 0.3
 # Under load, before the pack has shown itself, the drop is known to half of itself.
 UNSEEN_SHARE, OVERPOTENTIAL_SD_V, LOADED_SOC_SD = 0.5, 0.003, 0.15
 ROUNDS = 6
@@ -62,31 +58,32 @@ class First(NamedTuple):
     covariance: Array
 
 
-def first_state(pack: Pack, cell_V: float, temp_C: float, c_rate: float) -> First:
-    """The first belief about a cell comes from its voltage `cell_V` [V] under `c_rate` [1/h] in the first row.
+def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> First:
+    """The first belief about a cell comes from its voltage `cell_V` [V] under `rate_c` [1/h] in the first row.
 
     The drop depends on the charge, which depends on the drop: a few rounds settle it.
     """
-    idle = abs(c_rate) < initial_state.IDLE_C_RATE
+    idle = abs(rate_c) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
     model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
+    reaction_V = float(reaction_sd_V(pack, rate_c))
     read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
-        state = initial_state.state_under_load(pack.cell, read.soc, temp_C, c_rate)
-        ohmic_V = max(c_rate, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
+        state = initial_state.state_under_load(pack.cell, read.soc, temp_C, rate_c)
+        ohmic_V = max(rate_c, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
         drop_V = float(state.polarisation_V + state.diffusion_V) + (0.0 if pack.sag_compensated else ohmic_V)
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
-        reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V)
+        reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V, reaction_V)
         read = initial_state.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
     emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
     mean, covariance = initial_state.joint(pack.cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
-    return First(initial_state.state_under_load(pack.cell, float(mean[0]), temp_C, c_rate), mean, covariance)
+    return First(initial_state.state_under_load(pack.cell, float(mean[0]), temp_C, rate_c), mean, covariance)
 
 
-def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:
-    """Covariances [members, 8, 8] of the first belief around `state`.
+def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:
+    """Covariances [members, 9, 9] of the first belief around `state`.
 
     `charge` [2, 2] is the covariance of (soc, discrepancy), `members` the prior of the pack's scales.
     """
@@ -94,6 +91,7 @@ def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Ca
     sd[X.POLARISATION] = max(UNSEEN_SHARE * abs(state.polarisation_V), OVERPOTENTIAL_SD_V)
     sd[X.DIFFUSION] = max(UNSEEN_SHARE * abs(state.diffusion_V), OVERPOTENTIAL_SD_V)
     sd[X.CORE] = sd[X.SENSOR] = temp_sd_K
+    sd[X.REACTION] = pack.reaction_sd_V
     covariance = np.diag(sd**2)
     covariance[np.ix_((X.SOC, X.BIAS), (X.SOC, X.BIAS))] = charge
     bank = np.tile(covariance, (members.sd.size, 1, 1))
@@ -102,11 +100,11 @@ def start_covariances(state: State, charge: Array, temp_sd_K: float, members: Ca
     return bank
 
 
-def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, before_c: float) -> Array:
-    """Return the variances of the process noise Q for a step of `dt_s` [s], [8] or [8, members] as `mean` is.
+def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Array:
+    """Return the variances of the process noise Q for a step of `dt_s` [s], [9] or [9, members] as `mean` is.
 
-    mean : the belief before the step; rate_c : C-rate [1/h] of the step, before_c of the one before it. Over a long gap
-    nothing says that the load went on, which counts as well.
+    mean : the belief before the step; rate_c : C-rate [1/h] of the step. Over a long gap nothing says that the load
+    went on, which counts as well.
     """
     share = math.hypot(snapshot(dt_s, SNAPSHOT_SHARE), pack.guess_sd)
     q = np.zeros(mean.shape)
@@ -123,13 +121,7 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float, befor
     q[X.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
     q[X.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
     q[X.BIAS] += b.ocv_doubt(pack, mean[X.SOC], rate_c * dt_s / 3600.0)
-    q[X.BIAS] += (REACTION_SD_V * (reacting(rate_c) - reacting(before_c))) ** 2
     return q
-
-
-def reacting(rate_c: float) -> float:
-    """Return the overpotential of a sluggish electrode at a C-rate [1/h] as a share of its full size, 0 to 1."""
-    return abs(rate_c) / (abs(rate_c) + REACTION_HALF_RATE)
 
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:
@@ -152,10 +144,18 @@ def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: flo
 def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -> Number:
     """Variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new since the row before.
 
-    mean [8] or [8, members].
+    mean [9] or [9, members]. In a block in which the motors start, a drop that saturates is not, at the mean current,
+    the mean of the rows' drops: what a reaction takes more than before counts as noise.
     """
     ohm = scaled_resistance(pack, mean) / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
-    return pack.installation.cells**2 * voltage_variance(pack, ohm * current_A, ohm * step_A)
+    now, before = c_rate(pack.installation, current_A), c_rate(pack.installation, current_A - step_A)
+    bent_V = reaction_sd_V(pack, now) - reaction_sd_V(pack, before)
+    return pack.installation.cells**2 * (voltage_variance(pack, ohm * current_A, ohm * step_A) + bent_V**2)
+
+
+def reaction_sd_V(pack: Pack, rate_c: float) -> Number:
+    """Return how much a sluggish reaction may take at a C-rate [1/h], beside what the file knows of it [V]."""
+    return model.transfer_drop(pack.cell._replace(transfer_V=pack.reaction_sd_V), rate_c)
 
 
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:

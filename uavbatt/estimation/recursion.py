@@ -64,7 +64,7 @@ class FilteredRow(NamedTuple):
 class Between(NamedTuple):
     """A row within a block: what its expected voltage needs, worked out for all such rows of a window at once."""
 
-    x: Array  # [members, 8]
+    x: Array  # [members, 9]
     log_weight: Array
     current_A: float
     voltage_V: float
@@ -93,7 +93,7 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     x[:, X.SOC] = first.mean[0] + float(pack.installation.start_soc_shift)
     x[:, X.BIAS], x[:, X.LOG_CAPACITY] = first.mean[1], members.log_scale
     x[:, X.LOG_RESISTANCE] = members.log_resistance
-    P = noise.start_covariances(first.state, first.covariance, temp_sd_K, members)
+    P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members)
     moments = Moments(x, P, np.log(members.weight))
     ambient_C = ambient_C if math.isfinite(ambient_C) else temp_C
     state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C)
@@ -170,8 +170,8 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     """Close the open block: predict over its time, then condition on its means."""
     block, at = state.block, state.moments
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
-    rate, before = (float(c_rate(pack.installation, amps)) for amps in (mean_A, state.block_A))
-    process_Q = noise.process_variances(pack, at.x.T, rate, dt_s, before).T
+    rate = float(c_rate(pack.installation, mean_A))
+    process_Q = noise.process_variances(pack, at.x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.ambient_C, dt_s), at.x, at.P, process_Q)
     step_A = block.current_A - state.block_A
     moments, shown = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition)

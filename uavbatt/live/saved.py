@@ -37,6 +37,7 @@ PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
     X.LOG_RESISTANCE: ((-3.0, 3.0), (1e-3, 3.0)),
     X.LOG_CAPACITY: ((-3.0, 3.0), (3e-4, 3.0)),
     X.BIAS: ((-1.0, 1.0), (1e-4, 1.0)),
+    X.REACTION: ((-0.5, 0.5), (1e-4, 0.5)),
 }
 ASYMMETRY, INDEFINITE, ROUNDED = 1e-6, 1e-6, 1e-6  # of correlations and weights: what rounding leaves
 
@@ -99,7 +100,7 @@ def _implausible_moments(mean: Array, covariance: Array) -> str:
 
 
 def _no_covariance(covariance: Array) -> str:
-    """Return the reason why a matrix [8, 8] is no covariance; empty when it is one."""
+    """Return the reason why a matrix [9, 9] is no covariance; empty when it is one."""
     variance = np.diag(covariance)
     if (variance < 0.0).any():
         return "a negative variance"

@@ -151,7 +151,7 @@ def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealt
     means[:, : X.SENSOR + 1], means[:, X.LOG_CAPACITY] = state, members.log_scale
     charge = np.diag([START_SOC_SD**2, pack.bias_sd_V**2])
     means[:, X.LOG_RESISTANCE] = members.log_resistance
-    covariances = start_covariances(state, charge, AMBIENT_SD_K, members)
+    covariances = start_covariances(pack, state, charge, AMBIENT_SD_K, members)
     return Belief(0.0, means, covariances, members.weight, ambient_C)
 
 

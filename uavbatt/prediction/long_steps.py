@@ -54,7 +54,7 @@ class Source(NamedTuple):
 
 
 def begun(pack: Pack, x: Array, ambient_C: float) -> Going:
-    """Return the belief columns x [8, draws] before their way."""
+    """Return the belief columns x [9, draws] before their way."""
     return Going(pack, ambient_C, *unpack(pack, x), x[X.BIAS], curve_tables(pack))
 
 

@@ -22,7 +22,7 @@ _SEED = 5725
 
 @cache
 def normals() -> Array:
-    """[8, DRAWS] standard normals with mean 0 and covariance 1, exactly."""
+    """[9, DRAWS] standard normals with mean 0 and covariance 1, exactly."""
     half = np.random.default_rng(_SEED).standard_normal((SIZE, DRAWS // 2))
     raw = np.concatenate([half, -half], axis=1)
     root = np.linalg.cholesky(raw @ raw.T / DRAWS)
@@ -72,7 +72,7 @@ def within_step() -> Array:
 
 
 def samples(belief: Belief) -> Array:
-    """Columns [8, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
+    """Columns [9, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
 
     By the symmetric root of the covariance, which moves when the covariance does and not with the signs that a
     decomposition happens to give its vectors.

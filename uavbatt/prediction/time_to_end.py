@@ -62,7 +62,7 @@ def time_to_end(
     own_steps: Number = np.inf,
     enough: float = 1.0,
 ) -> EndTimes:
-    """Run belief columns x [8, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
+    """Run belief columns x [9, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
 
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
