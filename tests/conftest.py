@@ -1,4 +1,4 @@
-"""Fixtures for all tests, and how two processes share the work. The measured data are not part of the repository."""
+"""Fixtures for all tests, and how the processes share the work. The measured data are not part of the repository."""
 
 from __future__ import annotations
 
@@ -29,9 +29,22 @@ ASK_FOR_THE_STUDY = {
 }  # fmt: skip
 
 
+# They come first, one in each process: the live tests mostly wait, the second makes the compiled code, for which all
+# replays would wait, the third is long and needs little of it.
+FIRST = ("live", "test_compiled", "study")
+
+
+def scope_of(nodeid: str) -> str:
+    """Tests of one scope stay in one process."""
+    name = Path(nodeid.partition("::")[0]).stem
+    if name == "test_faults_flown":  # the longest file; what shares a flight is named by its scenario
+        return nodeid.rpartition("[")[2]
+    return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Where two processes share the tests (scripts/test), a file stays in one, for its tests share results.
+    """Where processes share the tests (scripts/test), a file stays in one, for its tests share results.
 
     So do the files that ask for `judged_study`, and the live tests: two of them at once would make each other late.
     (`--dist loadgroup` would say this with marks; pytest-xdist 3.8 does not find them under pytest 9.2.)
@@ -40,16 +53,15 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            name = Path(nodeid.partition("::")[0]).stem
-            if name == "test_faults_flown":  # the longest file; what shares a flight is named by its scenario
-                return nodeid.rpartition("[")[2]
-            return "study" if name in ASK_FOR_THE_STUDY else "live" if name.startswith("test_live_") else name
+            return scope_of(nodeid)
 
+    config.option.loadscopereorder = False  # the order of collection, not that of the number of tests
     return ByFile(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark a test by what it asks for: measured data, or the live process."""
+    """Put what is FIRST first; mark a test by what it asks for: measured data, or the live process."""
+    items.sort(key=lambda item: [*FIRST, scope_of(item.nodeid)].index(scope_of(item.nodeid)))
     for item in items:
         asked = getattr(item, "fixturenames", ())
         if "shared_data" in asked:
@@ -80,10 +92,14 @@ def short_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def compiled_replays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replays in this process are compiled, however short: half the time, and the same to rounding (tests/compiled)."""
-    monkeypatch.setattr("uavbatt.log_replay.run.MANY_ROWS", 0)
+@pytest.fixture(scope="session", autouse=True)
+def compiled_replays() -> Iterator[None]:
+    """Replays in this process are compiled, however short: half the time, and the same to rounding (tests/compiled).
+
+    Those of a process of its own, in flight and of an `Estimator` that is given no engine are not.
+    """
+    with patch("uavbatt.log_replay.run.MANY_ROWS", 0):
+        yield
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from uavbatt import output
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
-from uavbatt.estimator import Estimator
+from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.log_replay.outcome import outcome
-from uavbatt.log_replay.run import steps
+from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, PackFacts, Sample, Status
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
@@ -38,9 +38,11 @@ def flown() -> tuple[Sample, ...]:
     return tuple(simulate_flight(pack, SimulatedFlight(600.0, 12.0, rate_Hz=1.0, seed=4)))
 
 
-def lines(flight: Flight, options: PackOptions | None = None, most: int | None = None) -> list[str]:
+def lines(
+    flight: Flight, options: PackOptions | None = None, most: int | None = None, engine: Engine = PLAIN
+) -> list[str]:
     """The JSON lines that `uavbatt replay --jsonl` writes, the first `most` of them."""
-    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, EVERY_20_S)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, EVERY_20_S, engine)
     return [json.dumps(output.line(s.estimate, s.remaining)) for s in islice(steps(flight, estimator), most)]
 
 
@@ -68,8 +70,8 @@ def test_a_flight_cut_by_rows_has_the_same_lines(rows: int) -> None:
 
 
 @cache
-def whole_simulated() -> list[str]:
-    return lines(as_flight(flown()), STATED)
+def whole_simulated(engine: Engine = PLAIN) -> list[str]:
+    return lines(as_flight(flown()), STATED, engine=engine)
 
 
 @pytest.mark.parametrize("suffix", [".tlog", ".BIN", ".csv"])
@@ -128,9 +130,9 @@ def nonsense(kind: str) -> Callable[[int, Sample], Sample]:
 
 @pytest.mark.parametrize("kind", ["nothing", "zeros", "noise", "backwards", "from the middle on"])
 def test_garbage_in_the_autopilots_charge_changes_nothing(kind: str) -> None:
-    told = nonsense(kind)
+    told, engine = nonsense(kind), engine_for(is_long=True)
     samples = tuple(told(k, s) for k, s in enumerate(flown()))
-    assert lines(as_flight(samples), STATED) == whole_simulated()
+    assert lines(as_flight(samples), STATED, engine=engine) == whole_simulated(engine)
 
 
 def test_garbage_in_a_tlog_changes_nothing(tmp_path: Path) -> None:
@@ -277,7 +279,8 @@ def test_the_engine_in_three_lines() -> None:
 
 
 def test_the_outcome_of_a_flight_to_its_end() -> None:
-    run = list(steps(as_flight(flown()), Estimator(battery_file.read_battery("lipo-generic"), STATED)))
+    generic = battery_file.read_battery("lipo-generic")
+    run = list(steps(as_flight(flown()), Estimator(generic, STATED, engine=engine_for(is_long=True))))
     found = outcome(run, 13.2)
     volts = np.array([s.voltage_V for s in flown()])
     mean_V = np.convolve(volts, np.ones(5) / 5.0, mode="valid")

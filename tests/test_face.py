@@ -49,7 +49,6 @@ def test_without_pandas_the_extra_is_named(flown: uavbatt.Replay) -> None:
         flown.to_frame()
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_what_was_read_serves_as_well_and_a_power_is_a_number_or_text(short_log: Path) -> None:
     by_name = uavbatt.replay(short_log, load="300", forecast_period_s=60.0)
     read = uavbatt.read_log(short_log), battery_file.read_battery("lipo-generic")
@@ -115,7 +114,6 @@ def test_what_the_log_denies_is_named_in_python_s_words(short_log: Path) -> None
     assert uavbatt.replay(short_log, capacity_Ah=2.1, forecast_period_s=600.0).pack.capacity_from == "capacity_Ah"
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_a_mission_file_and_the_pack_ledger_are_taken_as_by_the_command(tmp_path: Path) -> None:
     """The flight of a route without its mission in the log, on a pack that the ledger meets for the first time."""
     log, route, ledger = tmp_path / "f.tlog", tmp_path / "f.waypoints", tmp_path / "packs.sqlite"

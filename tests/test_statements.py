@@ -227,9 +227,10 @@ FACTS = PackFacts(capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -> None:
-    estimator = Estimator(battery_file.read_battery("lipo-generic"), settings=EVERY_30_S)
+    generic = battery_file.read_battery("lipo-generic")
+    estimator = Estimator(generic, settings=EVERY_30_S, engine=engine_for(is_long=True))
     estimator.update_facts(replace(FACTS, cells_series=cells, critical_voltage_V=3.5 * cells))
-    rows = [estimator.step(sample) for sample in flown()]
+    rows = list(estimator.run(flown()))
     pack = estimator.pack_size
     assert pack is not None and (pack.cells, pack.cells_from, pack.cutoff_V) == (
         4,
@@ -498,7 +499,6 @@ def test_one_damaged_current_moves_nothing() -> None:
     assert damaged[-1][0].soc == pytest.approx(sound[-1][0].soc, abs=2e-4)
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:
     pack = generic_pack(4, 5.0, 3.3, 14.0)  # the log's BATT_CRT_VOLT is a cell's value
     write_log(tmp_path / "f.tlog", list(flown()), pack)
@@ -514,7 +514,6 @@ def test_replay_says_what_it_did_not_use(tmp_path: Path) -> None:
     assert all("one cell's value?" in line for line in (tmp_path / "f.jsonl").read_text().splitlines())
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_replay_with_another_aircrafts_vehicle_file(log: Path, tmp_path: Path) -> None:
     path = write_vehicle(of_another(900.0), tmp_path / "other.vehicle.toml")
     done = called("replay", log, "--vehicle", path, folder=tmp_path)

@@ -1,13 +1,13 @@
 """Samples -> estimates -> remaining time: the one way that replay, live, fleet and other programs go.
 
-    sample -> cleaning -> statements held against it -> filter -> pack change, monitor -> forecast -> last wall
+    sample -> cleaning -> filter -> statements about the pack -> pack change -> monitor -> forecast -> voltage bound
 
     estimator = Estimator.from_battery("lpab-3s", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     estimate, remaining = estimator.step(sample)                # one row, in flight
     for estimate, remaining in estimator.run(samples): ...      # many rows, of a log
 
-`run` works in windows: the filter over all rows of one, the forecasts of some rows side by side. Nothing that it says
-of a row depends on a later one, and `step` is a window of one row.
+`run` works in windows: the filter goes over all rows of a window, then the forecasts of some rows are simulated side by
+side. No result depends on a later row, and `step` is a window of one row.
 
 What the caller does not say of the pack (cells, capacity, cut-off) comes from the vehicle's own parameters
 (`update_facts`), then from the voltage and the battery file; where each came from stays readable in `pack_size`.
@@ -44,10 +44,10 @@ from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.forecast import Forecast
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings, Memory
-from uavbatt.prediction.last_wall import LastWall
 from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.load_library import stated_power
 from uavbatt.prediction.pending import Pending, finished
+from uavbatt.prediction.voltage_bound import VoltageBound
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.cleaning import Cleaner
 
@@ -68,14 +68,14 @@ class Past(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """The pack that is followed from its first row on; another pack, or another size of it, begins another."""
+    """The state of the pack that is estimated, from its first row on; another pack or size begins another state."""
 
     filter: SocFilter
     forecaster: Forecaster
-    is_guessed: bool  # begun for a current that nobody measured
+    is_guessed: bool  # its current is worked out from a power, not measured
     swap: SwapWatch = SwapWatch()
     monitor: Monitor = Monitor()
-    wall: LastWall = LastWall()
+    bound: VoltageBound = VoltageBound()
 
 
 class Estimator:
@@ -168,8 +168,8 @@ class Estimator:
         self._known = self._known._replace(facts=facts, size=size)
         if past is not None:
             self._cleaner = past.cleaner
-        silence = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # what has passed since
-        self._followed = self._begun()._replace(swap=silence)
+        since_then = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # as after a silence of the telemetry
+        self._followed = self._begun()._replace(swap=since_then)
         self._followed.filter.restore(belief, current_A)
         if past is not None:
             self._followed.forecaster.recall(past.forecaster)
@@ -204,7 +204,7 @@ class Estimator:
     def _pending(
         self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
     ) -> Iterator[Pending]:
-        """Take the rows of one window in. The filter runs over all of them first, and anew from a changed pack on."""
+        """Take the rows of one window in. The filter runs over all of them first, and again from a pack change on."""
         cleaned = self._cleaned(samples)
         clean = [sample for _, sample in cleaned]
         rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
@@ -229,9 +229,9 @@ class Estimator:
             yield self._forecast_for(followed, sample, row, navigation_at(sample.time_s))
 
     def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:
-        """The samples as the filter may have them, each with the memory of the cleaning after it."""
+        """Return the samples after cleaning, each with the cleaner after it."""
         cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
-        # A load is assumed where no sensor tells one; more than `most_A` no pack of the size gives.
+        # Without a current sensor a typical power is assumed; no pack of the size gives more than `most_A`.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
         most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
         found = []
@@ -244,12 +244,12 @@ class Estimator:
         """The refused estimate of a row at which no filter may begin; None where one may."""
         if not math.isfinite(sample.voltage_V):
             return unknown(sample, "no voltage in this row")
-        if self._known.refusal:  # no filter begins at what no pack shows
+        if self._known.refusal:  # these voltages cannot be those of the pack that is stated
             return replace(unknown(sample, self._known.refusal), warnings=(self._known.refusal,))
         return None
 
     def _begun(self) -> Followed:
-        """A pack before its first row: nothing that was believed of the last one holds."""
+        """Return the state of a pack before its first row; it keeps nothing of a pack before it."""
         assert self._known.size is not None
         pack = self._pack(self._known.size)
         soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
@@ -267,9 +267,9 @@ class Estimator:
             found = unmetered_estimate(found)
         forecaster.cell_spread_V = self._cleaner.cell_spread_V
         refusal, question = forecaster.update(sample, found, belief, navigation)
-        wall = followed.wall.after(sample, belief, pack, forecaster.cutoff_V)
-        self._followed = followed._replace(monitor=monitor, wall=wall)
-        return Pending(sample, found, forecaster, refusal, question, wall.left_s(sample.time_s))
+        bound = followed.bound.after(sample, belief, pack, self._cleaner.cell_spread_V)
+        self._followed = followed._replace(monitor=monitor, bound=bound)
+        return Pending(sample, found, forecaster, refusal, question, bound.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:
         pack = sized(self.battery, size)

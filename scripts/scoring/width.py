@@ -116,7 +116,7 @@ def table(title: str, found: Sequence[Instant]) -> Table:
     head = ("what is known", *(f"{before_s:.0f} s before" for before_s in BEFORE_END_S))
     note = (
         "Mean width of the 90 % interval [s], flights that it holds, bias of the median [s]. A forecast by itself, "
-        "without what was expected at take-off, the last wall and the smoothing."
+        "without what was expected at take-off, the bound by the voltage and the smoothing."
     )
     return Table(title, head, tuple(rows), note)
 

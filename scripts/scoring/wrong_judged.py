@@ -20,7 +20,7 @@ from uavbatt.estimation.monitor import FAR_OFF, SMALL
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.prediction.last_wall import FALLS_FASTER
+from uavbatt.prediction.voltage_bound import FALLS_FASTER
 
 PERIOD_S = 5.0
 BEFORE_END_S = (120.0, 60.0, 20.0, 5.0)

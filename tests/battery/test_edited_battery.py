@@ -15,7 +15,7 @@ from live_rig import Vehicle, free_port, running, until
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import pack_of
 
-pytestmark = pytest.mark.usefixtures("compiled_replays", "undrawn")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 ROOT = Path(__file__).parents[2]
 TLOG = ROOT / "logs/quad_4s.tlog"

@@ -23,7 +23,7 @@ from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
 OPTIONS = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-POWER_W = 450.0  # a flight of eight minutes
+POWER_W = 700.0  # a flight of five minutes
 
 
 @cache
@@ -158,7 +158,6 @@ def assert_refused(path: Path, words: str) -> None:
 # --- the command -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_fit_learns_a_vehicle_and_replay_takes_it(tmp_path: Path) -> None:
     pack = generic_pack()
     logs = []

@@ -11,8 +11,6 @@ from packs.made import flight
 
 from uavbatt.packs.ledger import Ledger
 
-pytestmark = pytest.mark.usefixtures("compiled_replays")
-
 
 @pytest.fixture
 def run(tmp_path):

@@ -113,7 +113,6 @@ def test_several_logs_make_folders(tmp_path: Path) -> None:
     assert [s["rows"] for s in json.loads((tmp_path / "all.json").read_text())] == [60, 45]
 
 
-@pytest.mark.usefixtures("compiled_replays")
 @pytest.mark.parametrize("load", ["recent", "log", "400"])
 def test_loads(load: str, tmp_path: Path) -> None:
     short(tmp_path, "a.csv")
@@ -123,7 +122,6 @@ def test_loads(load: str, tmp_path: Path) -> None:
     assert 300.0 < last["remaining_s"] < 1500.0
 
 
-@pytest.mark.usefixtures("compiled_replays")
 def test_options_of_the_pack_are_used(tmp_path: Path) -> None:
     short(tmp_path, "a.csv", 300)  # in the first four minutes what is usual for a pack of the size counts as well
     ends = {}

@@ -15,14 +15,14 @@ import pytest
 from command import UAVBATT, called
 
 from uavbatt import Estimator, Sample
+from uavbatt.battery.battery_file import read_battery
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.log_replay.outcome import Landing, Outcome, outcome
-from uavbatt.log_replay.run import steps
+from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_limits import limits_of
 from uavbatt.telemetry import read_log
-
-pytestmark = pytest.mark.usefixtures("compiled_replays")
 
 LOGS = Path(__file__).parents[2] / "logs"
 SHORT = "time_s,voltage_V,current_A\n" + "".join(
@@ -35,7 +35,8 @@ def landed(rest_s: float, air_s: float = 300.0) -> Outcome:
     hover = [Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0) for k in range(10, int(air_s))]
     rest = [Sample(air_s + k, 16.0, 0.1, 25.0) for k in range(int(rest_s))]
     ground = [Sample(float(k), 16.7, 0.1, 25.0) for k in range(10)]
-    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    generic, options = read_battery("lipo-generic"), PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimator = Estimator(generic, options, engine=engine_for(is_long=True))
     run = list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), estimator))
     return outcome(run, 13.2)
 

@@ -38,6 +38,7 @@ def test_of_a_column(tmp_path: Path) -> None:
         assert_clean(done)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("content", [HEAD + ROWS, "junk"])
 def test_of_a_file_name(content: str, tmp_path: Path) -> None:
     name = f"a{HOSTILE}\udcff.csv"

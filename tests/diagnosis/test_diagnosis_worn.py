@@ -14,6 +14,7 @@ from uavbatt.battery.remembered import type_ohm
 from uavbatt.cli.diagnose_worn import base_pack
 from uavbatt.diagnosis.diagnosis import diagnose
 from uavbatt.errors import UsageError
+from uavbatt.log_replay.run import engine_for
 from uavbatt.packs.ledger import Ledger
 from uavbatt.packs.records import FlightRecord, Told
 from uavbatt.records import Flight, Identity, Sample
@@ -68,5 +69,6 @@ def test_flights_of_no_pack_or_of_several_are_named(packs: Path, serials: list[s
 def test_the_fade_that_is_known_is_no_missing_effect(packs: Path) -> None:
     records = [fly(*mission, fade=FADE) for mission in MISSIONS[:2]]
     base = base_pack(packs, "", [flight()], FILE, PACK)
-    assert diagnose(records, FILE, PACK).verdict != "no_missing_effect"
-    assert diagnose(records, FILE, base.pack, wear_sd=base.wear_sd).verdict == "no_missing_effect"
+    engine = engine_for(is_long=True)
+    assert diagnose(records, FILE, PACK, engine=engine).verdict != "no_missing_effect"
+    assert diagnose(records, FILE, base.pack, wear_sd=base.wear_sd, engine=engine).verdict == "no_missing_effect"

@@ -44,6 +44,13 @@ def write(folder: Path, name: str, serial: int, day: int) -> None:
     write_tlog(folder / name, flown, parameters, epoch_us=FIRST_US + day * DAY_US)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled_flights() -> Iterator[None]:
+    """The fleet is compiled, however few its flights, as the replays are: the same to rounding (tests/compiled)."""
+    with patch("uavbatt.fleet.fly.MANY_FLIGHTS", 0):
+        yield
+
+
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of five logs of two labels."""

@@ -18,9 +18,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from uavbatt.live import proxy
 from uavbatt.live.config import RecordSection
 from uavbatt.mavlink.links import MOST_PEERS, open_link
+from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+SELDOM = ForecastSettings(forecast_period_s=30.0)  # what is recorded does not hang on forecasts
 
 
 def turns(bench: Bench, armed: bool, seconds: float) -> None:
@@ -44,7 +47,7 @@ def earlier_flights(folder: Path, number: int) -> set[str]:
 def test_a_flapping_armed_bit_is_one_recording(tmp_path: Path) -> None:
     flights = earlier_flights(tmp_path, 5)
     settings = RecordSection(folder=str(tmp_path), when="while-armed", max_files=6, min_free_MB=0.0)
-    bench = Bench(record=settings)
+    bench = Bench(record=settings, settings=SELDOM)
     for k in range(60):
         turns(bench, k % 2 == 0, 2.0)
     turns(bench, True, 5.0)
@@ -57,7 +60,8 @@ def test_a_flapping_armed_bit_is_one_recording(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("is_heard", [True, False])
 def test_a_landing_of_minutes_ends_a_recording(tmp_path: Path, is_heard: bool) -> None:
-    bench = Bench(record=RecordSection(folder=str(tmp_path), when="while-armed", min_free_MB=0.0))
+    record = RecordSection(folder=str(tmp_path), when="while-armed", min_free_MB=0.0)
+    bench = Bench(record=record, settings=SELDOM)
     turns(bench, True, 10.0)
     turns(bench, False, 130.0 if is_heard else 2.0)
     bench.now_s += 0.0 if is_heard else 130.0

@@ -398,7 +398,7 @@ def test_beliefs_of_a_flight_are_plausible_and_edited_ones_are_not() -> None:
     x, P, weight = belief.means, belief.covariances, belief.weights
     assert "soc" in judged(x + 2.0, P, weight)
     assert "soc" in judged(np.tile(belief.mean, (len(x), 1)), P * 1e-6, weight)
-    assert "symmetric" in judged(x, P + np.eye(8, k=1) * 1e-4, weight)
+    assert "symmetric" in judged(x, P + np.eye(x.shape[1], k=1) * 1e-4, weight)
     assert "sum" in judged(x, P, 2.0 * weight)
     assert "without" in judged(x[1:], P, weight)
 

@@ -14,7 +14,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UsageError
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import steps
+from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
@@ -73,8 +73,9 @@ def test_two_packs_last_as_long_as_one_of_their_size() -> None:
         for i, share in enumerate(shares)
     ]
     generic, options = battery_file.read_battery("lipo-generic"), PackOptions(capacity_Ah=10.0, cells=4, cutoff_V=13.2)
+    engine = engine_for(is_long=True)
     said = [
-        [s.remaining.remaining_s for s in steps(flight, Estimator(generic, options, EVERY_30_S))]
+        [s.remaining.remaining_s for s in steps(flight, Estimator(generic, options, EVERY_30_S, engine))]
         for flight in (Flight("one", "csv", tuple(rows)), joined(halves, Wiring.PARALLEL))
     ]
     assert np.allclose(said[0], said[1], atol=2.0, rtol=0.0, equal_nan=True) and np.isfinite(said[0]).any()

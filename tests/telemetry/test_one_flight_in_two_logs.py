@@ -16,7 +16,7 @@ import pytest
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import ReplayedRow, steps
+from uavbatt.log_replay.run import ReplayedRow, engine_for, steps
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry import read_log
@@ -33,7 +33,8 @@ def bare(flight: Flight) -> Flight:
 
 
 def replayed(flight: Flight) -> list[ReplayedRow]:
-    return list(steps(flight, Estimator(battery_file.read_battery("lipo-generic"), PACK, EVERY_30_S)))
+    generic = battery_file.read_battery("lipo-generic")
+    return list(steps(flight, Estimator(generic, PACK, EVERY_30_S, engine_for(is_long=True))))
 
 
 @pytest.fixture(params=["m100_001_752", "m100_009_794", "m100_038_752"])

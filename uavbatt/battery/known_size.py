@@ -1,7 +1,7 @@
 """The size of a pack as far as it is known in flight, and the doubts about it; a value that is replaced at each row.
 
-The caller's statement comes first, then the vehicle's parameters, then the voltage (`sizing`). The rows of telemetry
-are compared with all of them (`statements`).
+What the caller states counts first, then the vehicle's parameters, then the voltage (`sizing`). Each row of telemetry
+is compared with all of them (`statements`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class KnownSize(NamedTuple):
         return known._sized(self.size.cells) if self.size is not None else known
 
     def after(self, raw: Sample, sample: Sample) -> KnownSize:
-        """Return what is known after a row, `raw` as it came and `sample` as the filter has it."""
+        """Return what is known after one more row, `raw` as it came and `sample` after cleaning."""
         size = self.size or self.by_voltage([sample])
         if size is None:
             return self

@@ -41,6 +41,11 @@ class Pack(NamedTuple):
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
     guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
+    def at_weakest_cell(self, below_V: float) -> Pack:
+        """The pack with its limits where its weakest cell meets them, `below_V` [V] below the mean of its cells."""
+        raised_V = self.installation.cells * below_V
+        return self._replace(cutoff_V=self.cutoff_V + raised_V, low_V=self.low_V + raised_V)
+
 
 # The status widens the belief: what was not gated may be another battery than it says. (A generic file states
 # spreads that are wide by themselves; of a file that was let through nobody knows where its numbers come from.)

@@ -1,9 +1,9 @@
-"""Statements about the pack are held against what is measured: a value that goes from row to row.
+"""Statements about the pack are compared with the measurements; `Statements` is a value that is replaced at each row.
 
-The first voltages judge the count of cells, the current its own sign, a minute in flight the capacity and the power
-that a vehicle file promises, the steps of time their unit. What is certain refuses the number until the rows say
-otherwise; what is likely is said beside it. Nothing here knows the charge: a capacity that is a few times too large
-looks like a good one in flight, and only the filter, which can doubt it, sees the voltage fall too soon.
+The count of cells is compared with the first voltages, the sensor's sign with the direction of the current, the
+capacity and the power of a vehicle file with a minute of flight, the unit of time with the time between rows. A certain
+doubt refuses the number for as long as the rows show it; a likely one is a warning. The state of charge is not known
+here: a capacity that is stated a few times too large is found by the filter, when the voltage falls too soon.
 """
 
 from __future__ import annotations
@@ -116,8 +116,10 @@ class Statements(NamedTuple):
     current: Current = Current()
 
     def after(self, raw: Sample, sample: Sample, pack: PackSize) -> Statements:
-        """The next state after a row, `raw` as it came and `sample` as the filter has it, of a pack of this size."""
-        kelvin_rows = self._kelvin_rows(raw.temp_C)
+        """Return the value after one more row, `raw` as it came and `sample` after cleaning, of a pack of this size."""
+        kelvin_rows = self.kelvin_rows  # a row without a temperature neither counts nor ends the count
+        if math.isfinite(raw.temp_C):
+            kelvin_rows = kelvin_rows + 1 if KELVIN[0] <= raw.temp_C <= KELVIN[1] else 0
         time_s, volts, current_A = sample.time_s, sample.voltage_V, raw.current_A
         if not math.isfinite(volts):
             return self._replace(kelvin_rows=kelvin_rows)
@@ -128,9 +130,10 @@ class Statements(NamedTuple):
         return Statements(seen, self.rows + 1, time_s, volts, long_rows, kelvin_rows, current)
 
     def doubts(self, pack: PackSize, resting: Resting, power_W: PowerRange | None = None) -> tuple[Doubt, ...]:
-        """The doubts about the statements, the certain first; power_W: lowest and highest stated of this aircraft.
+        """Return the doubts about the statements, the certain ones first.
 
-        The words name no number that changes from row to row: each is said once.
+        resting : the rested voltages of a cell of the type; power_W : lowest and highest power [W] that are stated of
+        this aircraft. The words hold no number that changes from row to row, so that each is said once.
         """
         current, capacity_Ah = self.current, pack.capacity_Ah
         load, is_minute = current.load, current.load.loaded_s >= MINUTE_S
@@ -156,13 +159,8 @@ class Statements(NamedTuple):
         return doubt is not None and doubt.is_certain
 
     def shown(self, volts: float, is_idle: bool) -> Statements:
-        """The value after a row of which only the voltage [V] counts."""
+        """Return the value after a row of which only the voltage [V] is compared."""
         return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
-
-    def _kelvin_rows(self, temp_C: float) -> int:
-        if KELVIN[0] <= temp_C <= KELVIN[1]:
-            return self.kelvin_rows + 1
-        return 0 if math.isfinite(temp_C) else self.kelvin_rows
 
     def _seen(self, volts: float, is_idle: bool) -> Seen:
         """Return the highest voltages that two rows in turn have shown, of all rows and of those at rest.
@@ -188,7 +186,7 @@ def _strong(load: Means, capacity_Ah: float) -> Doubt:
 
 
 def _weak(current: Current, capacity_Ah: float) -> Doubt:
-    """A load that is light for the stated capacity, and yet the voltage gives way."""
+    """A load that is light for the stated capacity, under which the voltage falls as under a heavy one."""
     is_certain = current.current_A < C_RATE[0] * capacity_Ah and current.strain.mean_V > SURE_STRAIN_CELL_V
     bound = C_RATE[0] if is_certain else USUAL_C_RATE[0]
     words = f"less than {bound:g} C, and yet the voltage gives way: is the capacity right (mAh?)"

@@ -2,7 +2,8 @@
 
 A filter explains whatever it is given. So what it had to assume is compared with what is possible: a discrepancy far
 outside its prior, innovations that stay too large, a pack that holds much less than stated, a sensor that stands
-still. Each has its words; `doubts` open the status, `refusal` withdraws the number, `remarks` only inform.
+still. Each has its words: `doubts` make an `ok` estimate `converging`, `refusal` makes it `refused`, and `remarks` are
+warnings only.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Monitor(NamedTuple):
     load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
-    is_settled: bool = False  # the knee has shown how much a pack holds that is not what is stated
+    is_settled: bool = False  # the capacity of a pack that is not what is stated has become known well enough
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     refusal: str = ""
@@ -78,31 +79,26 @@ class Monitor(NamedTuple):
         innovations, off_sds = self.innovations, self.off_sds
         if math.isfinite(estimate.nis):  # a block is closed: between two of them nothing new is known of these
             innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
-        still = (
-            (STUCK_VOLTAGE, readings.stuck_voltage_s(cells, capacity_Ah)),
-            (STUCK_CURRENT, readings.stuck_current_s(capacity_Ah)),
+        stuck_voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
+        stuck_current_s = readings.stuck_current_s(capacity_Ah)
+        most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # it holds surely less
+        least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)  # it has surely more
+        is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # no wear explains so much
+        is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
+        is_settled = (is_small or is_ohmic) and is_known
+        found = (  # words, are they a doubt, do they refuse the number
+            (STUCK_VOLTAGE, stuck_voltage_s >= STUCK_S, stuck_voltage_s >= REFUSED_STUCK_S),
+            (STUCK_CURRENT, stuck_current_s >= STUCK_S, stuck_current_s >= REFUSED_STUCK_S),
+            (DEAD_CURRENT, False, time_s - load.gone_since_s >= DEAD_S),
+            (UNFITTING, time_s - innovations.high_since_s >= NIS_AFTER_S, False),
+            (FAR_OFF, abs(off_sds) > FAR_SDS, off_sds < -LOST_SDS),  # too much voltage for the charge harms nobody
+            (SMALL, is_small, is_small and not is_settled),
+            (MANY_OHMS, is_ohmic, is_ohmic and not is_settled),
         )
-        doubts = [words for words, for_s in still if for_s >= STUCK_S]
-        refusals = [words for words, for_s in still if for_s >= REFUSED_STUCK_S]
-        if time_s - load.gone_since_s >= DEAD_S:
-            refusals.append(DEAD_CURRENT)
-        if time_s - innovations.high_since_s >= NIS_AFTER_S:
-            doubts.append(UNFITTING)
-        if abs(off_sds) > FAR_SDS:
-            doubts.append(FAR_OFF)
-        if off_sds < -LOST_SDS:  # far too little voltage for the charge; too much of it harms nobody
-            refusals.append(FAR_OFF)
-        most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd
+        doubts = tuple(words for words, is_doubt, _ in found if is_doubt)
+        refusal = next((words for words, _, is_refused in found if is_refused), "")
         remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
-        misstated = _misstated(estimate, most)
-        is_settled = bool(misstated) and (
-            self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
-        )
-        doubts += misstated
-        if not is_settled:  # and nothing has said by how much
-            refusals += misstated
-        refusal = refusals[0] if refusals else ""
-        return Monitor(readings, load, innovations, off_sds, is_settled, tuple(doubts), remarks, refusal)
+        return Monitor(readings, load, innovations, off_sds, is_settled, doubts, remarks, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""
@@ -116,15 +112,6 @@ class Monitor(NamedTuple):
         refusals = (self.refusal,) if self.refusal and self.refusal not in self.doubts else ()
         warnings = (*estimate.warnings, *refusals, *self.doubts, *self.remarks)
         return replace(estimate, status=status, reason=reason, warnings=warnings)
-
-
-def _misstated(estimate: Estimate, most: float) -> list[str]:
-    """Return words for a pack that no wear explains, so that something stated of it is wrong; empty for any other pack.
-
-    most : the largest capacity that the pack may have, as a share of the stated one.
-    """
-    least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)
-    return [words for words, is_so in ((SMALL, most < FAR_SMALLER), (MANY_OHMS, least_ohms > FAR_MORE_OHMS)) if is_so]
 
 
 def discrepancy_sds(belief: Belief, pack: Pack) -> float:

@@ -1,4 +1,4 @@
-"""Remarks that a reader of the estimate must know beside it: what the battery file does not cover, what is worn."""
+"""Warnings of an estimate about the battery file, the temperature and the wear of the pack."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer t
 def remarks(
     battery: BatteryFile, size: PackSize, sample: Sample, known: BeliefSummary, pack: Pack, *, is_metered: bool
 ) -> tuple[str, ...]:
-    """The remarks about a sample and what is known after it; without a meter nothing tells wear."""
+    """Return the warnings after a sample, from the belief's means in `known`.
+
+    is_metered : a sensor measures the current; without one the wear of the pack cannot be told.
+    """
     found = [size.uncertified] if size.uncertified else []
     validated, core_C = battery.certificate.validated_ambient_C, known.core_temp_C
     if validated and math.isfinite(core_C):

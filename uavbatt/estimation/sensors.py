@@ -1,4 +1,4 @@
-"""Sensors that fail without a word: a reading that stands still although it must move, a current that vanishes."""
+"""Sensors that fail silently: a reading that stands still although it must move, a current that falls to nothing."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ STUCK_S, REFUSED_STUCK_S = 30.0, 60.0
 # smallest steps and by 10 mV, and did not move, is stuck.
 LEAST_FALL_V, STUCK_STEPS, STUCK_V = 0.15, 3.0, 0.01
 COARSEST_STEP_V = 0.1  # of a voltmeter that has not shown its smallest step yet
-# A cell's voltage that goes down and up by so much, again and again, does it because of a current.
+# A cell's voltage that goes down and up by so much, several times, follows a current that changes.
 TURN_CELL_V, TURNS = 0.012, 6
-# A current that moved in every second row, and by that should have moved so many times since it last did, is stuck;
-# on the ground, below a tenth of 1 C, it may well stand still. Its habit is that of its last hundred rows.
+# A current is stuck when it should have moved so many times since its last change, by the share of rows in which it
+# used to move (`habit`, over about a hundred rows). On the ground, below a tenth of 1 C, it may well stand still.
 MISSED_MOVES, STILL_C_RATE, HABIT_KEPT = 15.0, 0.1, 0.99
 LOADED_C_RATE = 0.4
 DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35, 0.02, 3.0, 10.0
@@ -22,7 +22,7 @@ DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35
 class Still(NamedTuple):
     """A reading since its last change: its value, the time of that change [s] and the rows since.
 
-    step : its smallest change so far; habit : the share of rows in which it used to change.
+    rows : since its last change; step : its smallest change so far; habit : the share of rows in which it changed.
     """
 
     value: float = math.nan
@@ -52,7 +52,7 @@ class SinceMoved(NamedTuple):
     voltage: Still = Still()
     current: Still = Still()
     drawn_Ah: float = 0.0  # since the voltage last moved
-    turn_V: float = math.nan  # farthest point since the voltage last turned
+    turn_V: float = math.nan  # highest while it rises, lowest while it falls
     is_rising: bool = False
     turns: int = 0  # since the current last moved
 
@@ -83,18 +83,18 @@ class SinceMoved(NamedTuple):
 
 
 class LoadWatch(NamedTuple):
-    """The load of the last seconds, and since when the current has vanished while the voltage stayed low."""
+    """Means over the last seconds, and since when the current has been near zero although the voltage stayed low."""
 
     time_s: float = math.nan
     voltage_V: float = math.nan
     current_A: float = math.nan
-    owed_V: float = math.nan  # what the cells give back when the load is gone
+    owed_V: float = math.nan  # the rise of the voltage that the model expects without the load
     gone_since_s: float = math.nan  # NaN while the sensor is sound
 
     def after(
         self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
     ) -> LoadWatch:
-        """Return it with one more row, whose voltage the model predicts as `predicted_V` [V]."""
+        """Return the value with one more row, whose voltage the model predicts as `predicted_V` [V]."""
         fresh = LoadWatch(time_s, voltage_V, current_A)
         if not math.isfinite(self.current_A):
             return fresh

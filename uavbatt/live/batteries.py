@@ -54,17 +54,17 @@ class Batteries:
         self.reports: dict[int, Report] = {}
         self.tracked: dict[int, TrackedBattery] = {}
         self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
-        self._note_until_s = now_s + NOTE_S  # how it began is of interest at the beginning
+        self._note_until_s = now_s + NOTE_S  # so long the notes say how the estimate began
         self._problem = ""
         self._resumption = self._found(now_s)
         self._keeper = self._opened()
 
     def begin_vehicle(self) -> None:
-        """Another vehicle is followed: nothing that is known of the last one's batteries holds."""
+        """Forget the batteries of the last vehicle, as another one is followed from now on."""
         self.tracked, self.reports, self._facts = {}, {}, {}
 
     def look_at_vehicle(self) -> None:
-        """The vehicle may have told its serial number: a state that was resumed for another is forgotten."""
+        """Forget a resumed state if the serial number that the vehicle has told since shows that it is another's."""
         if self._resumption.is_contradicted(self._vehicle):
             self.tracked.clear()
             self._reader.resume({})
@@ -209,6 +209,6 @@ def _is_worth_keeping(parameter: str) -> bool:
 
 
 def _refused(estimate: Estimate, remaining: Remaining, reason: str) -> tuple[Estimate, Remaining]:
-    """The same, with nothing to be shown for this reason."""
+    """Return the estimate and the remaining time as refused for this reason."""
     status = Status.REFUSED
     return replace(estimate, status=status, reason=reason), replace(remaining, status=status, reason=reason)

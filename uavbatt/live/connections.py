@@ -14,7 +14,7 @@ import asyncio
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 MOST_CONNECTIONS = 64
-MOST_WAITING = 256  # to be let in; the server takes in all of them at once
+MOST_WAITING = 256  # connections not yet accepted; the server accepts all of them at once
 REQUEST_WITHIN_S = 10.0
 LOOK_PERIOD_S = 1.0
 
@@ -38,7 +38,7 @@ class Connection(H11Protocol):
         super().connection_lost(exc)
 
     def on_response_complete(self) -> None:
-        """From now on it is idle."""
+        """Count the connection as idle from now on."""
         if self in self.table:
             self.table[self] = self.loop.time()
         super().on_response_complete()
@@ -49,12 +49,12 @@ class Connection(H11Protocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def drop(self) -> None:
-        """Close at once; an answer that nobody fetches is not waited for."""
+        """Close at once, without waiting until an answer has been fetched."""
         self.table.pop(self, None)
         self.transport.abort()
 
     def _look(self) -> None:
-        """Once a second, for as long as it has a place."""
+        """Close the connection if it has been idle for too long; else look again a second later."""
         if self not in self.table:
             return
         if not self.is_asking and self.loop.time() - self.table[self] >= REQUEST_WITHIN_S:

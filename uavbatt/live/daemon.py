@@ -4,8 +4,8 @@
                |                                   |
                +-> recording (.tlog)               +-> recording (.jsonl), saved state
 
-Nothing waits for anything: links do not block, a slow reader is dropped, the clock is handed in. The watchdog is fed
-by this loop alone, and only it writes the heartbeat: a process that hangs falls silent.
+Nothing in a turn waits: links do not block, and a slow reader is dropped. The clock is an argument. Only this loop
+feeds the watchdog and sends the heartbeat, so that both stop when the process hangs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from uavbatt.telemetry.formats.recording import PERIOD_NAME
 from uavbatt.telemetry.live import LiveRow
 
 LONGEST_WAIT_S = 0.1
-REST_S, FLOOD = 0.005, 32  # a busy link wakes the loop 200 times a second at most; a flood is not made to wait
+# A busy link wakes the loop 200 times a second at most; after a turn with FLOOD pieces or more it does not rest.
+REST_S, FLOOD = 0.005, 32
 STATUS_PERIOD_S = 5.0
 STAMP_STEP_US = 4  # a tlog's times are true to 4 us
 
@@ -78,7 +79,7 @@ class Daemon:
         self._status_s = self._state_s = self._watch_s = float("-inf")
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
-        """Until told to stop; then what is held is written out."""
+        """Run the loop until told to stop, then write out what is held."""
         notify("READY=1")
         while not is_stopped():
             descriptors = [fd for link in (self._link, *self._stations) for fd in link.filenos()]
@@ -89,7 +90,7 @@ class Daemon:
         self.close()
 
     def turn(self) -> int:
-        """Take in what has come, send what is due; how many pieces came."""
+        """Take in what has come and send what is due; returns the number of pieces that came."""
         now_s = self._clock_s()
         pieces = self._link.read(now_s)
         for frame in self._listener.frames(pieces):
@@ -111,7 +112,7 @@ class Daemon:
             link.close()
 
     def _take(self, frame: HeardFrame, now_s: float) -> None:
-        """One whole frame that counts."""
+        """Take one whole and valid frame in."""
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
         rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
@@ -128,7 +129,7 @@ class Daemon:
                 self._step(row, now_s)
 
     def _begin_vehicle(self) -> None:
-        """Another vehicle is followed from now on."""
+        """Forget the last vehicle, as another one is followed from now on."""
         self._changes = self._reader.changes
         if self.batteries.reports:
             self.board.trend.forget()
@@ -146,7 +147,7 @@ class Daemon:
         self._recorder.frame(frame.data, self._stamp_us, self._reader.now_s, now_s, self._reader.armed)
 
     def _step(self, row: LiveRow, now_s: float) -> None:
-        """One row through its estimator and to the proxy, which must have it before the next frame."""
+        """Estimate one row, and tell the proxy, which must know it before the next frame."""
         before = self.batteries.reports.get(row.instance)
         if before is not None and before.age_s(now_s) > STALE_AFTER_S:
             self._sender.requests.begin_again()
@@ -191,7 +192,7 @@ class Daemon:
         return [*filter(None, problems.values())]
 
     def _words(self, now_s: float) -> str:
-        """One line for `systemctl status`."""
+        """Return one line for `systemctl status`."""
         if not self.batteries.reports:
             return self._link.problem or NOTHING_YET
         shown = in_order(self.batteries.reports)[0].at(now_s)

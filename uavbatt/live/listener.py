@@ -1,6 +1,6 @@
-"""Bytes of the autopilot's link -> frames that count: found, their checksums and, with a key, their signatures good.
+"""Bytes of the autopilot's link -> whole frames with a good checksum and, where there is a key, a good signature.
 
-Each sender's bytes are searched for themselves. What the operator should know of the link (who is heard, what is
+The bytes of each sender are searched separately. What the operator should know of the link (who is heard, what is
 rejected and why) stands in `notes`, and once in the log.
 """
 
@@ -23,7 +23,7 @@ MOST_TOLD = 100  # notes that go to the log
 
 
 class HeardFrame(NamedTuple):
-    """A whole frame that counts, and who sent it."""
+    """A whole and valid frame, and its sender."""
 
     data: bytes
     header: framing.Header
@@ -31,7 +31,7 @@ class HeardFrame(NamedTuple):
 
 
 class Listener:
-    """Finds frames, judges them, and remembers what was wrong."""
+    """The listener finds frames, checks them, and counts what was wrong."""
 
     def __init__(self, config: Config, key: bytes | None) -> None:
         self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
@@ -80,7 +80,7 @@ class Listener:
         return found
 
     def _tell_once(self, notes: Iterable[str], kinds: Iterable[str]) -> None:
-        """In the log each kind of note stands once: a count that grows is no news."""
+        """Write each kind of note to the log once; a count that has grown is not written again."""
         for note, kind in zip(notes, kinds, strict=True):
             if kind not in self._told and len(self._told) < MOST_TOLD:
                 self._told.add(kind)
@@ -88,6 +88,6 @@ class Listener:
 
 
 def tell(words: str) -> None:
-    """A line in the log; whoever read our words may be gone, and that ends no flight."""
+    """Write a line to the log; the process goes on if nobody reads the log any more."""
     with suppress(OSError, ValueError):
         print(f"uavbatt: {words}", file=sys.stderr, flush=True)

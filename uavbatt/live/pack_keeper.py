@@ -1,4 +1,4 @@
-"""The pack ledger beside the companion process: what is known of a pack on the ground, what a flight taught after it.
+"""The pack ledger in the companion process: gives the health of a pack on the ground, and takes in what a flight shows.
 
     serial or --pack  -> prior of the estimator, on the ground
     rows in the air   -> the ledger's airborne rows, every few seconds: a process that dies loses none of them
@@ -63,11 +63,11 @@ class PackKeeper:
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
         self._kept: dict[int, Kept] = {}
-        self._young: dict[str, LeftOver] = {}
+        self._left_over: dict[str, LeftOver] = {}
         self.note = ""
         self._ledger = Ledger(path)
         for left in airborne.left_over(self._ledger):
-            self._young[left.flight.name] = left
+            self._left_over[left.flight.name] = left
 
     def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
         """Return what is remembered of the pack of a battery, once it has a name; None while it has none."""
@@ -100,7 +100,7 @@ class PackKeeper:
             kept.rows.popleft()
 
     def look_after(self, now_s: float) -> None:
-        """Write what is due; see which flights are over."""
+        """Write the rows that are due, and save what a flight taught when it is over."""
         for kept in self._kept.values():
             if kept.number is None:
                 continue
@@ -108,11 +108,11 @@ class PackKeeper:
                 self._land(kept)
             elif now_s - kept.flushed_s >= FLUSH_S:
                 self._flush(kept, now_s)
-        for name, left in list(self._young.items()):
+        for name, left in list(self._left_over.items()):
             age_s = self._utc_s(now_s) - left.last_utc_s
             if not 0.0 <= age_s <= RESUMED_WITHIN_S:
-                del self._young[name]
-                self._worker.submit(self._told, self._learned, left.number, left.flight)
+                del self._left_over[name]
+                self._worker.submit(self._noting_errors, self._learned, left.number, left.flight)
 
     def close(self, now_s: float) -> None:
         """Write what is held; a flight that is still in the air stays airborne in the ledger."""
@@ -124,7 +124,7 @@ class PackKeeper:
 
     def _take_off(self, kept: Kept, now_s: float, cells: int, capacity_Ah: float) -> None:
         """The pack is armed: its rows go into the ledger from now on, on top of those of a process that died."""
-        left = self._young.pop(kept.name, None)
+        left = self._left_over.pop(kept.name, None)
         if left is not None:
             kept.number = Future()
             kept.number.set_result(left.number)
@@ -141,7 +141,7 @@ class PackKeeper:
         kept.rows.clear()
         if rows:
             number = kept.number
-            self._worker.submit(self._told, lambda: airborne.add(self._ledger, number.result(), rows))
+            self._worker.submit(self._noting_errors, lambda: airborne.add(self._ledger, number.result(), rows))
 
     def _land(self, kept: Kept) -> None:
         """The flight is over: what it taught is saved, and known the next time the pack is met."""
@@ -149,10 +149,10 @@ class PackKeeper:
             return
         self._flush(kept, kept.last_s)
         number, kept.number = kept.number, None
-        self._worker.submit(self._told, lambda: self._learned(number.result(), None))
+        self._worker.submit(self._noting_errors, lambda: self._learned(number.result(), None))
 
-    def _told(self, work: Callable[..., None], *arguments: object) -> None:
-        """Work of the thread; what goes wrong is told, and ends nothing."""
+    def _noting_errors(self, work: Callable[..., None], *arguments: object) -> None:
+        """Run work of the thread; an error becomes the note, and does not end the process."""
         try:
             work(*arguments)
         except UavbattError as error:

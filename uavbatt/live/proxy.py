@@ -1,4 +1,4 @@
-"""The proxy between autopilot and ground stations: a process of its own, so light that it outlives the estimator.
+"""The proxy between autopilot and ground stations: a small process of its own, which goes on when the estimator fails.
 
     autopilot <-> proxy <-> ground stations          every byte as it came, in both directions, but:
                     ^                                BATTERY_STATUS of a battery whose time is known gets the time
@@ -80,7 +80,7 @@ class Messages:
 
 
 class Control:
-    """The estimator's side: one client, the newest; slow or gone, it is dropped."""
+    """The control socket: one client, the newest; a client that is slow or gone is dropped."""
 
     def __init__(self, path: str) -> None:
         self._path, self._messages = path, Messages()
@@ -121,13 +121,13 @@ class Control:
                 self.close_client()
 
     def close_client(self) -> None:
-        """Forget the estimator."""
+        """Close the connection to the estimator."""
         if self._client is not None:
             self._client.close()
         self._client = None
 
     def close(self) -> None:
-        """Take the socket away."""
+        """Close the socket and delete its file."""
         self.close_client()
         self._socket.close()
         if os.path.exists(self._path):
@@ -135,7 +135,7 @@ class Control:
 
 
 class Proxy:
-    """The loop; `turn` is one pass of it."""
+    """The proxy passes bytes on in a loop; `turn` is one pass of it."""
 
     def __init__(self, settings: ProxySettings) -> None:
         self._settings = settings

@@ -1,6 +1,6 @@
 """The estimator's side of the proxy: starts it or finds it running, hears the autopilot through it, tells it the time.
 
-To the rest of the house it is the link to the autopilot. The proxy runs in a session of its own: when this process
+The rest of the process uses it as its link to the autopilot. The proxy runs in a session of its own: when this process
 dies it goes on passing frames, and the next one attaches to it. A proxy that is gone is started again.
 """
 
@@ -99,7 +99,7 @@ class ProxyClient:
         self._tell(proxy.TO_GCS, data)
 
     def estimate(self, report: Report, now_s: float) -> None:
-        """Tell what is left; a refusal is told as well, so that the frames pass as they are from now on."""
+        """Tell the proxy the time left; a refusal is told as well, so that frames pass unchanged from then on."""
         shown = report.at(now_s)
         known = STATUS_CODES.get(shown.status, rewriter.NOTHING)
         body = struct.pack(
@@ -110,7 +110,7 @@ class ProxyClient:
         self._tell(proxy.ESTIMATE, body)
 
     def close(self) -> None:
-        """Let go of the proxy; it goes on."""
+        """Close the connection to the proxy, which goes on."""
         if self._pipe is not None:
             self._pipe.close()
         self._pipe = None

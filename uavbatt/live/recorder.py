@@ -32,7 +32,7 @@ MB = 1_000_000
 
 
 class Recorder:
-    """Writes while the disk has room; `problem` says why it does not."""
+    """The recorder writes while the disk has room; `problem` says why it does not."""
 
     def __init__(self, settings: RecordSection) -> None:
         self._settings = settings
@@ -55,7 +55,7 @@ class Recorder:
         return key in self._prelude
 
     def begin_anew(self, words: Mapping[bytes, bytes]) -> None:
-        """Another vehicle: a recording holds one, and begins with its words."""
+        """Begin a new recording for another vehicle; `words` are its frames that the recording begins with, by key."""
         self.close()
         self._prelude, self.words = {}, words
 
@@ -79,7 +79,7 @@ class Recorder:
             self._failed(error.strerror or str(error), now_s)
 
     def step(self, instance: int, estimate: Estimate, remaining: Remaining, now_s: float) -> None:
-        """Record what was made of a row."""
+        """Record the estimate and the remaining time of a row."""
         if self._raw is None or self._paused_s is not None:
             return
         try:
@@ -136,7 +136,7 @@ class Recorder:
         return next(name for name in names if not (self._folder / f"{name}.tlog").exists())
 
     def _look(self, now_s: float) -> None:
-        """Now and then: is the file too long, is the disk too full?"""
+        """Close a file that has grown to its limit, and stop while the disk is too full; checked every LOOK_S."""
         self._look_s = now_s + LOOK_S
         assert self._raw is not None
         if self._raw.tell() > self._settings.max_file_MB * MB:

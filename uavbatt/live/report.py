@@ -76,7 +76,7 @@ class Report:
 
     @property
     def is_waiting(self) -> bool:
-        """Return True on the ground, where no number is missing: the take-off is waited for."""
+        """Return True on the ground before a flight, where there is no number because there is no load yet."""
         return self.remaining.reason == NOT_FLYING and self.estimate.status is not Status.REFUSED
 
     def at(self, now_s: float) -> Display:
@@ -147,7 +147,7 @@ class Trend:
         self._next_s = -math.inf
 
     def forget(self) -> None:
-        """Another vehicle: its past is not the last one's."""
+        """Forget all points, as another vehicle is followed from now on."""
         self._points = {}
 
     def look(self, now_s: float, reports: Sequence[Report]) -> None:

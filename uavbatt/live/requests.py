@@ -41,11 +41,11 @@ class Requests:
         self._rows, self._rows_since_s = 0, 0.0
 
     def row(self) -> None:
-        """A BATTERY_STATUS has come."""
+        """Note that a BATTERY_STATUS has come."""
         self._rows += 1
 
     def begin_again(self) -> None:
-        """After a gap everything may be different."""
+        """Ask for everything again: after a gap the pack may be another."""
         self._asked.clear()
         self._pause_s, self._rate_next_s = FIRST_PAUSE_S, float("-inf")
 

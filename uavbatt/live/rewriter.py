@@ -13,7 +13,7 @@ SILENT_AFTER_S = 3.0
 
 
 class LastEstimate(NamedTuple):
-    """The last words of the estimator about one battery."""
+    """The last estimate of one battery, as the control socket carried it."""
 
     status: int
     remaining_s: float
@@ -22,7 +22,7 @@ class LastEstimate(NamedTuple):
 
 
 class Rewriter:
-    """Knows what is left of each battery, and puts it into the frames that may carry it."""
+    """The rewriter holds the last estimate of each battery, and puts its time into the frames that may carry it."""
 
     def __init__(self, soc: bool) -> None:
         self.known: dict[tuple[int, int, int], LastEstimate] = {}
@@ -31,13 +31,13 @@ class Rewriter:
         self._soc = soc
 
     def take(self, body: bytes) -> None:
-        """An estimate, as the control socket carries it."""
+        """Take an estimate in, packed as ESTIMATE_LAYOUT."""
         if len(body) == struct.calcsize(ESTIMATE_LAYOUT):
             system, component, battery, *rest = struct.unpack(ESTIMATE_LAYOUT, body)
             self.known[system, component, battery] = LastEstimate(*rest)
 
     def frame(self, frame: bytes, now_s: float) -> bytes:
-        """The frame as the ground station shall see it."""
+        """Return the frame with the time left in it, or as it is where it may carry none."""
         if not self.known:
             return frame
         battery = battery_of(frame)

@@ -26,8 +26,8 @@ Square = Annotated[list[Column], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 Weight = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
 MOST_MEMBERS = 64
 
-# The mean of each component and its standard deviation, from .. to. Below the lowest sd nobody knows a battery: flights
-# end with 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials may be known (there are none).
+# Lowest and highest mean of each component, and lowest and highest standard deviation. No battery is known better than
+# the lowest: flights end with 0.003 of charge, 4 % of resistance, 1 % of capacity, 6 mV. Overpotentials at rest are 0.
 PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
     X.SOC: ((-0.5, 1.05), (2e-4, 1.0)),
     X.POLARISATION: ((-2.0, 2.0), (0.0, 1.0)),

@@ -77,7 +77,7 @@ class Sender:
             self._to_gcs(frame, now_s)
 
     def begin_again(self) -> None:
-        """Another vehicle is followed: nothing that was asked or said of the last one holds."""
+        """Forget what was asked and announced of the last vehicle, as another one is followed from now on."""
         self._announcers.clear()
         self.requests.begin_again()
         self._mission = MissionRequest()

@@ -77,7 +77,7 @@ class Found(NamedTuple, Generic[Battery]):
 
 
 def clock(monotonic_s: float, wall_s: float, is_clock_set: bool) -> Clock:
-    """This instant."""
+    """Return an instant with the identity of this boot."""
     return Clock(boot_id=boot_id(), monotonic_s=monotonic_s, wall_s=wall_s, is_clock_set=is_clock_set)
 
 
@@ -92,7 +92,7 @@ def boot_id() -> str:
 def is_clock_set(wall_s: float) -> bool:
     """True if the wall clock can be believed: the kernel has it synchronised, or a hardware clock says the same."""
     if not sys.platform.startswith("linux"):
-        return wall_s > RELEASED_S  # the small computers without a battery run Linux
+        return wall_s > RELEASED_S  # small computers without a battery for their clock run Linux
     return wall_s > RELEASED_S and (_is_synchronised() or any(_agrees(clock, wall_s) for clock in _hardware_clocks()))
 
 

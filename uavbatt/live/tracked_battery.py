@@ -1,8 +1,9 @@
-"""One battery in flight: its estimator, and what of it survives a crash.
+"""One battery in flight: its estimator, and the state of it that is saved for the next process.
 
 Resuming: the saved belief, and what the forecaster and the cleaner remember, are put at their own time, before the
 first row of the new process. The charge that was drawn meanwhile is the difference of the autopilot's counter
-where it has one; else the load is taken to have gone on. What cannot be resumed is left alone, and `resumed` says why.
+where it has one; else the load is taken to have gone on. A state that cannot be resumed is not used, and `resumed`
+says why.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ ENDURANCE_PERIOD_S = 10.0
 
 
 class TrackedBattery:
-    """Rows of one battery in, estimates out; never raises for what a vehicle may say."""
+    """The estimator of one battery; it raises no error for anything that a vehicle may send."""
 
     def __init__(
         self,

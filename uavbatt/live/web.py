@@ -207,7 +207,7 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
     def work() -> None:
         try:
             asyncio.run(server.serve(sockets=[listener]))
-        except Exception as error:  # the page may die, the flight goes on
+        except Exception as error:  # an error of the page must not end the process
             print(f"uavbatt: page stopped: {error}", file=sys.stderr)
 
     thread = threading.Thread(target=work, name="page", daemon=True)

@@ -10,7 +10,7 @@ from uavbatt.records import NAN, Sample
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
 FLYING_TAU_S = 3.0
-LANDED_AFTER_S = 90.0  # a descent may idle for a minute; the armed flag knows better where there is one
+LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 
@@ -34,11 +34,6 @@ class Flown(NamedTuple):
     flown_J: float = 0.0
 
     @property
-    def is_flying(self) -> bool:
-        """True while the motors carry the aircraft."""
-        return math.isfinite(self.flying_since_s)
-
-    @property
     def mean_W(self) -> float:
         """Mean power of the flight [W], that of the last rows before there is any; at least 1 W."""
         return max(self.flown_J / self.flown_s if self.flown_s > 0.0 else max(self.load.mean_W, 1.0), 1.0)
@@ -46,7 +41,7 @@ class Flown(NamedTuple):
     def after(self, sample: Sample, power_W: float, c_rate: float) -> Flown:
         """Return the past with one more row, its power [W] and its C-rate [1/h]."""
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
-        now = self._carried(sample, dt_s, c_rate)
+        now = self._with_rate(sample, dt_s, c_rate)
         if not math.isfinite(now.flying_since_s):
             return now
         now = now._replace(load=now.load.after(sample.time_s, power_W))
@@ -67,8 +62,8 @@ class Flown(NamedTuple):
             took_off_s=self.took_off_s + shift_s,
         )
 
-    def _carried(self, sample: Sample, dt_s: float, c_rate: float) -> Flown:
-        """Return the past that knows, by smoothed C-rate and armed flag, whether the motors carry the aircraft."""
+    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float) -> Flown:
+        """Return the past with the row's time and C-rate, and with the aircraft in flight or on the ground by them."""
         row_s, time_s = self.row_s, sample.time_s
         if 0.0 < dt_s <= LONGEST_ROW_S:
             row_s = dt_s + (row_s - dt_s) * ROW_MEMORY if math.isfinite(row_s) else dt_s

@@ -34,6 +34,7 @@ from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 
 NOT_FLYING = "not flying: no forecast until the motors carry the aircraft"
+JUST_TAKEN_OFF = "the load has just come"
 SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: two of its blocks
 # Steps to the typical end, and the longest one [s]: gusts must be seen one by one; for a steady power the longer steps
 # move the end by less than 0.3 %.
@@ -113,11 +114,15 @@ class Forecaster:
         """Take a sample into the memory; returns why there can be no forecast, the forecast to simulate, or neither.
 
         belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come.
-        Nothing of it depends on an answer, so that a replay may ask many questions and simulate them side by side.
+        It uses no simulated forecast, so that a replay can take many rows in and simulate their forecasts at once.
         """
         self._remember(sample, navigation)
-        self._expect(sample, belief)
-        refusal, question = self._refusal(sample, estimate), None
+        flying_s = sample.time_s - self._flown.flying_since_s  # NaN on the ground
+        if math.isnan(flying_s):
+            self._rested, self._at_take_off = belief, None
+        elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
+            self._at_take_off = self._expected(self._rested or belief, self._flown.flying_since_s)
+        refusal, question = self._refusal(estimate, flying_s), None
         if not refusal and belief is None:
             refusal = "no belief about the pack yet"
         elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
@@ -133,9 +138,10 @@ class Forecaster:
     def finish(
         self, sample: Sample, estimate: Estimate, refusal: str, answered: tuple[Question, EndTimes] | None
     ) -> Remaining:
-        """The remaining time after `sample` from what `update` returned and, where it had a question, its answer.
+        """Return the remaining time after `sample`, from the refusal of `update` or the answer to its question.
 
-        Samples must be finished in the order in which they were taken in.
+        answered : the question with its simulated ends, None where `update` had none. Samples must be finished in the
+        order in which they were taken in.
         """
         if answered is not None:
             self._last = self._forecast(*answered)
@@ -160,7 +166,7 @@ class Forecaster:
         question = Question(
             time_s=time_s,
             horizon_s=horizon_s,
-            pack=self._weakest(),
+            pack=self.pack.at_weakest_cell(self.cell_spread_V),
             x=sampling.samples(belief),
             power_W=scenarios.power_W[:, scenario],
             ambient_C=belief.ambient_C,
@@ -181,23 +187,20 @@ class Forecaster:
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
         """Return the endurance if it took off now, with the load as it is known on the ground; no memory changes."""
-        load = before_take_off(self.settings.load, self.pack)
-        return Forecaster(self._weakest(), replace(self.settings, load=load)).forecast(belief, time_s)
+        return self._before_any_flight().forecast(belief, time_s)
 
-    def _expect(self, sample: Sample, belief: Belief | None) -> None:
-        """At take-off, work out what is expected of the flight, from what was believed of the pack at rest."""
-        if not self._flown.is_flying:
-            self._rested, self._at_take_off = belief, None
-        elif self._at_take_off is None and belief is not None and is_open(self.settings.load):
-            self._at_take_off = self._expected(self._rested or belief, self._flown.flying_since_s)
+    def _before_any_flight(self) -> Forecaster:
+        """Return a forecaster of the same pack without a past, whose load is as it is known on the ground."""
+        settings = replace(self.settings, load=before_take_off(self.settings.load, self.pack))
+        return Forecaster(self.pack.at_weakest_cell(self.cell_spread_V), settings)
 
     def _expected(self, belief: Belief, take_off_s: float) -> AtTakeOff | None:
-        """The end of a flight that begins with this belief; None where none is in sight."""
-        load = before_take_off(self.settings.load, self.pack)
-        question = Forecaster(self._weakest(), replace(self.settings, load=load)).question(belief, take_off_s)
+        """Return the end that is expected at take-off from this belief; None where none is in sight."""
+        on_ground = self._before_any_flight()
+        question = on_ground.question(belief, take_off_s)
         if question is None:
             return None
-        power_W = load.typical_W(self._now(belief, take_off_s, NOWHERE))
+        power_W = on_ground.settings.load.typical_W(self._now(belief, take_off_s, NOWHERE))
         ends = (np.sort(np.minimum(times_s, question.horizon_s)) for times_s in end_times(question, enough=1.0))
         return AtTakeOff(take_off_s, power_W, *(tuple(times_s.tolist()) for times_s in ends))
 
@@ -220,29 +223,20 @@ class Forecaster:
         low_s = min(quantile(fresh.low_s, 0.5), median_s) if math.isfinite(self.pack.low_V) else NAN
         return Forecast(time_s, median_s, lo_s, hi_s, low_s, alarm_s, ends_s, route)
 
-    @property
-    def cutoff_V(self) -> float:
-        """The pack's voltage at which its weakest cell is at the cut-off [V]."""
-        return float(self.pack.cutoff_V + self.pack.installation.cells * self.cell_spread_V)
-
-    def _weakest(self) -> Pack:
-        """The pack with its limits where the weakest cell meets them."""
-        raised_V = self.pack.installation.cells * self.cell_spread_V
-        return self.pack._replace(cutoff_V=self.cutoff_V, low_V=self.pack.low_V + raised_V)
-
     def _now(self, belief: Belief, time_s: float, navigation: Navigation) -> Now:
         flown = self._flown
         since_s = time_s - flown.took_off_s if math.isfinite(flown.took_off_s) else 0.0
         return Now(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
-        """A generous guess of what is left: charge above zero at 4 V a cell."""
+        """Return the energy that is left [Wh], rather too much: the charge believed plus two sds, at 4 V a cell."""
         installation = self.pack.installation
         soc = max(float(belief.mean[X.SOC]), 0.0) + 2.0 * math.sqrt(belief.covariance[X.SOC, X.SOC]) + 0.01
         capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[X.LOG_CAPACITY]))
         return float(soc * capacity_Ah * installation.cells * 4.0)
 
     def _remember(self, sample: Sample, navigation: Navigation) -> None:
+        """Take the load and the place of one row into the memory; a row without voltage or current changes nothing."""
         if not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
             return
         installation = self.pack.installation
@@ -255,16 +249,13 @@ class Forecaster:
             powers = route_forecast.powers_of(self.settings.load)
             self._progress = self._progress.after(sample.time_s, navigation, power_W, powers)
 
-    def _refusal(self, sample: Sample, estimate: Estimate) -> str:
+    def _refusal(self, estimate: Estimate, flying_s: float) -> str:
+        """Return why there can be no forecast `flying_s` [s] after take-off, NaN on the ground; empty if there can."""
         if estimate.status is Status.REFUSED:
             return estimate.reason
-        if isinstance(self.settings.load, ConstantLoad):
+        if isinstance(self.settings.load, ConstantLoad) or flying_s >= SETTLED_S:
             return ""
-        if not self._flown.is_flying:
-            return NOT_FLYING
-        if sample.time_s - self._flown.flying_since_s < SETTLED_S:
-            return "the load has just come"
-        return ""
+        return NOT_FLYING if math.isnan(flying_s) else JUST_TAKEN_OFF
 
 
 def _step_s(load: Load, typical_s: float) -> float:
@@ -275,7 +266,7 @@ def _step_s(load: Load, typical_s: float) -> float:
 
 
 def _spread(question: Question, times_s: Array) -> Array:
-    """Return the ends of the draws [s] with what the steps leave open: when within one of them a load comes."""
+    """Return the ends of the samples [s], each moved within its step: a step does not say when in it a load comes."""
     within_s = question.unresolved_s * sampling.within_step()
     return np.asarray(np.where(times_s > 0.0, np.maximum(times_s + within_s, 0.0), times_s))
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
 from uavbatt.prediction.forecaster import Forecaster
-from uavbatt.prediction.last_wall import FALLS_FASTER, walled
 from uavbatt.prediction.time_to_end import EndTimes
+from uavbatt.prediction.voltage_bound import FALLS_FASTER, bounded
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0
@@ -29,7 +29,7 @@ class Pending(NamedTuple):
     forecaster: Forecaster | None
     refusal: str
     question: Question | None = None
-    wall_s: float = math.inf  # seconds until the measured voltage itself is at the cut-off
+    voltage_left_s: float = math.inf  # until the measured voltage itself is at the cut-off
 
     def finish(self, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
         """The estimate and the remaining time; `ends` answers the question, if there is one."""
@@ -37,7 +37,7 @@ class Pending(NamedTuple):
         if self.forecaster is None:
             return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, self.refusal)
         answered = (self.question, ends) if self.question is not None and ends is not None else None
-        remaining = walled(self.forecaster.finish(sample, found, self.refusal, answered), self.wall_s)
+        remaining = bounded(self.forecaster.finish(sample, found, self.refusal, answered), self.voltage_left_s)
         if remaining.reason == FALLS_FASTER:
             found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
         if remaining.remaining_alarm_s <= ALARM_S:

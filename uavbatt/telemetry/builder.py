@@ -4,8 +4,8 @@ A reader pushes what it decodes, in log order; nothing here looks ahead, so that
 instant gives the same rows up to it.
 
 Time: seconds from the first timed record. A clock that falls back by 1 s or more is a reboot (or a
-ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is the same; a clock that
-is monotonic does not leap, so that live, and in a recording of live, a silence of days is one (`longest_step_s`).
+ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is treated in the same way, but
+not a monotonic clock, live or in a recording of `live`: there a step of days is a silence of days (`longest_step_s`).
 
 These are the rules for one row; `column_rules` has the same for the columns that the readers of big logs decode.
 """

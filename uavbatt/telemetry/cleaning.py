@@ -1,10 +1,9 @@
-"""Cleaning of telemetry before the filter believes it; a value that goes from sample to sample.
+"""Cleaning of telemetry before the filter uses it; a `Cleaner` is a value that is replaced at each row.
 
-A voltage that leaps between two rows and a cell voltage that no cell has are damage until they are repeated. A
-temperature that a cell cannot have, or that starts as hot as a circuit board, is no cell temperature. A current that
-no pack of the size gives, which would carry the model out of all numbers, is no reading. One that is missing for a
-moment is held; one that is never there is worked out from the power that the operator stated, or from one that is
-assumed, which the filter then doubts as much as it deserves.
+A voltage that leaps between two rows is not used until a second row repeats it. A temperature that a cell cannot have,
+or that starts as hot as a circuit board, is not used. A current that no pack of the size can give is not used: with it
+the model would overflow. A current that is missing for up to 5 s is held. Without a current sensor the current is
+worked out from the power that the operator stated, or from a typical power, and the filter gives it a wide error.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_
 
 HELD_CURRENT_S = 5.0
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
-LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # a punch takes a fifth of the voltage, an empty pack's a quarter
+LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
 LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
 
 class Cleaner(NamedTuple):
-    """Last plausible readings and what was noticed about the sensors; `clean` gives the next one."""
+    """The last plausible readings, and what they have shown of the sensors; `clean` takes one more sample in."""
 
     stated_power_W: float = NAN
     voltage_V: float = NAN
     voltage_s: float = NAN
-    odd_V: float = NAN  # leapt from it, not believed yet
+    odd_V: float = NAN  # of the last row, where it leapt: used if the next row repeats it
     temp_C: float = NAN
     temp_s: float = NAN
     is_board_sensor: bool = False
@@ -38,14 +37,15 @@ class Cleaner(NamedTuple):
     current_s: float = NAN
     metered: bool = False
     first_s: float = NAN
-    guessed: bool = False  # the current is one that nobody measured
+    guessed: bool = False  # the current is worked out from a power
     cell_spread_V: float = 0.0
     spread_s: float = NAN
 
     def clean(self, sample: Sample, assumed_power_W: float = NAN, most_A: float = math.inf) -> tuple[Cleaner, Sample]:
-        """The next state, and the sample as the filter may have it.
+        """Return the cleaner after a sample, and the sample with NaN in place of what must not be used.
 
-        A load is assumed where nothing tells any; a current above `most_A`, which the pack cannot give, tells none.
+        assumed_power_W : power [W] that gives the current where there is no sensor and the operator stated no power;
+        most_A : a current above it [A] is not used, as the pack cannot give it.
         """
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
@@ -65,7 +65,7 @@ class Cleaner(NamedTuple):
         )
 
     def _with_voltage(self, sample: Sample) -> tuple[Cleaner, Sample]:
-        """A leap of the voltage is believed from the second row on: one row may be a damaged frame."""
+        """Take the voltage in. A leap is used from its second row on: one row may be a damaged frame."""
         if not math.isfinite(sample.voltage_V):
             return self, sample
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
@@ -75,6 +75,7 @@ class Cleaner(NamedTuple):
         return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
 
     def _with_temperature(self, sample: Sample) -> tuple[Cleaner, float]:
+        """Take the temperature in; returns it [°C], NaN where it is not a cell's."""
         temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
         if not math.isfinite(temp_C):
             return self, NAN
@@ -83,6 +84,7 @@ class Cleaner(NamedTuple):
         return now, NAN if is_board else temp_C
 
     def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Cleaner, float]:
+        """Take the current in; returns it [A] as read, held or worked out, NaN where it is unknown."""
         is_read = math.isfinite(sample.current_A)
         if is_read and abs(sample.current_A) <= most_A:
             read_A = sample.current_A
@@ -99,7 +101,7 @@ class Cleaner(NamedTuple):
         return now._replace(guessed=True), 0.0 if sample.armed is False else power_W / sample.voltage_V
 
     def _with_cells(self, sample: Sample) -> Cleaner:
-        """Memory of how far the weakest cell is below the mean [V]."""
+        """Take the cell voltages in: how far the weakest cell is below the mean, smoothed over half a minute."""
         cells = [v for v in sample.cell_voltages_V if math.isfinite(v) and v > 0.0]
         if len(cells) < 2 or not all(LOWEST_CELL_V < v < HIGHEST_CELL_V for v in cells):
             return self

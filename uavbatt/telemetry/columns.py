@@ -61,7 +61,7 @@ class Columns:
 
 
 def _listed(column: Column) -> list[float]:
-    """The numbers, every unknown the one NAN of the house: rows that share it compare as equal."""
+    """Return the numbers, each NaN as the object `records.NAN`, so that rows with unknown values compare as equal."""
     unknown = np.isnan(column)
     if unknown.all():
         return [NAN] * len(column)

@@ -1,7 +1,7 @@
-"""Several batteries of one aircraft as the one pack that they are to the motors.
+"""Several batteries of one aircraft joined into one pack, as the motors see them.
 
 In parallel their currents add up and their voltage is one; in series their voltages add up and their current is one.
-Rows are those of the first battery, each with the others' latest, so that a row hangs on nothing that comes later.
+Rows are those of the first battery, each with the others' latest values, so that no row depends on a later one.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:
 
 
 def _row(rows: Sequence[Sample], wiring: Wiring) -> Sample:
-    """One row of the joined pack; what one battery does not tell it does not know, the voltage in parallel apart."""
+    """Return one row of the joined pack; a value that one battery lacks is NaN, but for the voltage in parallel."""
     volts, amps = [r.voltage_V for r in rows], [r.current_A for r in rows]
     cells = [r.cell_voltages_V for r in rows]
     if wiring is Wiring.PARALLEL:

@@ -1,6 +1,6 @@
 """Live frames -> rows of every battery of the vehicle that is followed.
 
-    frame (any system) -> whose? -> does its sender count? -> `Vehicle`: rows, parameters, the armed bit
+    frame (any system) -> its vehicle -> is its sender believed? -> `Vehicle`: rows, parameters, the armed bit
 
 Followed is the first autopilot that speaks of a battery twice; before any does, the first that is heard, so that it can
 be asked. Who is followed keeps its place until it has been silent for SILENT_S while another speaks of batteries. With
@@ -148,7 +148,7 @@ class LiveReader:
 
     @property
     def version(self) -> tuple[int, int]:
-        """Differs whenever parameters do."""
+        """Return a number that changes with every change of a parameter."""
         return self.changes, self.followed.parameters.version if self.followed is not None else 0
 
     def resume(self, parameters: Mapping[str, float]) -> None:
@@ -213,7 +213,7 @@ class LiveReader:
         return Taken(rows, True) if vehicle is self.followed else self._of_a_part(header, stamp_s, None, frame)
 
     def _meet(self, frame: bytes, header: framing.Header) -> None:
-        """A pack of a vehicle says who it is; any component of the vehicle may speak for it."""
+        """Take in the identity of a pack, which any component of its vehicle may send."""
         end = framing.V2_HEADER + frame[1]
         if frame[0] != framing.V2 or not is_sound(frame, end, fields.IDENTITY_EXTRA[header.message_id]):
             return
@@ -228,7 +228,7 @@ class LiveReader:
         return " ".join(f"{what} {number}" for what, number in parts if number is not None)
 
     def _of_a_part(self, header: framing.Header, stamp_s: float, message: Any, frame: bytes) -> Taken:
-        """A frame that makes no row: of a part of the followed vehicle, of a station writing a mission, or of none."""
+        """Take in a frame that makes no row, of another component of the vehicle or a station that writes a mission."""
         if self.followed is None:
             return NOTHING
         is_to_us = message is not None and header.message_id in OF_OTHERS

@@ -1,8 +1,8 @@
-"""Can a reading be what it claims to be? Pure functions, used by `info` and before the estimator.
+"""Plausibility of temperature and current readings: pure functions, used by `info` and by the cleaning.
 
-A cell inside a flying pack has minutes of thermal time constant, so a reading that moves by more
-than 1 K/s is a die sensor or noise. A reading that never moves by its last digit is no live sensor.
-One that starts above 40 °C sits on a circuit board (42-54 °C was seen in a flight controller).
+A cell in a flying pack has a thermal time constant of minutes, so a reading that moves by more than 1 K/s is that of
+a chip, or noise. A reading whose last digit never moves comes from no working sensor. One that starts above 40 °C comes
+from a sensor on a circuit board (42 to 54 °C were seen in a flight controller).
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _MAX_STEP_S = 5.0
 
 
 def plausible_temperature_C(temp_C: float, previous_C: float = NAN, elapsed_s: float = NAN) -> float:
-    """`temp_C` [°C] if a cell may have it, else NaN.
+    """Return `temp_C` [°C] if a cell may have it, else NaN.
 
-    previous_C, elapsed_s: the last plausible reading and its age, if there was one. Exactly 0.0 is
-    how unset fields look; a real 0.00 °C costs one row.
+    previous_C : the last plausible reading [°C]; elapsed_s : its age [s]; NaN where there was none. Fields that are
+    not set read exactly 0.0, which is not used; a real 0.00 °C costs one row.
     """
     if not MIN_CELL_C <= temp_C <= MAX_CELL_C or temp_C == 0.0:
         return NAN

@@ -38,7 +38,7 @@ class Senders:
     """The senders of one vehicle's frames: addresses, or whatever else tells one stream from another."""
 
     def __init__(self) -> None:
-        self._believed: object = self  # nobody yet
+        self._believed: object = self  # no sender yet
         self._heard_s = self._spoke_s = -math.inf
         self._rows: dict[int, dict[object, deque[SenderRow]]] = {}
         self._conflicts: dict[int, tuple[float, str]] = {}

@@ -1,7 +1,7 @@
 """Can a replay of this log be trusted? Plain rules, each with its reason in words.
 
-"no": what the filter lives on is absent. "with care": something bends the result. Remarks change
-nothing, but explain a wide interval.
+"no": the log is too short or too slow, or it lacks the current that the filter needs. "with care": something may make
+the result wrong. Remarks do not change the judgement, but explain a wide interval.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LOOSE_SAG = -0.3  # real logs with simultaneous readings lie between -0.5 and -
 _GRAVE_NOTES = ("reboot", "clock leap", "battery records carry no time", "no BATTERY_STATUS", "the file is damaged")
 _DEFAULT_CAPACITY = "3300 mAh"
 
-Finding = tuple[int, str]  # gravity, reason
+Finding = tuple[int, str]  # severity, reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Findings:
 
 
 def verdict(found: Findings) -> tuple[str, tuple[str, ...]]:
-    """("yes" | "with care" | "no", reasons, gravest first)."""
+    """("yes" | "with care" | "no", reasons, the most severe first)."""
     findings = [*_rows(found), *_current(found), *_voltage(found), *_surroundings(found)]
     findings.sort(key=lambda finding: -finding[0])
     gravest = findings[0][0] if findings else _YES
@@ -72,8 +72,8 @@ def _rows(found: Findings) -> Iterator[Finding]:
         yield _CARE, f"{len(long_gaps)} gaps over 10 s, the longest {length_s:.0f} s at {start_s:.0f} s"
     if found.skipped_bytes:
         # the tail of a log is often cut inside its last record, which harms nothing
-        gravity = _CARE if found.skipped_bytes > _CUT_RECORD_BYTES else _YES
-        yield gravity, f"{found.skipped_bytes} bytes of the log could not be read"
+        severity = _CARE if found.skipped_bytes > _CUT_RECORD_BYTES else _YES
+        yield severity, f"{found.skipped_bytes} bytes of the log could not be read"
     for note in found.notes:
         if note.startswith(_GRAVE_NOTES) or _DEFAULT_CAPACITY in note:
             yield _CARE, note
@@ -114,7 +114,7 @@ def _voltage(found: Findings) -> Iterator[Finding]:
 
 
 def _statements(facts: PackFacts, samples: Sequence[Sample]) -> Iterator[Finding]:
-    """Hold the vehicle's words about its pack against the voltages of the log."""
+    """Compare what the vehicle states of its pack with the voltages of the log."""
     lowest_V, highest_V = min(s.voltage_V for s in samples), max(s.voltage_V for s in samples)
     cells = facts.cells_series
     if cells and (lowest_V < LOWEST_CELL_V * cells or highest_V > HIGHEST_CELL_V * cells):

@@ -1,7 +1,7 @@
 """Telemetry CSV: `time_s,voltage_V` and any of `current_A,temp_C,consumed_Ah,reported_soc,armed`.
 
-A table is made by hand or by a script, so it is held to its word: what cannot be a slip of a sensor
-(text, a missing voltage, time that runs back, millivolts, percent) is refused with row and column.
+A table is made by hand or by a script, so it is checked strictly: what no sensor writes by itself (text, a missing
+voltage, time that runs back, millivolts, percent) is refused with row and column.
 An empty cell or `nan` means "not measured" outside time and voltage. `time_s` may be seconds or ISO 8601.
 
 A table as `ulog2csv` writes it of PX4's battery_status (`timestamp` in microseconds, `voltage_v`, ...) is read as well.

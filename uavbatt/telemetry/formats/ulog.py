@@ -55,7 +55,7 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
 
 
 class _EndlessReading(Exception):
-    """pyulog turns in a circle: it steps back by what it asked for where the file gave it less."""
+    """pyulog reads for ever: after a short read at the end it steps back by the length that it asked for."""
 
 
 class _BoundedFile(io.BytesIO):

@@ -101,10 +101,10 @@ class NavigationListener:
             self._part(time_s, message)
         else:
             self.transfer.takes(time_s, mission_item(_fields(message_id, message), self._is_px4), is_upload)
-        self._is_held(time_s, self.transfer.whole(SOURCE, not self._is_px4))
+        self._hold(time_s, self.transfer.whole(SOURCE, not self._is_px4))
 
     def _part(self, time_s: float, message: Any) -> None:
-        """Some items of the mission are written anew."""
+        """Begin a transfer in which another station writes some items of the known mission anew."""
         known = self.builder.held
         if known is not None and 0 <= message.start_index <= message.end_index < len(known.items):
             kept = [i for i in known.items if not message.start_index <= i.seq <= message.end_index]
@@ -114,12 +114,12 @@ class NavigationListener:
         if message.mission_type != _MISSION:
             return
         is_unheard = message.type == ACCEPTED and not self.transfer.explains_acknowledgement(time_s)
-        self._is_held(time_s, self.transfer.acknowledged(message.type, SOURCE, not self._is_px4))
+        self._hold(time_s, self.transfer.acknowledged(message.type, SOURCE, not self._is_px4))
         if is_unheard:
             self._outdate(time_s)
 
-    def _is_held(self, time_s: float, mission: Any) -> None:
-        """The autopilot holds this mission, if it is one."""
+    def _hold(self, time_s: float, mission: Any) -> None:
+        """Take the mission that the autopilot holds from now on; None changes nothing."""
         if mission is not None:
             self._mission_id, self._is_outdated = 0, False
             self.builder.mission(time_s, mission)
@@ -133,7 +133,7 @@ class NavigationListener:
         self.builder.current(time_s, message.seq)
 
     def _doubt(self, time_s: float, total: int, mission_id: int) -> None:
-        """The autopilot names its mission: another one than was read makes that one wrong."""
+        """Compare the length and the number that the autopilot says of its mission with the mission that was read."""
         known = self.builder.held
         if known is None or known.reason or self.transfer.is_open:
             return
@@ -144,7 +144,7 @@ class NavigationListener:
             self._outdate(time_s)
 
     def _outdate(self, time_s: float) -> None:
-        """The autopilot holds a mission that nobody has heard."""
+        """Mark the known mission as wrong: the autopilot holds another, whose items were not heard."""
         known, self._is_outdated = self.builder.held, True
         if known is not None and not known.reason:
             self.builder.mission(time_s, replace(known, reason="the autopilot holds another mission than was read"))

@@ -43,7 +43,7 @@ class Transfer:
         return time_s - self._others_heard_s <= SILENT_S
 
     def of_another(self, time_s: float) -> None:
-        """A word of the mission protocol that is not between the autopilot and us."""
+        """Note a message of the mission protocol that is not between the autopilot and this process."""
         self._others_heard_s = time_s
 
     @property
@@ -54,12 +54,12 @@ class Transfer:
         return next((seq for seq in range(self._count) if seq not in self._items), None)
 
     def passes(self, time_s: float) -> None:
-        """Time goes on: a transfer that has been silent is over."""
+        """Take that it is `time_s` [s] now: a transfer that has been silent for too long is over."""
         if self._count is not None and time_s - self._heard_s > SILENT_S:
             self._end(in_doubt=self._in_doubt or (self._is_upload and bool(self._items)))
 
     def begins(self, time_s: float, count: int, is_upload: bool, old: Sequence[MissionItem] = ()) -> None:
-        """A transfer of `count` items begins; those of `old` stay as they are."""
+        """Begin a transfer of `count` items; those of `old` stay as they are."""
         if count > MOST_ITEMS:
             return
         self._in_doubt = self._in_doubt or (self._is_upload and bool(self._items) and self._count is not None)
@@ -68,7 +68,7 @@ class Transfer:
         self._items = {item.seq: item for item in old}
 
     def takes(self, time_s: float, item: MissionItem, is_upload: bool) -> None:
-        """An item passes; it counts if it belongs to the transfer that is open."""
+        """Take an item in, if it belongs to the transfer that is open."""
         if self._count is None or is_upload is not self._is_upload or item.seq >= self._count:
             return
         self._items[item.seq] = item
@@ -76,7 +76,7 @@ class Transfer:
         self._written_s = time_s if is_upload else self._written_s
 
     def clears(self, time_s: float) -> None:
-        """Another program asks the autopilot to forget its mission."""
+        """Take that another program asks the autopilot to forget its mission."""
         self._is_clearing, self._heard_s, self._written_s = True, time_s, time_s
 
     def whole(self, source: str, has_home_item: bool) -> Mission | None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uavbatt.battery import model
 from uavbatt.battery.effects import EFFECTS
-from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C
+from uavbatt.battery.equations import KELVIN, REFERENCE_TEMP_C, Number
 from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
@@ -104,8 +104,12 @@ def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: One
     gain, rate = np.exp(ln_resistance), at["c_rate"] * np.exp(ln_load)
     start = model.rested(np.minimum(at["start_soc"], 1.0), ambient)
 
+    level = cell._replace(resistance_gain=gain)
+
     def cell_in(state: State) -> Parameters:
-        return _steepened(cell, at, state, gain)
+        if "steeper_cold" not in at:
+            return level
+        return cell._replace(resistance_gain=gain * _steeper(at["steeper_cold"], state.core_C))
 
     volts, _ = limited_discharge(cell_in, start, rate, at["limit_cell_V"], ambient, tests.time_s, STEP_S)
     out: Array = np.moveaxis(volts.reshape(-1, batch, rows), 0, -1) * tests.cells
@@ -128,12 +132,12 @@ def _nuisance(what: str, at: dict[str, Array], series: NDArray[np.intp]) -> Arra
     return out
 
 
-def _steepened(cell: Parameters, at: dict[str, Array], state: State, gain: Array) -> Parameters:
-    if "steeper_cold" not in at:
-        return cell._replace(resistance_gain=gain)
+def _steeper(steeper_cold: Array, core_C: Number) -> Array:
+    """Return the factor on the resistance at a core temperature [°C]: 1 at 25 °C, exp(steeper_cold) at COLD_C."""
     at_25 = 1.0 / (REFERENCE_TEMP_C + KELVIN)
-    x = (1.0 / (state.core_C + KELVIN) - at_25) / (1.0 / (COLD_C + KELVIN) - at_25)
-    return cell._replace(resistance_gain=gain * np.exp(at["steeper_cold"] * np.clip(x, 0.0, 2.0) ** 2))
+    x = (1.0 / (core_C + KELVIN) - at_25) / (1.0 / (COLD_C + KELVIN) - at_25)
+    factor: Array = np.exp(steeper_cold * np.minimum(np.maximum(x, 0.0), 2.0) ** 2)
+    return factor
 
 
 def fit_cold_model(

@@ -1,4 +1,4 @@
-"""The last wall: an upper bound of the time left, from the fall of the measured voltage towards the cut-off.
+"""The bound by the voltage: the time left at most, from the fall of the measured voltage towards the cut-off.
 
     V + v_lag = a + b t + c t² - r I    least squares over 40 s and over 60 s, t = 0 now, c <= 0 <= r
     h + b t + c t² = 0                  h: what is left above the cut-off under the window's mean current
@@ -50,29 +50,27 @@ class FallBin(NamedTuple):
     lag_V: float
     rows: int = 1
 
+    def with_row(self, voltage_V: float, current_A: float) -> FallBin:
+        """The bin with one more row in its means."""
+        share = 1.0 / (self.rows + 1)
+        volts = self.voltage_V + share * (voltage_V - self.voltage_V)
+        amps = self.current_A + share * (current_A - self.current_A)
+        return FallBin(self.begin_s, volts, amps, self.lag_V, self.rows + 1)
+
+
+NO_BIN = FallBin(NAN, NAN, NAN, NAN)
+
 
 class Fall(NamedTuple):
     """The last minute in bins, the open one last."""
 
     bins: tuple[FallBin, ...] = ()
 
-    def is_open(self, time_s: float) -> bool:
-        """True if a row at this time falls into the last bin."""
-        return bool(self.bins) and 0.0 <= time_s - self.bins[-1].begin_s < BIN_S
-
-    def with_row(self, voltage_V: float, current_A: float) -> Fall:
-        """The window with one more row in its last bin."""
-        last = self.bins[-1]
-        share = 1.0 / (last.rows + 1)
-        volts = last.voltage_V + share * (voltage_V - last.voltage_V)
-        amps = last.current_A + share * (current_A - last.current_A)
-        return Fall((*self.bins[:-1], FallBin(last.begin_s, volts, amps, last.lag_V, last.rows + 1)))
-
     def with_bin(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
         """The window with a row that begins a bin; after a clock that fell back there is no other."""
         before = self.bins if self.bins and time_s >= self.bins[-1].begin_s else ()
-        kept = (row for row in before if time_s - row.begin_s <= max(WINDOWS_S))
-        return Fall((*kept, FallBin(time_s, voltage_V, current_A, lag_V)))
+        first = next((k for k, row in enumerate(before) if time_s - row.begin_s <= max(WINDOWS_S)), len(before))
+        return Fall((*before[first:], FallBin(time_s, voltage_V, current_A, lag_V)))
 
     def _is_level(self, cutoff_V: float) -> bool:
         """True if the voltage fell too little over the window to reach the cut-off in sight, as in most of a flight."""
@@ -132,22 +130,8 @@ def _crossing_s(height_V: float, slope: float, bend: float) -> float:
     return (slope + math.sqrt(slope * slope - 4.0 * bend * height_V)) / (-2.0 * bend)
 
 
-def bounded(said: Remaining, left_s: float) -> Remaining:
-    """Return `said` with no point later than the voltage allows: the cut-off comes `left_s` [s] from now."""
-    if not (math.isfinite(left_s) and math.isfinite(said.remaining_s)):
-        return said
-    lo, alarm, median, hi = (
-        min(value, share * left_s)
-        for value, share in zip(
-            (said.remaining_lo_s, said.remaining_alarm_s, said.remaining_s, said.remaining_hi_s), SHARES, strict=True
-        )
-    )
-    low_s = min(said.remaining_to_low_s, median) if math.isfinite(said.remaining_to_low_s) else NAN
-    return Remaining(said.time_s, median, lo, hi, low_s, said.status, said.reason, alarm, said.route)
-
-
-class LastWall(NamedTuple):
-    """The last wall, a value that is replaced at each row: the fall of the voltage, and the ends that it has shown.
+class VoltageBound(NamedTuple):
+    """The fall of the voltage and the ends that it has shown; a value that is replaced at each row.
 
     One look may be chance: the bound is the latest end of the last SURE_LOOKS looks.
     """
@@ -155,33 +139,49 @@ class LastWall(NamedTuple):
     fall: Fall = Fall()
     ends_s: tuple[float, ...] = (math.inf,) * SURE_LOOKS
 
-    def after(self, sample: Sample, belief: Belief | None, pack: Pack, cutoff_V: float) -> LastWall:
-        """The value after one more sample and the belief that it led to; cutoff_V [V] is where the flight ends."""
+    def after(self, sample: Sample, belief: Belief | None, pack: Pack, below_V: float) -> VoltageBound:
+        """The value after one more sample and the belief that it led to.
+
+        below_V : how far the weakest cell, whose cut-off ends the flight, is below the mean of the cells [V].
+        """
         time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
         if not (math.isfinite(volts) and math.isfinite(amps)):
             return self
-        if self.fall.is_open(time_s):
-            return LastWall(self.fall.with_row(volts, amps), self.ends_s)
+        *closed, last = self.fall.bins or (NO_BIN,)
+        if 0.0 <= time_s - last.begin_s < BIN_S:
+            return VoltageBound(Fall((*closed, last.with_row(volts, amps))), self.ends_s)
         cells, lag_V = float(pack.installation.cells), 0.0
         if belief is not None:
             lag_V = cells * float(belief.weights @ belief.means[:, [X.POLARISATION, X.DIFFUSION]].sum(axis=1))
         fall = self.fall.with_bin(time_s, volts, amps, lag_V)  # once a second is often enough to look
-        return LastWall(fall, (*self.ends_s[1:], time_s + fall.time_left_s(cells, cutoff_V)))
+        left_s = fall.time_left_s(cells, float(pack.at_weakest_cell(below_V).cutoff_V))
+        return VoltageBound(fall, (*self.ends_s[1:], time_s + left_s))
 
     def left_s(self, time_s: float) -> float:
         """Return the seconds until the measured voltage is at the cut-off; infinite where it does not fall."""
         return max(max(self.ends_s) - time_s, 0.0)
 
 
-def walled(said: Remaining, wall_s: float) -> Remaining:
-    """Return `said` bounded by the last wall, `wall_s` [s] from now; an interval of no width is never `ok`."""
+def bounded(said: Remaining, left_s: float) -> Remaining:
+    """Return `said` with no point later than the voltage allows; an interval without width is never `ok`.
+
+    left_s : seconds until the measured voltage is at the cut-off, infinite where it does not fall.
+    """
     if not math.isfinite(said.remaining_s):
         return said
-    now = bounded(said, wall_s) if wall_s < math.inf else said
-    if wall_s < min(said.remaining_lo_s, CONTRADICTED_S) and now.status is not Status.REFUSED:
+    now = _at_most(said, left_s) if left_s < math.inf else said
+    if left_s < min(said.remaining_lo_s, CONTRADICTED_S) and now.status is not Status.REFUSED:
         now = replace(now, status=Status.CONVERGING, reason=FALLS_FASTER)
     if now.remaining_hi_s > now.remaining_lo_s:
         return now
     if now.remaining_hi_s <= 0.0:
         return replace(now, status=Status.CONVERGING, reason=AT_CUTOFF)
     return Remaining(now.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, NO_END)
+
+
+def _at_most(said: Remaining, left_s: float) -> Remaining:
+    """Return `said` with each point at most its share of `left_s` [s]."""
+    points_s = (said.remaining_lo_s, said.remaining_alarm_s, said.remaining_s, said.remaining_hi_s)
+    lo, alarm, median, hi = (min(point_s, share * left_s) for point_s, share in zip(points_s, SHARES, strict=True))
+    low_s = min(said.remaining_to_low_s, median) if math.isfinite(said.remaining_to_low_s) else NAN
+    return Remaining(said.time_s, median, lo, hi, low_s, said.status, said.reason, alarm, said.route)
