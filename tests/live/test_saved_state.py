@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import OPTIONS, flight
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.state_space import X
+from uavbatt.battery.state_space import SIZE, X
 from uavbatt.live.config import LinkSection, StateSection
 from uavbatt.live.saved import implausible_belief
 from uavbatt.records import Estimate
@@ -99,12 +99,13 @@ def certain() -> Callable[[dict[str, Any]], None]:
     """A belief that doubts nothing: every member the same, and none with a variance."""
 
     def edit(content: dict[str, Any]) -> None:
-        of_members("covariances", value=[[0.0] * 8] * 8)(content)
+        of_members("covariances", value=[[0.0] * SIZE] * SIZE)(content)
         of_members("means", value=content["batteries"]["0"]["means"][0])(content)
 
     return edit
 
 
+NEGATIVE = 1.9 * np.eye(SIZE) - 0.9  # its sum is below zero
 # Of the memory of the forecaster: recent load (time_s, mean_W, window_W, variance, ...), energy, lessons of the route.
 LOAD, FLOWN_J, LESSONS = ("past", 0, 0, 0), ("past", 0, 0, 8), ("past", 0, 1)
 TAKE_OFF = ("past", 0, 2)  # when, power, ends, low-voltage warnings
@@ -125,16 +126,16 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "monotonic clock nan": put("monotonic_s", value=math.nan),
     "mean too short": of_battery("means", 3, value=[1.0]),
     "mean null": of_battery("means", value=None),
-    "mean nan": of_battery("means", 0, value=[math.nan] * 8),
+    "mean nan": of_battery("means", 0, value=[math.nan] * SIZE),
     "soc 5": of_members("means", X.SOC, value=5.0),
     "core 1e12": of_members("means", X.CORE, value=1e12),
     "resistance e^400": of_members("means", X.LOG_RESISTANCE, value=400.0),
     "covariance zero": certain(),
-    "covariance nan": of_battery("covariances", 2, value=[[math.nan] * 8] * 8),
-    "covariance huge": of_members("covariances", value=(np.eye(8) * 1e12).tolist()),
-    "covariance of a row": of_battery("covariances", 0, value=[[1.0] * 8]),
+    "covariance nan": of_battery("covariances", 2, value=[[math.nan] * SIZE] * SIZE),
+    "covariance huge": of_members("covariances", value=(np.eye(SIZE) * 1e12).tolist()),
+    "covariance of a row": of_battery("covariances", 0, value=[[1.0] * SIZE]),
     "covariance not symmetric": of_battery("covariances", 1, X.SOC, X.BIAS, value=1e-4),
-    "covariance not definite": of_battery("covariances", 1, value=(np.eye(8) * 1e-3 - 9e-4 * (1 - np.eye(8))).tolist()),
+    "covariance not definite": of_battery("covariances", 1, value=(NEGATIVE * 1e-3).tolist()),
     "since_row 1e12": of_battery("since_row_s", value=1e12),
     "since_row nan": of_battery("since_row_s", value=math.nan),
     "since_row negative": of_battery("since_row_s", value=-5.0),
