@@ -148,9 +148,14 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
     the mean of the rows' drops: what a reaction takes more than before counts as noise.
     """
     ohm = scaled_resistance(pack, mean) / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
-    now, before = c_rate(pack.installation, current_A), c_rate(pack.installation, current_A - step_A)
-    bent_V = reaction_sd_V(pack, now) - reaction_sd_V(pack, before)
+    bent_V = _reaction_V(pack, current_A) - _reaction_V(pack, current_A - step_A)
     return pack.installation.cells**2 * (voltage_variance(pack, ohm * current_A, ohm * step_A) + bent_V**2)
+
+
+def _reaction_V(pack: Pack, current_A: float) -> Number:
+    """Return what a reaction takes at a current that is slower by its standard deviation than the file has it [V]."""
+    sluggish = pack.cell._replace(transfer_V=pack.cell.transfer_V + pack.reaction_sd_V)
+    return model.transfer_drop(sluggish, c_rate(pack.installation, current_A))
 
 
 def reaction_sd_V(pack: Pack, rate_c: float) -> Number:
