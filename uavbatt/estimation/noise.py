@@ -37,9 +37,9 @@ OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
 
 VOLTAGE_SD_V = 0.004
-# Of what a reaction takes more than in the block before. The bend of its drop is a third of it; and in the first seconds
-# of a load a cell is not as one lag has it (10 to 20 mV of a cell at 2.7 C for 5 s): with less noise, ohms are taken for
-# what the reaction takes. With twice as much, nothing is gained.
+# Of what a reaction takes more than in the block before. The bend of its drop is a third of it; and in the first
+# seconds of a load a cell is not as one lag has it (10 to 20 mV a cell at 2.7 C for 5 s). With less noise, what the
+# reaction takes is told as ohms; with twice as much, nothing is gained.
 JUMP_SHARE = 2.0
 # An autopilot's own compensation is as good as its guess of the resistance.
 COMPENSATED_SHARE = 0.35
