@@ -139,9 +139,8 @@ def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
 
 def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
     """`voltage` of a vector that is unpacked already."""
-    rate = c_rate(now.installation, current_A)
-    uncompensated_V = model.transfer_drop(now.cell, rate) if pack.sag_compensated else 0.0
-    if pack.sag_compensated:  # by a guess of the resistance; a reaction takes a voltage that is none
+    if pack.sag_compensated:  # by a guess of the resistance, which what a reaction takes is not
+        bias_V = bias_V - model.transfer_drop(now.cell, c_rate(now.installation, current_A))
         current_A = 0.0 * current_A
     true_V = terminal_voltage(now.installation, now.cell, now.state, current_A)
-    return metered_voltage(now.installation, true_V + now.installation.cells * (bias_V - uncompensated_V))
+    return metered_voltage(now.installation, true_V + now.installation.cells * bias_V)

@@ -70,7 +70,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
     idle = abs(rate_c) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
     model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
-    reaction_V = float(reaction_sd_V(pack, rate_c))
+    reaction_V = float(_reaction_sd_V(pack, rate_c))
     read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
         state = initial_state.state_under_load(pack.cell, read.soc, temp_C, rate_c)
@@ -162,7 +162,7 @@ def _reaction_V(pack: Pack, current_A: float) -> Number:
     return model.transfer_drop(sluggish, c_rate(pack.installation, current_A))
 
 
-def reaction_sd_V(pack: Pack, rate_c: float) -> Number:
+def _reaction_sd_V(pack: Pack, rate_c: float) -> Number:
     """Return how much a sluggish reaction may take at a C-rate [1/h], beside what the file knows of it [V]."""
     return model.transfer_drop(pack.cell._replace(transfer_V=pack.reaction_sd_V), rate_c)
 
