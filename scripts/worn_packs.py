@@ -4,8 +4,8 @@
 Run: PYTHON scripts/worn_packs.py make FOLDER            (a Python of its own with `pip install pybamm`; 3 s a flight)
      .venv/bin/python scripts/worn_packs.py score FOLDER BATTERY
 Twenty-six packs of the porous-electrode simulator of `porous_cases.py`, three flights each: less charge, slow
-electrodes, ohms in the contacts, not always charged to full. BATTERY is fitted from truth/lab and truth/reference (`uavbatt fit`).
-The load of the flight itself is known to the forecast, so that the battery alone is scored.
+electrodes, ohms in the contacts, not always charged to full. BATTERY is fitted from truth/lab and truth/reference
+(`uavbatt fit`). The load of the flight itself is known to the forecast, so that the battery alone is scored.
 """
 
 from __future__ import annotations
