@@ -7,7 +7,7 @@ flight's own word; the little that the prior had in it is taken out again:
 
 Drop under load that the model lacks shows as ohms, as discrepancy, or as both, whichever the first minutes made of it.
 So the discrepancy under load counts as ohms at the current of a hover: their sum is known five times better than
-either.
+either. What the belief holds for a reaction does not count: handed on as ohms it made plans too long in the cold.
 """
 
 from __future__ import annotations
