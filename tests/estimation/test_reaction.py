@@ -21,7 +21,7 @@ HALF_TIME_S = 420.0
 def flown(until_s: float, effects: dict[str, float]) -> Belief:
     """What is believed `until_s` after the start of a flight of a pack with these effects, by a file of its make."""
     tested = generic_pack()._replace(
-        resistance_scale_sd=0.2, capacity_scale_sd=0.1, bias_sd_V=0.015, bias_tau_s=2000.0,
+        resistance_scale_sd=0.2, capacity_scale_sd=0.1, bias_sd_V=0.015, bias_tau_s=2000.0, reaction_sd_V=0.05,
         ocv_drift_sd_V=np.zeros(SOC_GRID.size),
     )  # fmt: skip
     ours = SocFilter(tested)
@@ -51,7 +51,7 @@ def test_reaction_and_lost_charge_are_told_apart_by_half_time(effects: dict[str,
 
 def test_the_block_in_which_the_motors_start_does_not_speak_against_a_reaction() -> None:
     """A reaction's drop saturates: at the mean current of idling and hovering it is not the mean of the two drops."""
-    pack, idle_A, hover_A = generic_pack(), 0.3, 12.0
+    pack, idle_A, hover_A = generic_pack()._replace(reaction_sd_V=0.05), 0.3, 12.0
     sluggish = pack.cell._replace(transfer_V=pack.reaction_sd_V)
     idle_V, mean_V, hover_V = (
         float(transfer_drop(sluggish, c_rate(pack.installation, amps)))

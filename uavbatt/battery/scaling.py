@@ -68,6 +68,9 @@ UNKNOWN_MAKE_CAPACITY_SD = 0.45
 # and its wide discrepancy takes up what the drop is wrong by.
 UNKNOWN_MAKE_EVIDENCE, UNKNOWN_MAKE_DROP_SHARE = 0.1, 0.06
 UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
+# Its ohms have wide room already. With more for the reaction, what rounding does to a reading grows in a log that
+# begins in the air.
+UNKNOWN_MAKE_REACTION_SD_V = 0.02
 # A fit has seen few packs at rest but full ones; a mean over makes is at rest as good anywhere.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
 # The standard error of a parameter is its own, whatever the others do; but a curve found too high at every charge goes
@@ -183,7 +186,7 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
         capacity_short_sd=UNKNOWN_MAKE_CAPACITY_SD * unknown,
         bias_sd_V=math.hypot(stated_V, UNKNOWN_MAKE_BIAS_SD_V if unknown else SERVICE_BIAS_SD_V),
         bias_tau_s=max(left.voltage_autocorrelation_s, UNKNOWN_MAKE_BIAS_TAU_S if unknown else SERVICE_BIAS_TAU_S),
-        reaction_sd_V=SERVICE_REACTION_SD_V,
+        reaction_sd_V=UNKNOWN_MAKE_REACTION_SD_V if unknown else SERVICE_REACTION_SD_V,
         ocv_sd_V=ocv_sd_V,
         ocv_drift_sd_V=_drift_sd_V(ocv_sd_V, ALONE_SHARE.get(file.status, 1.0)),
         temperature_sd_K=max(left.temperature_rmse_K, 0.2),

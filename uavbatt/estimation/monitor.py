@@ -27,6 +27,7 @@ from uavbatt.estimation.sensors import (
 from uavbatt.records import Estimate, Sample, Status
 
 FAR_SDS, LOST_SDS = 3.0, 5.0
+FAR_REACTION_V = 0.1  # a cell, either way: twice what the electrodes of a pack take that has lost a sixth of its charge
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S, NIS_BLOCK_S = 60.0, 5.0, 60.0, 2.0
 SMALL_PACK, FAR_SMALLER, SURE_SDS = 0.9, 0.7, 1.5  # shares of what is stated, surely so
 FAR_MORE_OHMS = 3.5  # times those of a new pack of the stated size: packs that fly have up to three
@@ -63,6 +64,7 @@ class Monitor(NamedTuple):
     load: LoadWatch = LoadWatch()
     innovations: Innovations = Innovations()
     off_sds: float = 0.0  # the discrepancy in standard deviations of its prior
+    reaction_V: float = 0.0  # what this pack's electrodes take beyond those of its type
     is_settled: bool = False  # the capacity of a pack that is not what is stated has become known well enough
     doubts: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -76,9 +78,10 @@ class Monitor(NamedTuple):
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         readings = self.readings.after(time_s, volts, amps, cells)
         load = self.load.after(time_s, volts, amps, estimate.predicted_voltage_V, cells, capacity_Ah)
-        innovations, off_sds = self.innovations, self.off_sds
+        innovations, off_sds, reaction_V = self.innovations, self.off_sds, self.reaction_V
         if math.isfinite(estimate.nis):  # a block is closed: between two of them nothing new is known of these
             innovations, off_sds = innovations.after(time_s, estimate.nis), discrepancy_sds(belief, pack)
+            reaction_V = float(belief.weights @ belief.means[:, X.REACTION])
         stuck_voltage_s = readings.stuck_voltage_s(cells, capacity_Ah)
         stuck_current_s = readings.stuck_current_s(capacity_Ah)
         most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # it holds surely less
@@ -86,19 +89,20 @@ class Monitor(NamedTuple):
         is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # no wear explains so much
         is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         is_settled = (is_small or is_ohmic) and is_known
+        is_far = abs(off_sds) > FAR_SDS or abs(reaction_V) > FAR_REACTION_V
         found = (  # words, are they a doubt, do they refuse the number
             (STUCK_VOLTAGE, stuck_voltage_s >= STUCK_S, stuck_voltage_s >= REFUSED_STUCK_S),
             (STUCK_CURRENT, stuck_current_s >= STUCK_S, stuck_current_s >= REFUSED_STUCK_S),
             (DEAD_CURRENT, False, time_s - load.gone_since_s >= DEAD_S),
             (UNFITTING, time_s - innovations.high_since_s >= NIS_AFTER_S, False),
-            (FAR_OFF, abs(off_sds) > FAR_SDS, off_sds < -LOST_SDS),  # too much voltage for the charge harms nobody
+            (FAR_OFF, is_far, off_sds < -LOST_SDS),  # too much voltage for the charge harms nobody
             (SMALL, is_small, is_small and not is_settled),
             (MANY_OHMS, is_ohmic, is_ohmic and not is_settled),
         )
         doubts = tuple(words for words, is_doubt, _ in found if is_doubt)
         refusal = next((words for words, _, is_refused in found if is_refused), "")
         remarks = (SMALL,) if FAR_SMALLER <= most < SMALL_PACK else ()
-        return Monitor(readings, load, innovations, off_sds, is_settled, doubts, remarks, refusal)
+        return Monitor(readings, load, innovations, off_sds, reaction_V, is_settled, doubts, remarks, refusal)
 
     def judged(self, estimate: Estimate) -> Estimate:
         """Return the estimate with the monitor's doubts: refused or converging, with the words that say why."""

@@ -10,7 +10,7 @@ from uavbatt.battery.sizing import PackSize
 from uavbatt.estimation.filter import BeliefSummary
 from uavbatt.records import Sample
 
-NOTICED_WEAR, WEAR_IS_SURE = 0.15, 3.0
+NOTICED_WEAR, WEAR_IS_SURE = 0.15, 2.5
 BELOW_VALIDATED_K, ABOVE_VALIDATED_K = 5.0, 20.0  # a pack in flight is warmer than the air that it was tested in
 
 
