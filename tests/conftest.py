@@ -29,8 +29,8 @@ ASK_FOR_THE_STUDY = {
 }  # fmt: skip
 
 
-# They come first, one in each process: the live tests mostly wait, the second makes the compiled code, for which all
-# replays would wait, the third is long and needs little of it.
+# They come first: the live tests mostly wait, the second makes the compiled code, for which all replays would wait, the
+# third is long and needs little of it.
 FIRST = ("live", "test_compiled", "study")
 
 

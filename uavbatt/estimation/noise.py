@@ -70,7 +70,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
     idle = abs(rate_c) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
     model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
-    reaction_V = float(_reaction_sd_V(pack, rate_c))
+    reaction_V = float(_reaction_V(pack, pack.reaction_sd_V, rate_c))
     read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
         state = initial_state.state_under_load(pack.cell, read.soc, temp_C, rate_c)
@@ -152,19 +152,15 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
     the mean of the rows' drops: what a reaction takes more than before counts as noise, JUMP_SHARE of it.
     """
     ohm = scaled_resistance(pack, mean) / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
-    bent_V = JUMP_SHARE * (_reaction_V(pack, current_A) - _reaction_V(pack, current_A - step_A))
+    slow_V = pack.cell.transfer_V + pack.reaction_sd_V
+    rate, before = c_rate(pack.installation, current_A), c_rate(pack.installation, current_A - step_A)
+    bent_V = JUMP_SHARE * (_reaction_V(pack, slow_V, rate) - _reaction_V(pack, slow_V, before))
     return pack.installation.cells**2 * (voltage_variance(pack, ohm * current_A, ohm * step_A) + bent_V**2)
 
 
-def _reaction_V(pack: Pack, current_A: float) -> Number:
-    """Return what a reaction takes at a current that is slower by its standard deviation than the file has it [V]."""
-    sluggish = pack.cell._replace(transfer_V=pack.cell.transfer_V + pack.reaction_sd_V)
-    return model.transfer_drop(sluggish, c_rate(pack.installation, current_A))
-
-
-def _reaction_sd_V(pack: Pack, rate_c: float) -> Number:
-    """Return how much a sluggish reaction may take at a C-rate [1/h], beside what the file knows of it [V]."""
-    return model.transfer_drop(pack.cell._replace(transfer_V=pack.reaction_sd_V), rate_c)
+def _reaction_V(pack: Pack, full_V: float, rate_c: float) -> Number:
+    """Return the drop at a C-rate [1/h] of a reaction that takes `full_V` [V] at a large load [V]."""
+    return model.transfer_drop(pack.cell._replace(transfer_V=full_V), rate_c)
 
 
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
