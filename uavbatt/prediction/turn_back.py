@@ -123,7 +123,7 @@ def _is_asked(least_V: Array) -> Column:
 
     No draw comes home from the others, nor from the look before: no crossing lies there (`last_crossing`).
     """
-    comes_home = (least_V >= 0.0).any(axis=1)
+    comes_home = np.asarray((least_V >= 0.0).any(axis=1))
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
 
 
