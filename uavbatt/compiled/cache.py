@@ -1,4 +1,4 @@
-"""Folder of the compiled code: in the user's cache folder, in one folder per state of its sources, so that neither a
+"""Folder of the compiled code: in the user's cache folder, in one folder per state of the sources, so that neither a
 read-only installation nor a new version of the package goes wrong.
 """
 
@@ -11,7 +11,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from uavbatt.compiled.sources import digest
+SOURCES = ("battery", "compiled", "estimation", "prediction")
 
 
 @cache
@@ -29,10 +29,14 @@ def is_available() -> bool:
 @cache
 def cache_dir() -> Path | None:
     """The folder for compiled code of these sources; None where nothing can be written."""
-    state = hashlib.sha256(f"{sys.version} {digest(Path(__file__).parents[1])}".encode()).hexdigest()
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256(sys.version.encode())
+    for part in SOURCES:
+        for source in sorted((package / part).glob("*.py")):
+            digest.update(source.read_bytes())
     try:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-        place = home / "uavbatt" / state[:16]
+        place = home / "uavbatt" / digest.hexdigest()[:16]
         place.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):
         return None
