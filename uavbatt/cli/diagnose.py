@@ -162,6 +162,8 @@ def _lines(found: Diagnosis, closed: Closed) -> list[str]:
         "undeclared_effect": "something is missing that no candidate explains",
     }
     lines = [f"{found.verdict}: {said[found.verdict]}"]
+    if found.classes and found.verdict == "no_missing_effect":
+        lines.append("  if something small is missing all the same, it is most likely this:")
     for one in found.classes:
         lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")
         for name, i in one.parameters.items():
