@@ -137,7 +137,7 @@ def search(
 
 
 def small(problem: Problem, singles: Trial) -> FoundEffect | None:
-    """What may hide in records in which nothing is found, if more does than in most healthy ones."""
+    """Return the small effect that may hide where nothing is found, if the records show more than most healthy ones."""
     if not SMALL < singles.most < EARNED:
         return None
     return finding(problem, replace(singles, least=0.5 * singles.most), EVEN)
@@ -192,14 +192,16 @@ def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: f
     """Return how likely an effect is no chance, by what it is worth against what it had to be worth.
 
     One of two is judged twice: with the errors of the file held, and with all of them at their most probable value,
-    which may leave it nothing to explain. Either view has been wrong where the other was right.
+    which may leave it nothing to explain. Either view has been wrong where the other was right. What it had to be worth
+    has to come from flights no colder than those that the file's error was learned on: below, that error is a guess.
     """
-    views, earned_here = [max(its.value, 0.0)], its.of(problem.evidence.familiar)
+    views = [max(its.value, 0.0)]
     if before.candidate.names:
         bent = refit(problem, [fit.candidate, before.candidate], start=[fit, before], file_errors=True)
         views.append(min(max(bent[1].total - bent[0].total, 0.0), views[0]))
     share = float(np.mean([view / (view + earned) for view in views]))
-    return share if min(its.value, earned_here) >= earned else min(share, SUSPECT)
+    known_there = min(its.value, its.on(problem.evidence.familiar))
+    return share if known_there >= earned else min(share, SUSPECT)
 
 
 def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:

@@ -50,10 +50,10 @@ class Worth:
     @property
     def value(self) -> float:
         """Chi-square saved on records left out that errors of the file could not feign."""
-        return min(float(np.sum(self.gains)), self.most) * self.known
+        return self.on(np.ones(len(self.gains), dtype=bool))
 
-    def of(self, some: NDArray[np.bool_]) -> float:
-        """Worth on some of the records alone."""
+    def on(self, some: NDArray[np.bool_]) -> float:
+        """Return the worth on some of the records alone."""
         return min(float(np.sum(self.gains[some])), self.most) * self.known
 
 
