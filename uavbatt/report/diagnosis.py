@@ -67,7 +67,7 @@ def diagnosis_report(found: Diagnosis, closed: Closed, old: BatteryFile, new: Ba
         element("div", paragraph(strong(answer)), *may_hide, *map(_suspect, found.classes), css=f"answer {mood}"),
         *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
         *([section("Where the evidence lies", evidence_figure(found.blocks))] if found.blocks else []),
-        section("Error before and after", _errors(closed, found.floor_V)),
+        section("Error before and after", _errors(closed, found.floor_V), *_worse(closed)),
         section("Residuals, measured minus modelled", *_residuals(found)),
         section("Change of the battery file", *_changes(found, difference(old, new))),
         *([section("Notes", bullets(notes))] if notes else []),
@@ -147,6 +147,11 @@ def _errors(closed: Closed, floor_V: float) -> Html:
         f"model leaves about {number(1000.0 * floor_V, 0, 'mV')}."
     )
     return table(("", "before", "after", "unit"), rows, caption, text_columns=(0, 3))
+
+
+def _worse(closed: Closed) -> list[Html]:
+    words = f"Held-out records are predicted worse with it ({closed.worse}): do the check before you fly by it."
+    return [paragraph(strong(words))] if closed.worse else []
 
 
 def _residuals(found: Diagnosis) -> list[Html]:
