@@ -61,14 +61,20 @@ Value = float | str | list[str] | None
 Line = dict[str, Value]
 
 
+def speaker(estimate: Estimate, remaining: Remaining) -> Estimate | Remaining:
+    """Return whose status and reason count for a row: the forecast's unless it is ok, then the estimate's.
+
+    The forecast is what the reader came for, and it can only be worse than the estimate below it.
+    """
+    return estimate if remaining.status is Status.OK else remaining
+
+
 def line(estimate: Estimate, remaining: Remaining) -> Line:
     """The output line of one row; its keys are `COLUMNS`, in that order.
 
-    Status and reason are the forecast's unless it is ok, then the estimate's: the forecast is what the reader
-    came for, and it can only be worse than the estimate below it. A refused number is None whatever value
-    its maker left in it; a refused estimate takes the forecast with it.
+    Status and reason are those of the `speaker`. A refused number is None whatever value its maker left in it; a
+    refused estimate takes the forecast with it.
     """
-    speaker = estimate if remaining.status is Status.OK else remaining
     refused: tuple[str, ...] = ()
     if estimate.status is Status.REFUSED:
         refused = SOC_KEYS + REMAINING_KEYS
@@ -79,7 +85,8 @@ def line(estimate: Estimate, remaining: Remaining) -> Line:
         for key, digits in COLUMNS.items()
         if digits is not None
     }
-    made["status"], made["reason"], made["warnings"] = speaker.status.value, speaker.reason, list(estimate.warnings)
+    said = speaker(estimate, remaining)
+    made["status"], made["reason"], made["warnings"] = said.status.value, said.reason, list(estimate.warnings)
     return made if remaining.route is None else made | _route(remaining.route)
 
 

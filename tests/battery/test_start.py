@@ -15,10 +15,12 @@ def generic() -> Pack:
     return generic_pack()
 
 
+@pytest.mark.parametrize("transfer_V", [0.0, 0.05])
 @pytest.mark.parametrize("rate", [1.0, 2.0, 4.0])
-def test_a_log_that_begins_in_mid_air_finds_the_charge_and_the_overpotentials(rate: float) -> None:
+def test_a_log_that_begins_in_mid_air_finds_the_charge_and_the_overpotentials(rate: float, transfer_V: float) -> None:
     """A cell flown from full to 0.7 by the model, then seen for one row: two roads to one state."""
     pack = generic()
+    pack = pack._replace(cell=pack.cell._replace(transfer_V=transfer_V))
     flown = model.advance(pack.cell, model.rested(1.0, 20.0), rate, 20.0, 0.3 * 3600.0 / rate)
     shown_V = float(model.cell_voltage(pack.cell, flown, rate))
     first = first_state(pack, shown_V, float(flown.core_C), rate)

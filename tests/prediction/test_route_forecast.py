@@ -114,22 +114,24 @@ def test_a_mission_changed_in_flight_changes_the_forecast_at_once() -> None:
     assert last.left_s < first.left_s - 100.0
 
 
-def test_of_forecasts_a_second_apart_every_fourth_one_asks_about_the_ways_and_the_others_count_down() -> None:
+@pytest.mark.parametrize(("volts", "period"), [(14.0, 4), (16.4, 10)], ids=["near the end", "far from it"])
+def test_not_every_forecast_asks_about_the_ways_and_the_others_count_down(volts: float, period: int) -> None:
     forecaster = Forecaster(generic_pack(), ForecastSettings(forecast_period_s=1.0))
     estimator = SocFilter(generic_pack())
-    asked = []
+    asked, told, changed = [], 21, 50  # from the one row on the power is known, at the other the mission changes
     for k in range(ROWS):
-        now = known(leg_to(350.0)) if k < ROWS // 2 else known(to(1, 0.0, FAR_M + 50.0, 350.0))
+        now = known(leg_to(350.0)) if k < changed else known(to(1, 0.0, FAR_M + 50.0, 350.0))
         sample, heard = row(k, now)
+        sample = replace(sample, voltage_V=volts)
         estimate = estimator.step(sample)
         refusal, question = forecaster.update(sample, estimate, estimator.belief, heard)
         answered = None if question is None else (question, end_times(question))
         said = forecaster.finish(sample, estimate, refusal, answered)
-        asked.append(question is not None and question.route is not None)
+        if question is not None and question.route is not None:
+            asked.append(k)
         assert said.route is not None or question is None
-    last = asked[ROWS // 2 - 8 : ROWS // 2]
-    assert last[:4] == last[4:] and sum(last) == 2
-    assert asked[ROWS // 2]  # another mission: at once
+    assert [k for k in asked if told <= k < changed] == [*range(told, changed, period)]
+    assert changed in asked  # another mission: at once
 
 
 def test_stale_progress_falls_back_to_the_learned_load_with_its_reason() -> None:

@@ -59,8 +59,9 @@ COLLAPSE_V = 4.0  # volts per unit of charge
 # at 0.6 of the exchange current, where a pack may be that has lost a sixth of its charge. With less room for it, its
 # drop is taken for ohms, which grow in the cold and at the knee, and for charge that makes up for them.
 SERVICE_REACTION_SD_V = 0.05
-# What is left wanders: as the cell warms and empties it is another by 5 to 20 mV within some minutes.
-SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.015, 2000.0
+# What is left, now that the reaction has a component of its own, wanders: by 5 to 15 mV within some minutes as the cell
+# warms and empties.
+SERVICE_BIAS_SD_V, SERVICE_BIAS_TAU_S = 0.012, 2000.0
 SERVICE_RESISTANCE_SD = 0.2  # contacts and leads of a pack in service; what ages the electrodes is no resistance
 # Of a make that nobody tested the printed capacity is no measurement either.
 UNKNOWN_MAKE_CAPACITY_SD = 0.45

@@ -90,6 +90,7 @@ class Batteries:
             tell(f"battery {instance}: {resolved.words}")
         elif resolved is None and before is None:
             tell(f"battery {instance}: no estimate yet: {remaining.reason}")
+        since_s = before.flying_since_s if before is not None and math.isfinite(before.flying_since_s) else now_s
         report = Report(
             instance=instance,
             system=self._vehicle.system,
@@ -101,9 +102,8 @@ class Batteries:
             cells=resolved.cells if resolved is not None else 0,
             battery=self._battery.battery.name,
             certificate=self._battery.status,
+            flying_since_s=NAN if remaining.reason == NOT_FLYING else since_s,
         )
-        since_s = before.flying_since_s if before is not None and math.isfinite(before.flying_since_s) else now_s
-        report = replace(report, flying_since_s=NAN if report.remaining.reason == NOT_FLYING else since_s)
         if report.is_waiting:
             report = replace(report, endurance=self.tracked[instance].endurance(row.sample.time_s))
         self.reports[instance] = report

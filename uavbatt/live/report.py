@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from uavbatt.output import Line, line, rounded
+from uavbatt.output import Line, line, rounded, speaker
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
@@ -82,21 +82,19 @@ class Report:
     def at(self, now_s: float) -> Display:
         """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
         age_s = self.age_s(now_s)
-        made = line(self.estimate, self.remaining)
         if age_s > STALE_AFTER_S:
             return Display(Status.STALE, f"no telemetry for {age_s:.0f} s", *(NAN,) * 6)
-        status = Status(str(made["status"]))
-        refused = status is Status.REFUSED
-        soc = made["soc"]
+        said = speaker(self.estimate, self.remaining)
+        refused = said.status is Status.REFUSED
 
         def left(value_s: float) -> float:
             return max(value_s - age_s, 0.0) if math.isfinite(value_s) and not refused else NAN
 
         r = self.remaining
         return Display(
-            status,
-            self.endurance.words if self.is_waiting else str(made["reason"]),
-            soc if isinstance(soc, float) else NAN,
+            said.status,
+            self.endurance.words if self.is_waiting else said.reason,
+            NAN if self.estimate.status is Status.REFUSED else self.estimate.soc,
             left(r.remaining_s),
             left(r.remaining_lo_s),
             left(r.remaining_hi_s),

@@ -125,7 +125,7 @@ def _rest_from(way: Way, progress: Progress, here: Point, time_s: float) -> Piec
         at += 1  # an item of several legs, as a landing: the place tells which
     has_arrived = math.isfinite(progress.arrived_s) and at == progress.at
     present = _waiting(legs[at], time_s - progress.arrived_s) if has_arrived else _shortened(legs[at], here)
-    return joined(way.pieces(legs_table([present])), way.pieces(progress.path.table.of(slice(at + 1, None))))
+    return way.pieces(legs_table([present]).followed_by(progress.path.table.of(slice(at + 1, None))))
 
 
 def _is_behind(leg: Leg, here: Point) -> bool:

@@ -33,9 +33,9 @@ NAMES = {
 }
 IN_TIME = 0.05  # a route that comes home with a smaller risk needs no turn-back
 HORIZON_SHARE = 1.3  # of the time at the typical power: no draw turns back later
-# Both ways cost as much as the end itself, and what was said of them counts down: of forecasts a second apart, every
-# fourth one asks; a replay, with five seconds between two, always does.
-ROUTE_PERIOD_S = 3.9
+# Both ways cost as much as the end itself, and what was said of them counts down. They are asked about anew when so
+# much of the time at the typical power has passed, after 4 s at the soonest and 10 s at the latest.
+WAYS_SHARE, SHORTEST_WAYS_S, LONGEST_WAYS_S = 1.0 / 150.0, 3.9, 9.9
 UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft"
 
 
@@ -67,9 +67,10 @@ class WaysAsked(NamedTuple):
     time_s: float = math.nan
     about: tuple[object, ...] = ()
 
-    def is_due(self, now: WaysAsked) -> bool:
-        """Return True if it is time to ask again; at once when something else is known now."""
-        return now.about != self.about or not 0.0 <= now.time_s - self.time_s < ROUTE_PERIOD_S
+    def is_due(self, now: WaysAsked, typical_s: float) -> bool:
+        """Return True if it is time to ask again, `typical_s` [s] before the end; at once if more is known now."""
+        period_s = min(max(WAYS_SHARE * typical_s, SHORTEST_WAYS_S), LONGEST_WAYS_S)
+        return now.about != self.about or not 0.0 <= now.time_s - self.time_s < period_s
 
 
 def powers_of(load: Load) -> Powers:

@@ -78,6 +78,10 @@ class LegsTable(NamedTuple):
         """Return those legs alone."""
         return LegsTable(*(column[which] for column in self))
 
+    def followed_by(self, later: LegsTable) -> LegsTable:
+        """Return these legs and then those."""
+        return LegsTable(*map(np.concatenate, zip(self, later, strict=True)))
+
 
 def legs_table(legs: Sequence[Leg]) -> LegsTable:
     """Return legs as columns."""

@@ -97,6 +97,9 @@ def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array
     least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels), np.empty(at_turn.bias_V.shape)
     flying = np.arange(look_s.size)  # the looks whose ways are not over yet: each has a length of its own
     for k in range(int(steps.max()) + 1):
+        is_asked = _is_asked(least_V)[flying]
+        if not is_asked.all():
+            flying, at_turn = flying[is_asked], at_turn.of(is_asked)
         is_down = steps[flying] <= k
         if is_down.any():
             down, landed = flying[is_down], at_turn.of(is_down)
@@ -113,6 +116,15 @@ def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array
         length_s = home.length_s[k, flying][:, None] * stretch
         at_turn = walked(at_turn, at, power_W, length_s, normals[k % len(normals)])
     return TurnBack(look_s, least_V, np.maximum(soc[0], 0.0))
+
+
+def _is_asked(least_V: Array) -> Column:
+    """True for each look [looks] whose way home still counts: charge is asked of the first, a crossing of the others.
+
+    No draw comes home from the others, nor from the look before: no crossing lies there (`last_crossing`).
+    """
+    comes_home = np.asarray((least_V >= 0.0).any(axis=1))
+    return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
 
 
 def _turning_V(at_turn: Going, power_W: Array) -> Array:
