@@ -42,7 +42,7 @@ class Around:
         self.vehicle, self.station = self._connected(fc), self._connected(gcs)
         self.gcs_port = gcs
         self.control = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.control.connect(control)
+        until(lambda: self.control.connect_ex(control) == 0)  # it may be bound and not listen yet
         self.control.settimeout(PATIENCE_S)
         self.station.sendall(b"hello")
         assert self.vehicle.recv(100) == b"hello"  # both are in
