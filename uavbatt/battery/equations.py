@@ -30,7 +30,7 @@ SECONDS_PER_HOUR = 3600.0
 
 def is_on(value: Number) -> bool:
     """Return True if a parameter whose neutral value is 0 differs from it in any column."""
-    return bool(value.any()) if isinstance(value, np.ndarray) else bool(value != 0.0)
+    return bool(np.count_nonzero(value)) if isinstance(value, np.ndarray) else bool(value != 0.0)
 
 
 def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:

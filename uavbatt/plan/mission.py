@@ -153,7 +153,7 @@ def _fit(
     flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
-    known = ToCome(load, "route", "", ahead, home.ahead, "", home)
+    known = ToCome(load, "route", "", ahead, "", home)
     asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
     route = route_forecast.route_answer(asked, end_s)

@@ -46,7 +46,6 @@ class ToCome(NamedTuple):
     name: str
     reason: str  # why the route is not used
     route: Ahead | None
-    home: Ahead | None
     home_reason: str
     homewards: RouteLoad | None  # powers and level for the way home
 
@@ -87,14 +86,13 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
     if not math.isfinite(level):
         route = route if isinstance(route, str) else UNTOLD_POWER
         home = home if isinstance(home, str) else UNTOLD_POWER
-    known_home = home if isinstance(home, Ahead) else None
-    homewards = RouteLoad(known_home, powers, level, level_sd) if known_home is not None else None
+    homewards = RouteLoad(home, powers, level, level_sd) if isinstance(home, Ahead) else None
     home_reason = home if isinstance(home, str) else ""
     if isinstance(route, str):
-        return ToCome(load, name, route, None, known_home, home_reason, homewards)
+        return ToCome(load, name, route, None, home_reason, homewards)
     if isinstance(load, LearnedLoad | UnknownAircraft):
         load, name = RouteLoad(route, powers, level, level_sd), "route"
-    return ToCome(load, name, "", route, known_home, home_reason, homewards)
+    return ToCome(load, name, "", route, home_reason, homewards)
 
 
 def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAsked:
