@@ -3,8 +3,8 @@
 
 Run: .venv/bin/python scripts/diagnose_cases_table.py FOLDER    (the JSON of `scripts/diagnose_cases`)
 Right is: nothing found where nothing is wrong; `undeclared_effect` where the effect has no name; else the label among
-the names of the first class, and both labels in classes of their own for two. A wrong name is a class without the
-label, told with a probability above 0.4.
+the names of the first class (also if that is no more than what small effect may hide where nothing is found), and both
+labels in classes of their own for two. A wrong name is a class without the label, told with a probability above 0.4.
 """
 
 from __future__ import annotations
@@ -42,6 +42,11 @@ def right(effect: str, found: dict[str, Any]) -> bool:
         one, other = wanted
         return len(classes) == 2 and any(one in a and other in b for a, b in (classes, classes[::-1]))
     return bool(classes) and wanted[0] in classes[0]
+
+
+def hiding(found: dict[str, Any]) -> bool:
+    """Whether nothing was told as found, and names only as what small effect may hide."""
+    return bool(found["verdict"] == "no_missing_effect" and found["classes"])
 
 
 def wrong_names(effect: str, found: dict[str, Any]) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -111,6 +112,25 @@ def test_the_extended_file_holds_the_effect_and_predicts_better_what_was_left_ou
     before_V, _ = close.open_loop(diagnosis.problem, diagnosis.before, empty)
     after_V, _ = close.open_loop(diagnosis.problem, diagnosis.after, left)
     assert after_V < 0.5 * before_V
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [
+        ((0.114, 60.0), "voltage 101 -> 114 mV"),
+        ((0.090, 75.0), "remaining time 60 -> 75 s"),
+        ((0.090, 20.0), ""),
+        ((0.101, math.nan), ""),
+    ],
+)
+def test_what_predicts_held_out_records_worse_is_said_and_stands_in_the_new_file(
+    after: tuple[float, float], said: str
+) -> None:
+    before = close.Error(0.101, 0.5, 60.0, 0.9)
+    closed = close.Closed(before, close.Error(after[0], 0.5, after[1], 0.9), ("flight 1",))
+    assert closed.worse == said
+    remarks = close.extended(FILE, diagnosed(gain=1.12), closed.worse).battery.remarks
+    assert any("worse" in remark for remark in remarks) == bool(said)
 
 
 def _without_current(r: Observed) -> Observed:

@@ -14,7 +14,7 @@ from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
 from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
-from uavbatt.diagnosis.diagnosis import LEFT, USUAL, Diagnosis, Left, believed, diagnose, options_of
+from uavbatt.diagnosis.diagnosis import LEFT, USUAL, Diagnosis, Left, believed, diagnose, options_of, problem_of
 from uavbatt.diagnosis.rivals import FAMILIES, seated
 from uavbatt.diagnosis.search import SUSPECT, Trial, no_chance
 from uavbatt.diagnosis.worth import Worth
@@ -155,10 +155,45 @@ def test_a_likelier_name_of_the_same_family_is_seated_before_a_less_likely_one_o
 
 def test_what_is_worth_less_than_is_asked_is_never_told_as_likely(healthy: Diagnosis) -> None:
     def told(value: float) -> float:
-        its = Worth(np.array([value]), value, 1.0, None)
+        its = Worth(np.full(3, value / 3.0), value, 1.0, None)
         return no_chance(healthy.problem, healthy.before, healthy.before, its, earned=12.0)
 
     assert told(11.9) <= SUSPECT < told(12.1) < told(36.0)
+
+
+@pytest.mark.parametrize(
+    ("warm", "is_sure"), [((1, 1, 1), True), ((0, 0, 1), True), ((1, 1, 0), False), ((0, 0, 0), False)]
+)
+def test_what_only_flights_colder_than_the_file_knows_show_is_a_suspect(
+    healthy: Diagnosis, warm: tuple[int, ...], is_sure: bool
+) -> None:
+    problem = replace(healthy.problem, evidence=replace(healthy.problem.evidence, familiar=np.array(warm, dtype=bool)))
+    its = Worth(np.array([2.0, 3.0, 30.0]), 35.0, 1.0, None)
+    assert (no_chance(problem, healthy.before, healthy.before, its, earned=12.0) > SUSPECT) == is_sure
+
+
+def test_a_flight_colder_than_the_file_knows_is_not_familiar() -> None:
+    wander = msgspec.structs.replace(CLOSE, coldest_C=15.0)
+    file = msgspec.structs.replace(KNOWN, discrepancy=msgspec.structs.replace(KNOWN.discrepancy, wander=wander))
+    flown = [flight(k) for k in range(3)]
+    evidence = problem_of(flown, file, PACK).evidence
+    starts_C = dict(zip((r.name for r in flown), (float(r.temp_C[0]) for r in flown), strict=True))
+    assert list(evidence.familiar) == [starts_C[name] > 15.0 for name in evidence.names]
+    assert 0 < np.sum(evidence.familiar) < 3
+    assert problem_of(flown, KNOWN, PACK).evidence.familiar.all()
+
+
+@pytest.mark.parametrize(
+    ("planted", "truth"), [({"gain": 1.03}, "current_gain"), ({"offset_V": -0.06}, "voltage_offset")]
+)
+def test_what_is_too_small_to_be_told_is_said_to_hide(planted: dict[str, float], truth: str) -> None:
+    diagnosis = found([flight(k, **planted) for k in range(2)])
+    assert diagnosis.verdict == "no_missing_effect"
+    assert not diagnosis.after.candidate.names  # nothing of it enters the battery file
+    (one,) = diagnosis.classes
+    assert truth in one.members and one.probability <= SUSPECT
+    interval = next(iter(one.parameters.values()))
+    assert interval.lo <= next(iter(planted.values())) <= interval.hi
 
 
 def test_an_effect_whose_model_is_nearly_doubted_is_told_with_less() -> None:

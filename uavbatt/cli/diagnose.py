@@ -145,7 +145,7 @@ def _run(
         engine = engine_for(is_long=True)
         found = find(records, content, base.pack, without, tell, engine, base.wear_sd)
         closed = close.judge(found, base.file, flights, options, tell, engine)
-    new = close.extended(content, found)
+    new = close.extended(content, found, closed.worse)
     if tests is not None:
         remark(f"gating with {gate} ...")
         new = close.gated(new, found, verdicts(tests, new))
@@ -162,6 +162,8 @@ def _lines(found: Diagnosis, closed: Closed) -> list[str]:
         "undeclared_effect": "something is missing that no candidate explains",
     }
     lines = [f"{found.verdict}: {said[found.verdict]}"]
+    if found.classes and found.verdict == "no_missing_effect":
+        lines.append("  if something small is missing all the same, it is most likely this:")
     for one in found.classes:
         lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")
         for name, i in one.parameters.items():
@@ -183,6 +185,10 @@ def _lines(found: Diagnosis, closed: Closed) -> list[str]:
         f"  held out: voltage RMSE {1000 * b.voltage_rmse_V:.0f} -> {1000 * a.voltage_rmse_V:.0f} mV, remaining time "
         f"MAE {_number(b.remaining_mae_s)} -> {_number(a.remaining_mae_s)} s"
     )
+    if closed.worse:
+        lines.append(
+            f"  held-out records are predicted worse with it ({closed.worse}): do the check before you fly by it"
+        )
     return lines
 
 

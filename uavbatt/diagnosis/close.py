@@ -56,6 +56,16 @@ class Closed:
     after: Error
     held_out: tuple[str, ...]
 
+    @property
+    def worse(self) -> str:
+        """Say which error on held-out records is larger with what was found, as `voltage 101 -> 114 mV`; "" if none."""
+        b, a = self.before, self.after
+        pairs = (
+            ("voltage", 1000.0 * b.voltage_rmse_V, 1000.0 * a.voltage_rmse_V, "mV"),
+            ("remaining time", b.remaining_mae_s, a.remaining_mae_s, "s"),
+        )
+        return ", ".join(f"{name} {old:.0f} -> {new:.0f} {unit}" for name, old, new, unit in pairs if new > old + 0.5)
+
 
 def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
     """Effect -> quantity -> value for values [freed] of a refit; none for a start, which each flight has of its own."""
@@ -86,8 +96,11 @@ def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors
     return msgspec.structs.replace(file, effects=list(entries.values()))
 
 
-def extended(file: BatteryFile, found: Diagnosis) -> BatteryFile:
-    """The battery file with what was found; flights alone do not certify it. The file itself when nothing was."""
+def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFile:
+    """The battery file with what was found; flights alone do not certify it. The file itself when nothing was.
+
+    worse : what it predicts worse on held-out records (`Closed.worse`), for the file to say so.
+    """
     if found.verdict == "no_missing_effect":
         return file
     fit = found.after
@@ -108,7 +121,8 @@ def extended(file: BatteryFile, found: Diagnosis) -> BatteryFile:
     carried = [n for n in fit.candidate.names if by_name[n]]
     remark = f"diagnosed on {len(found.problem.evidence.names)} records: {', '.join(carried) or 'nothing to add'}"
     lost = [n for n in fit.candidate.names if not by_name[n]]
-    remarks = [*file.battery.remarks, remark, *(f"found, but each flight has its own: {n}" for n in lost)]
+    doubted = [f"predicts held-out records worse: {worse}"] if worse else []
+    remarks = [*file.battery.remarks, remark, *doubted, *(f"found, but each flight has its own: {n}" for n in lost)]
     return msgspec.structs.replace(
         new,
         battery=msgspec.structs.replace(file.battery, remarks=remarks),

@@ -30,7 +30,7 @@ from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.residual import Residual, Shape
-from uavbatt.diagnosis.search import SUSPECT, FoundEffect, Trial, search
+from uavbatt.diagnosis.search import SUSPECT, FoundEffect, Trial, search, small
 from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 
@@ -46,7 +46,7 @@ class Diagnosis:
     """The diagnosis: what was found, with the model before and after."""
 
     verdict: Verdict
-    classes: tuple[EffectClass, ...]
+    classes: tuple[EffectClass, ...]  # what was found; where nothing was, what small effect may hide, if one does
     reasons: tuple[str, ...]
     problem: Problem
     before: Refit
@@ -117,9 +117,10 @@ def diagnose(
         best = nothing
     verdict: Verdict = "undeclared_effect" if reasons else "effect_found" if found else "no_missing_effect"
     after = residual.residuals(problem.evidence, at_best(problem, best))
+    may_hide = small(problem, singles) if verdict == "no_missing_effect" else None
     return Diagnosis(
         verdict=verdict,
-        classes=found,
+        classes=found if may_hide is None else (class_of(problem, may_hide, believed(left, reasons)),),
         reasons=reasons,
         problem=problem,
         before=nothing,

@@ -67,6 +67,7 @@ class Evidence:
     start_soc: Array
     start_sd: Array
     charged_in_part: NDArray[np.bool_]  # rested well below full: the start is known to be another than believed
+    familiar: NDArray[np.bool_]  # begins no colder than what the file's error was learned on
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -156,6 +157,7 @@ def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Ar
         start_soc=start_soc,
         start_sd=start_sd,
         charged_in_part=in_part,
+        familiar=np.array([_cold(known, start_C) == 1.0 for start_C in stack.start_temp_C]),
     )
 
 

@@ -21,6 +21,7 @@ from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, w
 
 EARNED = 2.6  # more than chance gave in 90 effect-free sets, 2.5: docs/diagnosis.md
 EARNED_EACH = 3.5  # each of two where no single effect explains the flights; half of it: a rival, not a chance
+SMALL = 1.5  # what may hide where nothing is told: one healthy set in twenty shows more
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 SUSPECT = 0.4  # the most that is said of what is worth less than that, and of a model that is doubted
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
@@ -63,6 +64,7 @@ class Trial:
     before: Refit
     fits: tuple[Refit, ...]  # by chi-square
     worths: tuple[Worth, ...]
+    least: float = 0.5 * EARNED_EACH  # that a rival is worth
 
     @property
     def most(self) -> float:
@@ -72,7 +74,7 @@ class Trial:
     @property
     def rivals(self) -> list[int]:
         """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
-        places, least = range(len(self.fits)), max(0.5 * EARNED_EACH, RIVAL_WORTH * self.most)
+        places, least = range(len(self.fits)), max(self.least, RIVAL_WORTH * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
         # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
@@ -134,6 +136,13 @@ def search(
     return best, sorted(both, key=lambda f: -f.worth.value), singles
 
 
+def small(problem: Problem, singles: Trial) -> FoundEffect | None:
+    """Return the small effect that may hide where nothing is found, if the records show more than most healthy ones."""
+    if not SMALL < singles.most < EARNED:
+        return None
+    return finding(problem, replace(singles, least=0.5 * singles.most), EVEN)
+
+
 def _drift(problem: Problem, members: tuple[Refit, ...]) -> Refit | None:
     """The best single effect, by any of its names, as it drifts within each record: if that saves as much as a second
     effect has to.
@@ -183,14 +192,16 @@ def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: f
     """Return how likely an effect is no chance, by what it is worth against what it had to be worth.
 
     One of two is judged twice: with the errors of the file held, and with all of them at their most probable value,
-    which may leave it nothing to explain. Either view has been wrong where the other was right.
+    which may leave it nothing to explain. Either view has been wrong where the other was right. What it had to be worth
+    has to come from flights no colder than those that the file's error was learned on: below, that error is a guess.
     """
     views = [max(its.value, 0.0)]
     if before.candidate.names:
         bent = refit(problem, [fit.candidate, before.candidate], start=[fit, before], file_errors=True)
         views.append(min(max(bent[1].total - bent[0].total, 0.0), views[0]))
     share = float(np.mean([view / (view + earned) for view in views]))
-    return share if its.value >= earned else min(share, SUSPECT)
+    known_there = min(its.value, its.on(problem.evidence.familiar))
+    return share if known_there >= earned else min(share, SUSPECT)
 
 
 def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:

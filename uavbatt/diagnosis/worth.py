@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.evidence import Rows
@@ -49,7 +50,11 @@ class Worth:
     @property
     def value(self) -> float:
         """Chi-square saved on records left out that errors of the file could not feign."""
-        return min(float(np.sum(self.gains)), self.most) * self.known
+        return self.on(np.ones(len(self.gains), dtype=bool))
+
+    def on(self, some: NDArray[np.bool_]) -> float:
+        """Return the worth on some of the records alone."""
+        return min(float(np.sum(self.gains[some])), self.most) * self.known
 
 
 def at_bound(fit: Refit) -> bool:

@@ -47,6 +47,7 @@ ANSWERS = {
     "effect_found": ("bad", "Something is missing in the battery file, and it has a name."),
     "undeclared_effect": ("unsure", "Something is missing that none of the known effects explains."),
 }
+MAY_HIDE = "If something small is missing all the same, it is most likely this, and no larger than the interval says:"
 ROOM_FOR_NAMES = 120.0
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 
@@ -58,14 +59,15 @@ def diagnosis_report(found: Diagnosis, closed: Closed, old: BatteryFile, new: Ba
     battery file before and after.
     """
     mood, answer = ANSWERS[found.verdict]
+    may_hide = [paragraph(MAY_HIDE)] if found.classes and found.verdict == "no_missing_effect" else []
     notes = _notes(found, old)
     return page(
         f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
-        element("div", paragraph(strong(answer)), *map(_suspect, found.classes), css=f"answer {mood}"),
+        element("div", paragraph(strong(answer)), *may_hide, *map(_suspect, found.classes), css=f"answer {mood}"),
         *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
         *([section("Where the evidence lies", evidence_figure(found.blocks))] if found.blocks else []),
-        section("Error before and after", _errors(closed, found.floor_V)),
+        section("Error before and after", _errors(closed, found.floor_V), *_worse(closed)),
         section("Residuals, measured minus modelled", *_residuals(found)),
         section("Change of the battery file", *_changes(found, difference(old, new))),
         *([section("Notes", bullets(notes))] if notes else []),
@@ -145,6 +147,11 @@ def _errors(closed: Closed, floor_V: float) -> Html:
         f"model leaves about {number(1000.0 * floor_V, 0, 'mV')}."
     )
     return table(("", "before", "after", "unit"), rows, caption, text_columns=(0, 3))
+
+
+def _worse(closed: Closed) -> list[Html]:
+    words = f"Held-out records are predicted worse with it ({closed.worse}): do the check before you fly by it."
+    return [paragraph(strong(words))] if closed.worse else []
 
 
 def _residuals(found: Diagnosis) -> list[Html]:
