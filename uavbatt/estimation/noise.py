@@ -75,8 +75,8 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
     for _ in range(ROUNDS):
         state = initial_state.state_under_load(pack.cell, read.soc, temp_C, rate_c)
         ohmic_V = max(rate_c, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
-        slow_V = float(state.polarisation_V + state.diffusion_V + model.transfer_drop(pack.cell, rate_c))
-        drop_V = slow_V + (0.0 if pack.sag_compensated else ohmic_V)
+        other_V = float(state.polarisation_V + state.diffusion_V + model.transfer_drop(pack.cell, rate_c))
+        drop_V = other_V + (0.0 if pack.sag_compensated else ohmic_V)
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V, reaction_V)
         read = initial_state.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
