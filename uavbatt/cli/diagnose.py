@@ -162,7 +162,7 @@ def _lines(found: Diagnosis, closed: Closed) -> list[str]:
         "undeclared_effect": "something is missing that no candidate explains",
     }
     lines = [f"{found.verdict}: {said[found.verdict]}"]
-    if found.classes and found.verdict == "no_missing_effect":
+    if found.may_hide:
         lines.append("  if something small is missing all the same, it is most likely this:")
     for one in found.classes:
         lines.append(f"  {' or '.join(one.members)} (probability {one.probability:.2f}): {MEANING[one.members[0]]}")

@@ -59,6 +59,11 @@ class Diagnosis:
     blocks: tuple[EvidenceBlock, ...] = ()  # where in the records the evidence lies
     hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
 
+    @property
+    def may_hide(self) -> bool:
+        """True if the class was not found, and is only what small effect may hide."""
+        return self.verdict == "no_missing_effect" and bool(self.classes)
+
 
 def problem_of(
     records: list[Observed],

@@ -59,7 +59,7 @@ def diagnosis_report(found: Diagnosis, closed: Closed, old: BatteryFile, new: Ba
     battery file before and after.
     """
     mood, answer = ANSWERS[found.verdict]
-    may_hide = [paragraph(MAY_HIDE)] if found.classes and found.verdict == "no_missing_effect" else []
+    may_hide = [paragraph(MAY_HIDE)] if found.may_hide else []
     notes = _notes(found, old)
     return page(
         f"{old.battery.name}: what the battery file lacks",
