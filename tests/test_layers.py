@@ -71,6 +71,30 @@ def test_a_whole_step_loads_no_more() -> None:
     assert not loaded(code) & set(HEAVY)
 
 
+ONE_UPDATE = (
+    "from uavbatt.cli import live_process\n"
+    "{}"
+    "live_process.load_filterpy()\n"
+    "from uavbatt.estimation.kalman import condition, filterpy_condition\n"
+    "import numpy as np\n"
+    "x, P, H = np.ones((1, 9)), np.eye(9)[None], np.ones((1, 1, 9))\n"
+    "given = (x, P, np.array([[0.5]]), H, np.array([[[0.1]]]))\n"
+    "for found, expected in zip(filterpy_condition()(*given), condition(*given)):\n"
+    "    assert np.allclose(found, expected, rtol=0.0, atol=1e-12)"
+)
+
+
+def test_the_live_process_loads_the_filters_of_filterpy_alone() -> None:
+    modules = loaded(ONE_UPDATE.format(""))
+    assert "filterpy.kalman.EKF" in modules
+    assert not modules & {"scipy.stats", "scipy.ndimage", "scipy.optimize", "scipy.sparse"}
+
+
+def test_of_a_filterpy_that_needs_more_everything_is_loaded() -> None:
+    modules = loaded(ONE_UPDATE.format("live_process.NOT_FLOWN = {'filterpy.stats': ()}\n"))
+    assert {"filterpy.kalman.EKF", "filterpy.stats.stats", "scipy.stats"} <= modules
+
+
 def test_reading_a_csv_needs_no_pymavlink() -> None:
     assert "pymavlink" not in loaded("from uavbatt import read_log\nimport uavbatt.telemetry.formats.csv_table")
 

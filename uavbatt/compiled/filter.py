@@ -35,10 +35,12 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
     if not samples:
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
+    most = min(len(samples), int((np.nanmax(table[0]) - min(state.time_s, np.nanmin(table[0]))) / BLOCK_S)) + 4
     beliefs, in_force, times_s, shown, (current_A, block_A, block) = run(
         as_numbers(pack),
         state.ambient_C,
         table,
+        most,
         state.time_s,
         state.current_A,
         state.block_A,
@@ -170,10 +172,22 @@ def look(
 
 
 @compiled
+def write_down(mean: Array, covariance: Array, kept: Array, x: Array, P: Array, log_weight: Array) -> None:
+    """Copy the moments of all members; loops, since an assignment of arrays takes numba six seconds to compile."""
+    for k in range(log_weight.size):
+        kept[k] = log_weight[k]
+        for i in range(SIZE):
+            mean[k, i] = x[k, i]
+            for j in range(SIZE):
+                covariance[k, i, j] = P[k, i, j]
+
+
+@compiled
 def run(
     pack: Pack,
     ambient_C: float,
     rows: Array,
+    most: int,
     at_s: float,
     before_A: float,
     block_A: float,
@@ -189,12 +203,11 @@ def run(
     has it, and where that ends: currents of the last row and block [A], the open block.
     """
     n, last = rows.shape[1], 0
-    most = min(n, int((np.nanmax(rows[0]) - min(at_s, np.nanmin(rows[0]))) / BLOCK_S)) + 4
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
     log_weights = np.empty((most, log_weight.size))
     in_force, times_s, shown = np.zeros(n, np.int64), np.empty(n), np.full((n, 4), np.nan)
     x, P, block = x.copy(), P.copy(), block.copy()
-    means[0], covariances[0], log_weights[0] = x, P, log_weight
+    write_down(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
         in_force[k], times_s[k] = last, at_s
@@ -221,7 +234,7 @@ def run(
         )
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
-        means[last], covariances[last], log_weights[last] = x, P, log_weight
+        write_down(means[last], covariances[last], log_weights[last], x, P, log_weight)
         in_force[k] = last
     moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
     return moments, in_force, times_s, shown, (before_A, block_A, block)
