@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from factories import generic_pack
 
-from uavbatt.battery.model import Array, open_circuit_voltage, rate_at_power, transfer_drop
+from uavbatt.battery.model import Array, open_circuit_voltage, transfer_drop, under_power
 from uavbatt.battery.scaling import Pack
 from uavbatt.estimation import SocFilter
 from uavbatt.records import Sample
@@ -56,5 +56,5 @@ def test_a_sluggish_reaction_shows_at_a_small_load_and_saturates_at_a_large_one(
 
 def test_power_is_met_through_a_sluggish_reaction() -> None:
     cell, emf_V, ohmAh, power_WpAh = pack(charge_transfer=0.08).cell, 3.9, 0.06, 12.0
-    rate = rate_at_power(cell, emf_V, ohmAh, power_WpAh)
+    rate = under_power(cell, emf_V, ohmAh, power_WpAh).c_rate
     assert rate * (emf_V - rate * ohmAh - transfer_drop(cell, rate)) == pytest.approx(power_WpAh, rel=1e-3)

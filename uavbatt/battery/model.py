@@ -134,8 +134,12 @@ def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
 
 def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: Number) -> Number:
     """Return the voltage of `source` behind `series_ohmAh`, its own resistance included, under `c_rate` [V]."""
-    volts = emf_V - c_rate * series_ohmAh
-    return volts - transfer_drop(p, c_rate) if eq.is_on(p.transfer_V) else volts
+    return voltage_under(emf_V, series_ohmAh, UnderLoad(c_rate, transfer_drop(p, c_rate)))
+
+
+def voltage_under(emf_V: Number, series_ohmAh: Number, under: UnderLoad) -> Number:
+    """Return `loaded_voltage` where what the reaction takes is known."""
+    return emf_V - under.c_rate * series_ohmAh - under.transfer_V
 
 
 def transfer_drop(p: Parameters, c_rate: Number) -> Number:
@@ -145,15 +149,23 @@ def transfer_drop(p: Parameters, c_rate: Number) -> Number:
     return c_rate * eq.transfer_resistance(c_rate, p.transfer_V, p.transfer_half_rate)
 
 
-def rate_at_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: Number) -> Number:
-    """C-rate at which a cell behind `series_ohmAh`, its own resistance included, gives a power [W/Ah].
+class UnderLoad(NamedTuple):
+    """A cell under a load: its C-rate [1/h], and the drop that a sluggish reaction takes [V]."""
 
-    The drop of a sluggish reaction hardly changes with the load: what it is at the rate without it, is good to 1 mV.
+    c_rate: Number
+    transfer_V: Number
+
+
+def under_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: Number) -> UnderLoad:
+    """Return what a power [W/Ah] makes of a cell behind `series_ohmAh`, its own resistance included.
+
+    The drop of a sluggish reaction hardly changes with the load: what it is at the rate that a cell without resistance
+    would have, is good to 1 mV.
     """
-    rate = eq.current_at_power(emf_V, series_ohmAh, power_WpAh)
     if not eq.is_on(p.transfer_V):
-        return rate
-    return eq.current_at_power(emf_V - transfer_drop(p, rate), series_ohmAh, power_WpAh)
+        return UnderLoad(eq.current_at_power(emf_V, series_ohmAh, power_WpAh), 0.0)
+    transfer_V = transfer_drop(p, power_WpAh / emf_V)
+    return UnderLoad(eq.current_at_power(emf_V - transfer_V, series_ohmAh, power_WpAh), transfer_V)
 
 
 def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
@@ -209,19 +221,18 @@ def step_with_resistance(
     p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
     """`step` from a known resistance [ohm·Ah]."""
-    later = step_cell(p, s, c_rate, r_ohmAh, ambient_C, dt_s, lags)
+    later = step_cell(p, s, UnderLoad(c_rate, transfer_drop(p, c_rate)), r_ohmAh, ambient_C, dt_s, lags)
     sensor_C = eq.relax_to(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
 
 
 def step_cell(
-    p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
+    p: Parameters, s: State, under: UnderLoad, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """`step_with_resistance` with the sensor left as it is: nobody reads it in a forecast."""
+    """`step_with_resistance` with the sensor left as it is, which nobody reads in a forecast."""
+    c_rate = under.c_rate
     drop_V = c_rate * r_ohmAh
-    lost_V = drop_V + s.polarisation_V + s.diffusion_V
-    if eq.is_on(p.transfer_V):
-        lost_V = lost_V + transfer_drop(p, c_rate)
+    lost_V = drop_V + s.polarisation_V + s.diffusion_V + under.transfer_V
     slow_V = drop_V * p.diffusion_ratio
     if eq.is_on(p.diffusion_activation_K):
         slow_V = slow_V * eq.arrhenius(s.core_C, p.diffusion_activation_K)

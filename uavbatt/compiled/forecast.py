@@ -92,8 +92,8 @@ def time_to_end_one(
     for k in range(steps):
         emf_V, r_ohmAh = model.source(cell, state)
         series_ohmAh, emf_V = series_resistance(installation, r_ohmAh), emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, series_ohmAh, power_W[k] / size)
-        cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
+        under = model.under_power(cell, emf_V, series_ohmAh, power_W[k] / size)
+        rate, cell_V = under.c_rate, model.voltage_under(emf_V, series_ohmAh, under)
         strong_V = cell_V - bias_V + rate * (series_ohmAh - r_ohmAh)
         cell_V += weak_lag(installation, cell, state, rate, strong_V)
         volts = metered_voltage(installation, cells * cell_V)
@@ -120,11 +120,11 @@ def time_to_end_one(
         last_end, last_low = margin, above_low
         if by_rows:
             mean_W = 0.5 * (power_W[k] + power_W[min(k + 1, dt_s.size - 1)])
-            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_W / size)
+            under = model.under_power(cell, emf_V, series_ohmAh, mean_W / size)
         if dt_s[k] != lags_s:
             lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
-        doubt_V2 = b.ocv_doubt(pack, state.soc, rate * (dt_s[k] / SECONDS_PER_HOUR))
-        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], lags)
+        doubt_V2 = b.ocv_doubt(pack, state.soc, under.c_rate * (dt_s[k] / SECONDS_PER_HOUR))
+        state = model.step_cell(cell, state, under, r_ohmAh, ambient_C, dt_s[k], lags)
         bias_V = memory[k] * bias_V + np.sqrt(kick_V2[k] + doubt_V2) * bias[k]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavbatt.battery import model
 from uavbatt.battery.equations import SECONDS_PER_HOUR, is_on
-from uavbatt.battery.model import Array, Parameters, State
+from uavbatt.battery.model import Array, Parameters, State, UnderLoad
 from uavbatt.battery.pack import Installation, metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import X, drift_variance, unpack
@@ -67,10 +67,10 @@ def source(going: Going) -> Source:
 
 def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> Going:
     """Return the draws, which are `at` now, after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
-    cell, state, pack, rate = going.cell, going.state, going.pack, _rate(going, at, power_W)
-    later = model.step_cell(cell, state, rate, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
+    cell, state, pack, under = going.cell, going.state, going.pack, _under(going, at, power_W)
+    later = model.step_cell(cell, state, under, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
     memory = np.exp(-np.asarray(dt_s) / pack.bias_tau_s)
-    doubt_V2 = drift_variance(at.drift_sd_V, rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
+    doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
     kick_V = np.sqrt(pack.bias_sd_V**2 * (1.0 - memory**2) + doubt_V2) * normals
     return going._replace(state=later, bias_V=memory * going.bias_V + kick_V)
 
@@ -110,21 +110,21 @@ def _between(values: Array, edges_s: Array, at_s: Array) -> Array:
 
 def above_cutoff_V(going: Going, at: Source, power_W: Array) -> Array:
     """Return by how much the metered voltage of the pack is above its cut-off under a power [W]."""
-    installation, rate = going.installation, _rate(going, at, power_W)
+    installation, under = going.installation, _under(going, at, power_W)
     series_ohmAh = series_resistance(installation, at.r_ohmAh)
-    cell_V = model.loaded_voltage(going.cell, at.emf_V, series_ohmAh, rate)
+    cell_V = model.voltage_under(at.emf_V, series_ohmAh, under)
     if is_on(installation.deficit):
-        strong_V = cell_V - going.bias_V + rate * (series_ohmAh - at.r_ohmAh)
-        cell_V = cell_V + weak_lag(installation, going.cell, going.state, rate, strong_V)
+        strong_V = cell_V - going.bias_V + under.c_rate * (series_ohmAh - at.r_ohmAh)
+        cell_V = cell_V + weak_lag(installation, going.cell, going.state, under.c_rate, strong_V)
     return np.asarray(metered_voltage(installation, installation.cells * cell_V) - going.pack.cutoff_V)
 
 
-def _rate(going: Going, at: Source, power_W: Array) -> Array:
-    """C-rate [1/h] under a power.
+def _under(going: Going, at: Source, power_W: Array) -> UnderLoad:
+    """The cells under a power.
 
     A pack far beyond empty, whose voltage has turned round, gives nothing: it must not be charged by the way.
     """
     installation = going.installation
     size = installation.cells * installation.present_capacity_Ah
-    rate = model.rate_at_power(going.cell, at.emf_V, series_resistance(installation, at.r_ohmAh), power_W / size)
-    return np.asarray(np.maximum(rate, 0.0))
+    under = model.under_power(going.cell, at.emf_V, series_resistance(installation, at.r_ohmAh), power_W / size)
+    return UnderLoad(np.maximum(under.c_rate, 0.0), np.maximum(under.transfer_V, 0.0))

@@ -85,8 +85,8 @@ def time_to_end(
         charged_V, new_ohmAh, drift_sd_V = looked_up(tables, state.soc)
         emf_V, r_ohmAh = model.source_from(cell, state, charged_V, new_ohmAh)
         series_ohmAh, emf_V = r_ohmAh + harness_ohmAh, emf_V + bias_V
-        rate = model.rate_at_power(cell, emf_V, series_ohmAh, asked[k])
-        cell_V = model.loaded_voltage(cell, emf_V, series_ohmAh, rate)
+        under = model.under_power(cell, emf_V, series_ohmAh, asked[k])
+        rate, cell_V = under.c_rate, model.voltage_under(emf_V, series_ohmAh, under)
         if eq.is_on(installation.deficit):
             strong_V = cell_V - bias_V + rate * harness_ohmAh
             cell_V = cell_V + weak_lag(installation, cell, state, rate, strong_V)
@@ -102,11 +102,11 @@ def time_to_end(
                 break
         if by_rows:
             mean_WpAh = 0.5 * (asked[k] + asked[min(k + 1, steps - 1)])
-            rate = model.rate_at_power(cell, emf_V, series_ohmAh, mean_WpAh)
+            under = model.under_power(cell, emf_V, series_ohmAh, mean_WpAh)
         if wander is not None:
-            doubt_V2 = drift_variance(drift_sd_V, rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
+            doubt_V2 = drift_variance(drift_sd_V, under.c_rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
         over = model.Lags(fast[k, ...], slow[k, ...], core[k, ...], unread)
-        state = model.step_cell(cell, state, rate, r_ohmAh, ambient_C, dt_s[k], over)
+        state = model.step_cell(cell, state, under, r_ohmAh, ambient_C, dt_s[k], over)
         bias_V = memory[k, ...] * bias_V
         if wander is not None:
             bias_V = bias_V + np.sqrt(kick_V2[k, ...] + doubt_V2) * wander.bias[k]

@@ -93,7 +93,7 @@ def simulate_flight(
         gust = float(eq.relax(gust, 0.0, dt_s, GUST_TAU_S)) + float(kick)
         total_W = asked_W * (np.exp(gust) if flying else IDLE_SHARE) + installation.unmetered_W
         resistance = model.resistance(cell, state.soc, state.core_C)
-        rate = model.rate_at_power(cell, model.electromotive_force(cell, state), resistance, total_W / size)
+        rate = model.under_power(cell, model.electromotive_force(cell, state), resistance, total_W / size).c_rate
         current_A = float(rate[0] * installation.present_capacity_Ah)
         state = model.step(cell, state, rate, mission.ambient_C, dt_s)
         true_V = float(terminal_voltage(installation, cell, state, current_A)[0])
