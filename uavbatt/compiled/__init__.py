@@ -3,7 +3,7 @@
     estimator = Estimator(battery, engine=compiled.engine())
 
 The commands whose work is long hand it in (`replay.engine_for`); the live process never does. Nothing else imports this
-package, so that it may be deleted. Loading compiled code takes about a second, making it once some fifteen.
+package, so that it may be deleted. Loading compiled code takes half a second, making it once ten to twenty seconds.
 """
 
 from __future__ import annotations
