@@ -198,6 +198,7 @@ def run(
 ) -> tuple[Any, ...]:
     """Take all rows [time, voltage, current, temperature; n] in, from a state of the filter (`FilterState`).
 
+    most : no more moments than this come of the rows, the given one included.
     Returns the moments (means [m, members, 9], covariances and ln of the weights, the given one first), which of them
     is in force after each row, time of the last row taken in at each row, what each row shows [n, 4] as `Innovation`
     has it, and where that ends: currents of the last row and block [A], the open block.
