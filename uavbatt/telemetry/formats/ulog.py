@@ -50,7 +50,7 @@ def read_ulog(source: str, data: bytes) -> LogBuilder:
         log.notes.append("the file is damaged: what pyulog could read is used")
     if ulog.dropouts:
         lost_s = sum(dropout.duration for dropout in ulog.dropouts) / 1000
-        log.notes.append(f"{len(ulog.dropouts)} dropouts of the logger, {lost_s:.1f} s in all")
+        log.notes.append(f"dropouts of the logger: {len(ulog.dropouts)}, {lost_s:.1f} s in all")
     return log
 
 
