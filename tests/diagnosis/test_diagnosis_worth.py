@@ -135,22 +135,34 @@ def test_a_weak_cell_is_seated_beside_a_faded_pack(healthy: Diagnosis) -> None:
     names = ("capacity_fade", "unmetered_load", "voltage_offset", "weak_cell")
     apart = [replace(fits, candidate=Candidate((n,), (), (0,)), residual=fits.residual + 10.0 * k)
              for k, n in enumerate(names)]  # fmt: skip
-    assert [names[i] for i in seated(apart)] == ["capacity_fade", "unmetered_load", "weak_cell"]
-    assert seated(apart[1:]) == [0, 1, 2]
+    assert [names[i] for i in seated(apart, np.array([0.3, 0.25, 0.2, 0.2]))] == [
+        "capacity_fade", "unmetered_load", "weak_cell"
+    ]  # fmt: skip
+    assert seated(apart[1:], np.array([0.4, 0.3, 0.3])) == [0, 1, 2]
+
+
+def test_a_weak_cell_that_is_told_from_the_fade_takes_no_seat_from_what_is_likelier(healthy: Diagnosis) -> None:
+    leaves = {"capacity_fade": 0.0, "current_gain": 0.0, "unmetered_load": 10.0, "weak_cell": 20.0}
+    apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + d)
+             for n, d in leaves.items()]  # fmt: skip
+    told = [[list(leaves)[i] for i in seated(apart, np.array([0.3, 0.3, 0.2, weak]))] for weak in (0.09, 0.11)]
+    assert told == [["capacity_fade", "current_gain", third] for third in ("unmetered_load", "weak_cell")]
 
 
 def test_a_weak_cell_takes_the_seat_of_a_second_name_of_the_fade(healthy: Diagnosis) -> None:
     leaves = {"resistance_growth": 0.0, "current_gain": 10.0, "capacity_fade": 10.0, "weak_cell": 20.0}
     apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + d)
              for n, d in leaves.items()]  # fmt: skip
-    assert [list(leaves)[i] for i in seated(apart)] == ["resistance_growth", "capacity_fade", "weak_cell"]
+    assert [list(leaves)[i] for i in seated(apart, np.full(4, 0.25))] == [
+        "resistance_growth", "capacity_fade", "weak_cell"
+    ]  # fmt: skip
 
 
 def test_a_likelier_name_of_the_same_family_is_seated_before_a_less_likely_one_of_another(healthy: Diagnosis) -> None:
     names = ("resistance_growth", "harness_resistance", "slow_diffusion", "initial_charge")
     apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + 10.0 * k)
              for k, n in enumerate(names)]  # fmt: skip
-    assert seated(apart) == [0, 1, 2]
+    assert seated(apart, np.full(4, 0.25)) == [0, 1, 2]
 
 
 def test_what_is_worth_less_than_is_asked_is_never_told_as_likely(healthy: Diagnosis) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
-from uavbatt.diagnosis.candidates import INDEX, Candidate
+from uavbatt.diagnosis.candidates import COURSES, INDEX, Candidate
 from uavbatt.diagnosis.evidence import Evidence, Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.simulation import Own, Simulated, simulate
@@ -81,7 +81,7 @@ class Batch:
         x = np.broadcast_to(self.problem.base, (*u.shape[:3], self.problem.base.size)).copy()
         for i, columns in enumerate(self.columns):
             for k, f in sorted(enumerate(columns), key=lambda kf: kf[1].nuisance):
-                if f.within:
+                if f.along:
                     continue
                 value = f.value(u[:, i, :, k])
                 if f.shares:
@@ -94,13 +94,13 @@ class Batch:
         return x, Own(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
 
     def drifts(self, u: Array) -> Array | None:
-        """Return what the quantities gain within each record, laid out as `settings` does; None if none drifts."""
-        drifting = [(i, k, f) for i, columns in enumerate(self.columns) for k, f in enumerate(columns) if f.within]
+        """Return what the quantities gain along each course, [variants, C, records, courses, Q]; None if none does."""
+        drifting = [(i, k, f) for i, columns in enumerate(self.columns) for k, f in enumerate(columns) if f.along]
         if not drifting:
             return None
-        out = np.zeros((*u.shape[:3], self.problem.base.size))
+        out = np.zeros((*u.shape[:3], len(COURSES), self.problem.base.size))
         for i, k, f in drifting:
-            out[:, i, :, f.index] = f.value(u[:, i, :, k])
+            out[:, i, :, COURSES.index(f.along), f.index] = f.value(u[:, i, :, k])
         return out
 
     def shown(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:

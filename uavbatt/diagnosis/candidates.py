@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -29,6 +30,10 @@ ONE_WAY = ("fade", "growth")  # packs age in one direction
 SLOWING = ("transfer_V",)  # and so do reactions, from where the file has them
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
+# What a sensor may drift along: the time since the record began, or the temperature that is measured.
+Course = Literal["time", "temperature"]
+COURSES: tuple[Course, ...] = get_args(Course)
+
 
 @dataclass(frozen=True, slots=True)
 class Freed:
@@ -43,7 +48,7 @@ class Freed:
     nuisance: bool = False  # u has a standard normal prior, and its value adds to whatever the effects say
     estimated: bool = True  # a nuisance that is not counts in the standard errors only
     shares: tuple[float, ...] = ()  # of its change that each record has; empty: all have it whole
-    within: bool = False  # the value is what the quantity gains from the beginning of each record to its end
+    along: Course | None = None  # then the value is what the quantity gains along that course within the records
 
     def value(self, u: Array) -> Array:
         """The value at u, kept within the bounds."""

@@ -1,8 +1,11 @@
 """Does an effect keep its size from take-off to landing? One that drifts within the flights has no name among ours.
 
-    value(t) = value + drift (t/T - 1/2),        t since the record began, T its length
+    value(t) = value + drift (t/L - 1/2),        t since the record began, L its length
+    value(t) = value + drift (T(t) - T_m)/ΔT,    T(t) the temperature read, T_m the middle of all, ΔT their span
 
 Of sensors and wiring alone: no state of the cell depends on what they are, so that they may differ from row to row.
+Along the temperature only the gain of the voltage is tried, for a converter that warms: a current or a lead that went
+with it could not be told from how the resistance does.
 """
 
 from __future__ import annotations
@@ -10,23 +13,28 @@ from __future__ import annotations
 import numpy as np
 
 from uavbatt.battery.effects import EFFECTS, unit_words
-from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Freed
+from uavbatt.diagnosis.candidates import INDEX, QUANTITIES, Candidate, Course, Freed
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import refit
 from uavbatt.diagnosis.simulation import MAY_DRIFT
 from uavbatt.diagnosis.worth import left_out_chi2
 
 TURNS = 8
+WARMS = "voltage_gain"
+WITHIN: dict[Course, str] = {
+    "time": "within each",
+    "temperature": "from the coldest of the temperatures read to the warmest",
+}
 
 
-def drifting(problem: Problem, found: Refit) -> Refit | None:
-    """Refit an effect with a drift within each record, the same in all; None where its quantity cannot drift."""
+def drifting(problem: Problem, found: Refit, along: Course = "time") -> Refit | None:
+    """Refit an effect with a drift along time or temperature, the same in all records; None where it cannot drift."""
     first = found.candidate.freed[found.candidate.places(found.candidate.name)][0]
     quantity = next(q for q in EFFECTS[found.candidate.name].quantities if INDEX[q.name] == first.index)
     if quantity.name not in MAY_DRIFT:
         return None
     widest = quantity.high - quantity.low
-    drift = Freed(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, within=True)
+    drift = Freed(first.index, 0.0, quantity.prior_sd, -widest, widest, log=False, along=along)
     both = found.candidate.plus(Candidate((f"{found.candidate.name} that drifts",), (drift,), (1,)))
     return refit(problem, [both], start=[found], iterations=TURNS)[0]
 
@@ -38,6 +46,8 @@ def saved(drift: Refit, steady: Refit) -> float:
 
 def words(drift: Refit) -> str:
     """Say how the effect changes, as `current_gain is not the same throughout a record: ...`."""
-    unit = unit_words(QUANTITIES[drift.candidate.freed[-1].index].unit)
+    its = drift.candidate.freed[-1]
+    unit = unit_words(QUANTITIES[its.index].unit)
     change = f"{drift.values()[0][-1]:+.3g} {unit}".strip()
-    return f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} within each"
+    within = WITHIN[its.along or "time"]
+    return f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} {within}"

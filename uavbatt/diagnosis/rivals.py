@@ -19,6 +19,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
+RIVAL_SHARE = 1.0 / 3.0  # of what the best is worth, or of how likely it is: less is no rival
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
 FARTHEST = 30.0  # of these: no weight is nothing, so that shares of what is left are numbers
 # Effects of one family are hardly told apart: two of them together only cancel each other.
@@ -70,18 +71,19 @@ def same(one: Refit, other: Refit) -> bool:
     return float(np.sum((one.residual - other.residual) ** 2)) < SAME
 
 
-def seated(fits: Sequence[Refit]) -> list[int]:
+def seated(fits: Sequence[Refit], likely: Array) -> list[int]:
     """Places of the refits that a class has room for, likeliest first; what is the same as the best comes before them.
 
     A pack that has faded and one with a weak cell differ in the last minute only: where one is named, so is the other,
-    if it is a rival at all, in the seat of what is but another name of the fade or else of the least likely.
+    if these records do not tell it from the fade, in the seat of what is but another name of the fade or else of the
+    least likely. likely : how likely each is, likeliest first.
     """
     names = [f.candidate.name for f in fits]
     twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
     seats = (twins + [i for i in range(len(fits)) if i not in twins])[:LARGEST_CLASS]
     faded, weak = (names.index(n) if n in names else -1 for n in ("capacity_fade", "weak_cell"))
     giving = [i for i in seats if i not in (*twins, faded)]
-    if faded not in seats or weak in (*seats, -1) or not giving:
+    if faded not in seats or weak in (*seats, -1) or not giving or likely[weak] < RIVAL_SHARE * likely[faded]:
         return seats
     gives = max(giving, key=lambda i: (same(fits[i], fits[faded]), seats.index(i)))
     return [i for i in seats if i != gives] + [weak]

@@ -13,10 +13,10 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
-from uavbatt.diagnosis.drift import drifting, saved
+from uavbatt.diagnosis.drift import WARMS, drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import FARTHEST, related, same, seated, weights
+from uavbatt.diagnosis.rivals import FARTHEST, RIVAL_SHARE, related, same, seated, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 2.6  # more than chance gave in 90 effect-free sets, 2.5: docs/diagnosis.md
@@ -27,7 +27,6 @@ SUSPECT = 0.4  # the most that is said of what is worth less than that, and of a
 EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
 EARNED_IN_PART = 24.0  # beside a start in part
 EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
-RIVAL_WORTH = 1.0 / 3.0  # of the worthiest: less cannot be what made it so
 UNSTEADY = 0.35  # spread between records, relative to the value: an sd, and the most that is called steady
 SEATED = 0.95  # of the rivals' probability: a class has room for so much of it before it leaves one out
 RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
@@ -74,7 +73,7 @@ class Trial:
     @property
     def rivals(self) -> list[int]:
         """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
-        places, least = range(len(self.fits)), max(self.least, RIVAL_WORTH * self.most)
+        places, least = range(len(self.fits)), max(self.least, RIVAL_SHARE * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
         # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
@@ -113,11 +112,10 @@ def search(
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
     is_explained = explains(best, singles.most >= EVEN)
-    if is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
+    found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
+    drift = found[0].drift if found else None
+    if drift is None and is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
-    drift = _drift(problem, found[0].members) if found else None
-    if drift is not None:
-        found = [replace(found[0], drift=drift)]
     tell("pairs of effects")
     pair = _best_pair(problem, options, singles, drift or best, is_explained)
     if pair is None:
@@ -143,15 +141,34 @@ def small(problem: Problem, singles: Trial) -> FoundEffect | None:
     return finding(problem, replace(singles, least=0.5 * singles.most), EVEN)
 
 
-def _drift(problem: Problem, members: tuple[Refit, ...]) -> Refit | None:
-    """The best single effect, by any of its names, as it drifts within each record: if that saves as much as a second
-    effect has to.
+def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refit | None:
+    """What drifts within each record, if that saves as much as a second effect has to: the best single effect, by any
+    of its names, over time; or, beside the best of the class, the gain of the voltage over the temperature.
     """
-    for fit in members:
-        drift = drifting(problem, fit) if same(fit, members[0]) else None
-        if drift is not None and saved(drift, fit) > EARNED_TOGETHER:
-            return drift
-    return None
+    tried = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
+    steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
+    tried += [(drifting(problem, fit, "temperature"), steadiest) for fit in _that_warm(problem, singles)]
+    saves = [(saved(drift, steady), drift) for drift, steady in tried if drift is not None]
+    most, best = max(saves, key=lambda save: save[0], default=(0.0, None))
+    return best if most > EARNED_TOGETHER else None
+
+
+def _that_warm(problem: Problem, singles: Trial) -> list[Refit]:
+    """The refit of the gain of the voltage, where there is a temperature that it could go with."""
+    known = problem.evidence.has_temperature
+    return [fit for fit in singles.fits if known and fit.candidate.name == WARMS]
+
+
+def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
+    """A gain of the voltage that goes with the temperature where nothing is named: what it saves is then the file's
+    errors' as well, so that it has to be worth what each of two is.
+    """
+    for fit in _that_warm(problem, singles):
+        drift = drifting(problem, fit, "temperature")
+        if drift is not None and (its := worth(drift, singles.before)).value > EARNED_BESIDE:
+            sure = no_chance(problem, fit, singles.before, its, EARNED_BESIDE)
+            return [FoundEffect(members=(fit,), worth=its, outside=(), probability=sure, drift=drift)]
+    return []
 
 
 def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
@@ -178,7 +195,7 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     likely = likely / np.sum(likely)
     order = np.argsort(-likely, kind="stable")
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
-    members = [int(order[k]) for k in seated([fits[i] for i in order])]
+    members = [int(order[k]) for k in seated([fits[i] for i in order], likely[order])]
     its = tried.worths[tried.rivals[members[0]]]
     return FoundEffect(
         members=tuple(fits[i] for i in members),

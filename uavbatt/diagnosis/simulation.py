@@ -49,17 +49,34 @@ def _installation_of(base: Pack, evidence: Evidence, x: Array, drift: Array | No
     variants = x.shape[0] // records
     fields = {q.name: x[..., i] for i, q in enumerate(QUANTITIES) if q.name in Installation._fields}
     if drift is not None:
-        run = np.tile(_run(evidence.stack) - 0.5, (1, variants))
-        fields |= {name: fields[name] + run * drift[:, INDEX[name]] for name in MAY_DRIFT}
+        along = np.tile(_courses(evidence.stack), (1, 1, variants))
+        fields |= {name: fields[name] + np.einsum("krj,jk->rj", along, drift[..., INDEX[name]]) for name in MAY_DRIFT}
     capacity = np.tile(evidence.stack.capacity_Ah, variants)
     return Installation(cells=base.installation.cells, capacity_Ah=capacity, **fields)
 
 
-def _run(stack: Stack) -> Array:
-    """Share of each record that has gone by at each of its rows, 0 to 1."""
+def _courses(stack: Stack) -> Array:
+    """What may drift goes along one of `COURSES`, [courses, rows, records]: each from -1/2 to 1/2.
+
+    That of time in each record by itself, that of temperature from the coldest reading of all records to the warmest.
+    """
     length_s = np.max(np.where(stack.compare, stack.time_s, 0.0), axis=0)
-    out: Array = np.clip(stack.time_s / length_s, 0.0, 1.0)
-    return out
+    return np.stack([np.clip(stack.time_s / length_s, 0.0, 1.0) - 0.5, _warmth(stack)])
+
+
+def _warmth(stack: Stack) -> Array:
+    """Place of each row between the coldest reading of all and the warmest, -1/2 to 1/2; 0 where none was measured."""
+    known = np.isfinite(stack.temp_C)
+    if not np.any(known):
+        return np.zeros_like(stack.temp_C)
+    coldest_C, warmest_C = np.min(stack.temp_C[known]), np.max(stack.temp_C[known])
+    middle_C = 0.5 * (coldest_C + warmest_C)
+    place = np.zeros_like(stack.temp_C)
+    for j in np.flatnonzero(np.any(known, axis=0)):
+        read = known[:, j]
+        temp_C = np.interp(stack.time_s[:, j], stack.time_s[read, j], stack.temp_C[read, j])
+        place[:, j] = (temp_C - middle_C) / (float(warmest_C - coldest_C) or 1.0)
+    return place
 
 
 def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
@@ -102,14 +119,15 @@ def simulate(
 ) -> Simulated:
     """Run quantities x [variants, records, quantities] with the records' own values.
 
-    walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin); drift : like x, what
-    those that may drift gain from the beginning of each record to its end, x being their means.
+    walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin); drift : [variants,
+    records, courses, quantities], what those that may drift gain along each course, x being their values in its middle.
     """
     stack = evidence.stack
     variants, records = own.soc.shape
     flat = x.reshape(variants * records, -1)
     cell = _cell_of(base.cell, flat)
-    installation = _installation_of(base, evidence, flat, None if drift is None else drift.reshape(flat.shape))
+    drift = None if drift is None else drift.reshape(len(flat), *drift.shape[2:])
+    installation = _installation_of(base, evidence, flat, drift)
     cell = pack.grown(cell, installation)
     metered_A = metered_current(evidence, flat[:, INDEX["delay_s"]], variants)
     current_A = pack.true_current(installation, metered_A, np.tile(stack.voltage_V, (1, variants)))
