@@ -1,5 +1,5 @@
 """The process of `uavbatt live`, without the machinery of the command line and what filterpy has beside its filters:
-60 MB less in flight, and it is ready in half the time.
+60 MB less in flight, and it is ready half a second sooner.
 
 Run by `uavbatt live` as `python -m uavbatt.cli.live_process`, with the configuration as JSON in $UAVBATT_LIVE.
 """
@@ -56,7 +56,7 @@ def run(config: Config) -> None:
 def load_filterpy() -> None:
     """Load filterpy's Kalman filters before the first row asks for them, with empty modules for what is NOT_FLOWN.
 
-    filterpy loads all its parts at once, and its densities bring scipy.stats: 43 MB and half of the start, for a
+    filterpy loads all its parts at once, and its densities bring scipy.stats: 43 MB and most of a second, for a
     likelihood that no filter in flight is asked for. This process alone does so: a program that uses `Estimator` may
     use the rest of filterpy as well. Of a filterpy that needs more of these parts everything is loaded.
     """

@@ -126,6 +126,23 @@ def update(
 
 
 @compiled
+def put(mean: Array, covariance: Array, x: Array, P: Array) -> None:
+    """Copy the moments `x` and `P` of one member; an assignment of arrays would take numba six seconds to compile."""
+    for i in range(SIZE):
+        mean[i] = x[i]
+        for j in range(SIZE):
+            covariance[i, j] = P[i, j]
+
+
+@compiled
+def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: Array, log_weight: Array) -> None:
+    """Copy the moments of all members."""
+    for k in range(log_weight.size):
+        put(means[k], covariances[k], x[k], P[k])
+        log_weights[k] = log_weight[k]
+
+
+@compiled
 def close(
     pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, ambient_C: float
 ) -> tuple[Array, float, float, float, float]:
@@ -146,10 +163,7 @@ def close(
         )
         shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
         expected_V += weight[k] * volts
-        for i in range(SIZE):
-            x[k, i] = mean[i]
-            for j in range(SIZE):
-                P[k, i, j] = spread[i, j]
+        put(x[k], P[k], mean, spread)
     for i in range(block.size):
         block[i] = 0.0
     log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
@@ -169,17 +183,6 @@ def look(
         expected_V += weight * b.reported_voltage(pack, between, x[k, X.BIAS], current_A)
         soc += weight * left
     shown[0], shown[2], shown[3] = voltage_V - expected_V, expected_V, soc
-
-
-@compiled
-def write_down(mean: Array, covariance: Array, kept: Array, x: Array, P: Array, log_weight: Array) -> None:
-    """Copy the moments of all members; loops, since an assignment of arrays takes numba six seconds to compile."""
-    for k in range(log_weight.size):
-        kept[k] = log_weight[k]
-        for i in range(SIZE):
-            mean[k, i] = x[k, i]
-            for j in range(SIZE):
-                covariance[k, i, j] = P[k, i, j]
 
 
 @compiled
@@ -208,7 +211,7 @@ def run(
     log_weights = np.empty((most, log_weight.size))
     in_force, times_s, shown = np.zeros(n, np.int64), np.empty(n), np.full((n, 4), np.nan)
     x, P, block = x.copy(), P.copy(), block.copy()
-    write_down(means[0], covariances[0], log_weights[0], x, P, log_weight)
+    put_all(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
         in_force[k], times_s[k] = last, at_s
@@ -235,7 +238,7 @@ def run(
         )
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
-        write_down(means[last], covariances[last], log_weights[last], x, P, log_weight)
+        put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
         in_force[k] = last
     moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
     return moments, in_force, times_s, shown, (before_A, block_A, block)

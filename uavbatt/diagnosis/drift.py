@@ -49,5 +49,7 @@ def words(drift: Refit) -> str:
     its = drift.candidate.freed[-1]
     unit = unit_words(QUANTITIES[its.index].unit)
     change = f"{drift.values()[0][-1]:+.3g} {unit}".strip()
-    within = WITHIN[its.along or "time"]
-    return f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} {within}"
+    assert its.along is not None  # the last that `drifting` has freed
+    return (
+        f"{drift.candidate.names[-2]} is not the same throughout a record: it changes by {change} {WITHIN[its.along]}"
+    )

@@ -142,8 +142,10 @@ def small(problem: Problem, singles: Trial) -> FoundEffect | None:
 
 
 def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refit | None:
-    """What drifts within each record, if that saves as much as a second effect has to: the best single effect, by any
-    of its names, over time; or, beside the best of the class, the gain of the voltage over the temperature.
+    """Return the refit with a drift within each record that saves most, if it saves as much as a second effect has to.
+
+    Over time the best single effect may drift, by any of its names. Over temperature the gain of the voltage may, and
+    is held against the member of the class that predicts best.
     """
     tried = [(drifting(problem, fit), fit) for fit in members if same(fit, members[0])]
     steadiest = min(members, key=lambda fit: float(np.sum(left_out_chi2(fit))))
@@ -160,8 +162,9 @@ def _that_warm(problem: Problem, singles: Trial) -> list[Refit]:
 
 
 def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
-    """A gain of the voltage that goes with the temperature where nothing is named: what it saves is then the file's
-    errors' as well, so that it has to be worth what each of two is.
+    """Return a gain of the voltage that goes with the temperature as the finding, where no effect is named.
+
+    What it saves is then in part the file's errors', so that it has to be worth what each of two effects is.
     """
     for fit in _that_warm(problem, singles):
         drift = drifting(problem, fit, "temperature")

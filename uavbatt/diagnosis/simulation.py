@@ -56,16 +56,17 @@ def _installation_of(base: Pack, evidence: Evidence, x: Array, drift: Array | No
 
 
 def _courses(stack: Stack) -> Array:
-    """What may drift goes along one of `COURSES`, [courses, rows, records]: each from -1/2 to 1/2.
+    """Return the courses along which a sensor may drift (`COURSES`), [courses, rows, records], each from -1/2 to 1/2.
 
-    That of time in each record by itself, that of temperature from the coldest reading of all records to the warmest.
+    Time goes from the beginning of each record to its end, temperature from the coldest reading of all records to the
+    warmest.
     """
     length_s = np.max(np.where(stack.compare, stack.time_s, 0.0), axis=0)
     return np.stack([np.clip(stack.time_s / length_s, 0.0, 1.0) - 0.5, _warmth(stack)])
 
 
 def _warmth(stack: Stack) -> Array:
-    """Place of each row between the coldest reading of all and the warmest, -1/2 to 1/2; 0 where none was measured."""
+    """Return where each row is between the coldest reading of all and the warmest, -1/2 to 1/2; 0 without a reading."""
     known = np.isfinite(stack.temp_C)
     if not np.any(known):
         return np.zeros_like(stack.temp_C)
