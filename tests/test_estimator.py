@@ -87,6 +87,7 @@ def test_a_log_cut_by_bytes_has_the_same_lines(suffix: str, share: float, tmp_pa
     assert_same_so_far(cut_log, whole_log, options, int(len(flown()) * (share - 0.1)))
 
 
+@pytest.mark.slow  # logs cut by bytes, below and above, are its witness
 def test_a_real_text_log_cut_by_rows(shared_data: Path, tmp_path: Path) -> None:
     path = shared_data / "flights/ardupilot/quad_3s_4000_underpowered.log"
     text = path.read_text(errors="replace").splitlines(keepends=True)

@@ -99,7 +99,9 @@ def test_the_filter_on_a_simulated_flight_with_holes() -> None:
     assert_same_rows(pack_4s(), holed(flown())[:2600])
 
 
-@pytest.mark.parametrize("name", ["quad_4s.tlog", "quad_3s.BIN", "hexa_6s_cold.csv"])
+@pytest.mark.parametrize(
+    "name", ["quad_3s.BIN", *(pytest.param(n, marks=pytest.mark.slow) for n in ("quad_4s.tlog", "hexa_6s_cold.csv"))]
+)
 def test_the_filter_on_the_sample_logs(name: str) -> None:
     cells = int(name.split("_")[1][0])
     pack = generic_pack(cells, 5.0, 3.3 * cells, 3.5 * cells)

@@ -64,12 +64,14 @@ def test_a_converter_that_warms_is_told_where_no_effect_is_worth_a_name(flights:
     assert any("voltage_gain is not the same throughout a record" in r for r in diagnosis.reasons)
 
 
+@pytest.mark.slow  # planted gains in test_diagnosis.py are its witness
 def test_a_gain_of_the_voltage_that_is_the_same_throughout_is_named(flights: list[Observed]) -> None:
     diagnosis = found([replace(r, voltage_V=1.015 * r.voltage_V) for r in flights])
     assert diagnosis.verdict == "effect_found"
     assert "voltage_gain" in diagnosis.classes[0].members
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_the_same_throughout_is_named(flights: list[Observed]) -> None:
     diagnosis = found([from_to(r, 1.15, 1.15) for r in flights])
     assert diagnosis.verdict == "effect_found"

@@ -75,7 +75,7 @@ def descriptors(pid: int) -> list[int]:
     return [int(name) for name in os.listdir(f"/proc/{pid}/fd")]
 
 
-@pytest.mark.parametrize("feed", ["named", "proxy"])
+@pytest.mark.parametrize("feed", [pytest.param("named", marks=pytest.mark.slow), "proxy"])  # the second has both feeds
 def test_a_process_whose_descriptors_are_above_1023_flies_on(
     room: None, vehicle: Vehicle, tmp_path: Path, feed: str
 ) -> None:

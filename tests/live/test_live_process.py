@@ -102,6 +102,7 @@ class BadRadio(Vehicle):
         super().write(bytes(other.pack(self._other)))
 
 
+@pytest.mark.slow  # bad radios without a process are its witness, in test_live_faults.py
 def test_a_bad_radio_over_a_real_socket(tmp_path: Path) -> None:
     """The time is that of a good link, stale when nothing comes, back when it does."""
     vehicle, station = BadRadio(free_port()), Station()

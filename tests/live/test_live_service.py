@@ -79,6 +79,7 @@ def test_the_unit_file_is_without_fault() -> None:
         assert line in text.splitlines()
 
 
+@pytest.mark.slow  # a disk that fills up, below, is its witness
 def test_a_disk_that_is_full_stops_recording_and_state_but_not_the_estimate(vehicle: Vehicle, tmp_path: Path) -> None:
     """No file of this process may grow beyond 2 kB: the ground station goes on seeing the time, the page says why."""
     station, port = Station(), free_port()

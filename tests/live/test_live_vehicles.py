@@ -65,6 +65,7 @@ def test_wrong_vehicle_first(word: str) -> None:
     assert {m.get_srcSystem() for m in bench.to_gcs() if m.get_type() == "NAMED_VALUE_FLOAT"} == {1}
 
 
+@pytest.mark.slow  # the same without a process is its witness
 def test_wrong_vehicle_first_through_the_process() -> None:
     port, station = free_port(), Station()
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
