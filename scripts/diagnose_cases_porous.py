@@ -4,7 +4,7 @@
 Run: .venv/bin/python scripts/diagnose_cases_porous.py BATTERY.battery.toml FOLDER... [--only odd|even|NAME,NAME]
 FOLDER holds CASE/flight_K.csv or .tlog and labels.json: what `scripts/porous_cases.py` wrote, or `truth/cases` of the
 shared data. For each case: label, right or not, the classes, seconds; then how many were right by kind, and how many of
-these were not told as found but as what may hide.
+these were not told as found but as what may hide, and how often the 95 % interval of a named effect holds its value.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections import Counter
 from dataclasses import asdict
 
 from diagnose_cases_pack import arguments, flights, ready
-from diagnose_cases_table import SURE, hiding, right, words, wrong_names
+from diagnose_cases_table import SURE, hiding, right, values_inside, words, wrong_names
 
 from uavbatt.diagnosis.diagnosis import diagnose
 
@@ -41,7 +41,7 @@ def main() -> int:
     parser.add_argument("--only", default="")
     given = parser.parse_args()
     file, pack, engine = ready(given.battery)
-    seen, good, hides, wrong = Counter[str](), Counter[str](), Counter[str](), 0
+    seen, good, hides, wrong, inside = Counter[str](), Counter[str](), Counter[str](), 0, list[bool]()
     print("| case | label | | diagnosis | s |\n|---|---|---|---|---|")
     for folder in given.folders:
         labels = json.loads((folder / "labels.json").read_text())
@@ -56,7 +56,9 @@ def main() -> int:
             good[kind(effect, size)] += right(effect, told)
             hides[kind(effect, size)] += right(effect, told) and hiding(told)
             wrong += wrong_names(effect, told)
-            mark = "✓" if right(effect, told) else "✗"
+            held = values_inside(labels[name], told)
+            inside += held
+            mark = ("✓" if right(effect, told) else "✗") + ("" if all(held) else " ↔")  # ↔: a value outside
             alarm = " !" if wrong_names(effect, told) else ""
             print(
                 f"| {name.rpartition('/')[2]} | {effect} {size} | {mark}{alarm} | {words(told)} | {took_s:.1f} |",
@@ -64,6 +66,7 @@ def main() -> int:
             )
     counts = (f"{k}: {good[k]} of {n}" + (f" ({hides[k]} may hide)" if hides[k] else "") for k, n in seen.items())
     print("\n" + ", ".join(counts) + f"; wrong names above {SURE}: {wrong}.")
+    print(f"Values inside their 95 % intervals: {sum(inside)} of {len(inside)}.")
     return 0
 
 

@@ -19,6 +19,13 @@ from typing import Any
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
 SAME = {"partial_charge": "initial_charge", "undeclared": "undeclared"}
 SURE = 0.4
+# What a label calls the quantity of an effect, in lower case and without its unit.
+SENSORS = {
+    "current_gain": "current_gain", "voltage_gain": "voltage_gain", "voltage_offset": "voltage_offset",
+    "current_offset": "current_offset", "current_delay": "current_delay", "unmetered_load": "unmetered",
+    "temperature_offset": "temp_offset", "temperature_lag": "temp_lag", "harness_resistance": "harness",
+    "hysteresis": "hysteresis",
+}  # fmt: skip
 
 
 def labels() -> dict[str, tuple[str, str]]:
@@ -53,6 +60,29 @@ def wrong_names(effect: str, found: dict[str, Any]) -> int:
     """Classes that are told as if they were sure and hold no label."""
     wanted = {SAME.get(e, e) for e in effect.split("+")}
     return sum(c["probability"] > SURE and not wanted & set(c["members"]) for c in found["classes"])
+
+
+def true_value(effect: str, label: dict[str, Any]) -> float | None:
+    """Return how large an effect is by the label, in the unit of its quantity; None where the label has another."""
+    cell = {name.removesuffix("_scale"): value for name, value in label.get("cell", {}).items()}
+    if effect == "capacity_fade":
+        return 1.0 - cell["capacity"] if "capacity" in cell else None
+    if effect == "initial_charge":
+        start = cell.get("start_soc", label.get("flight", {}).get("initial_soc"))
+        return start - 1.0 if start is not None else None
+    named = {name.lower().rpartition("_")[0] or name: value for name, value in label.get("sensors", {}).items()}
+    return {**named, **label.get("sensors", {})}.get(SENSORS.get(effect, ""))
+
+
+def values_inside(label: dict[str, Any], found: dict[str, Any]) -> list[bool]:
+    """Whether the label's value is in the 95 % interval, for each effect that is first in its class and has one."""
+    inside = []
+    for c in found["classes"]:
+        name, true = c["members"][0], true_value(c["members"][0], label)
+        if true is not None and name in {SAME.get(e, e) for e in label["effect"].split("+")}:
+            told = next(iter(c["parameters"].values()))
+            inside.append(bool(told["lo"] <= true <= told["hi"]))
+    return inside
 
 
 def words(found: dict[str, Any]) -> str:

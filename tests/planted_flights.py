@@ -55,12 +55,13 @@ def fly(ambient_C: float, power_W: float, seed: int, **effect: float) -> Observe
         drop = rate * ohm_Ah
         volts = CELLS * (emf - drop) - amps * say("harness", 0.0)
         cold = math.exp(fields["diffusion_activation_K"] * kelvin)
-        heat = fields["heat_gain"] * rate * (drop + fast + slow)
+        reversible = say("entropy_VpK", 0.0) * (1.0 - soc) * (core + 273.15)
+        heat = fields["heat_gain"] * rate * (drop + fast + slow + reversible)
         soc -= rate / 3600.0
         fast += (fields["polarisation_ratio"] * drop - fast) / fields["polarisation_tau_s"]
         slow += (fields["diffusion_ratio"] * drop * cold - slow) / fields["diffusion_tau_s"]
         core += (heat - fields["cooling_WpKAh"] * (core - ambient_C)) / fields["heat_capacity_JpKAh"]
-        shown += (core - shown) / fields["sensor_lag_s"]
+        shown += (core - shown) / say("lag_s", fields["sensor_lag_s"])
         metered = (amps - say("unmetered_W", 0.0) / volts) * say("gain", 1.0) + say("offset_A", 0.0)
         noise = random.standard_normal(3) * np.array([0.02, 0.15, 0.1])
         seen, felt = volts + say("offset_V", 0.0), shown + say("offset_K", 0.0)

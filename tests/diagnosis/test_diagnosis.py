@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replaced
 from planted_flights import FILE, MISSIONS, PACK, fly
 
 from uavbatt.diagnosis import close
@@ -17,6 +18,7 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import Observed
 from uavbatt.log_replay.run import engine_for
 
+LAG_S = 20.0  # of the sensor, in the file
 LEAST = 2  # flights that a diagnosis takes: its work grows with their rows
 
 
@@ -170,3 +172,14 @@ def test_without_temperature_its_effects_are_no_candidates(clean: list[Observed]
     diagnosis = found(blind)
     assert not diagnosis.problem.evidence.has_temperature
     assert "temperature_offset" not in {m for c in diagnosis.classes for m in c.members}
+
+
+@pytest.mark.parametrize("entropy_VpK", [0.0, -0.0002])
+def test_a_lag_of_the_sensor_is_in_its_interval_whatever_heat_the_reactions_give(entropy_VpK: float) -> None:
+    left = replaced(FILE.discrepancy, wander=replaced(FILE.discrepancy.wander, temperature_sd_K=0.05))
+    entries = [replaced(entry, standard_error={}) for entry in FILE.effects]
+    sure = replaced(FILE, effects=entries, discrepancy=left)
+    flown = [fly(*mission, lag_s=4.5 * LAG_S, entropy_VpK=entropy_VpK) for mission in MISSIONS[:3]]
+    diagnosis = diagnose(flown, sure, PACK, engine=engine_for(is_long=True))
+    (told,) = (c.parameters["sensor_lag_s"] for c in diagnosis.classes if "temperature_lag" in c.members)
+    assert LAG_S < told.lo < 4.5 * LAG_S < told.hi < 300.0
