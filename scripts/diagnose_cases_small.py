@@ -17,21 +17,17 @@ from typing import NamedTuple
 
 import numpy as np
 from diagnose_cases_pack import arguments, flights, ready, records
-from diagnose_cases_table import SAME
+from diagnose_cases_table import SAME, true_value
 
 from uavbatt.diagnosis.candidates import NOTHING
 from uavbatt.diagnosis.classes import COVERAGE
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.search import FIRST_TURNS, RIVAL_WORTH, Trial, trial
+from uavbatt.diagnosis.rivals import RIVAL_SHARE
+from uavbatt.diagnosis.search import FIRST_TURNS, Trial, trial
 from uavbatt.diagnosis.worth import Worth, at_bound
 from uavbatt.fitting.observed import Observed
 
-SENSORS = {
-    "current_gain": "current_gain", "voltage_gain": "voltage_gain", "voltage_offset": "voltage_offset_V",
-    "current_offset": "current_offset_A", "unmetered_load": "unmetered_W", "temperature_offset": "temp_offset_K",
-    "harness_resistance": "harness_ohm",
-}  # fmt: skip
 SHARES = (1.0, 0.5, 0.2, 0.0)  # of the errors that the file states
 FLIGHTS, ROUNDS, PASSES, SEATS = 3, 3, 0.02, 3
 
@@ -58,17 +54,10 @@ def singles(tried: Trial) -> list[Single]:
     ]
 
 
-def truth(effect: str, label: dict[str, dict[str, float]]) -> float | None:
-    """Return how large the effect was, in the unit of its quantity; None where the simulator's is another."""
-    if effect == "capacity_fade":
-        return 1.0 - label["cell"]["capacity"]
-    return label["sensors"][SENSORS[effect]] if effect in SENSORS else None
-
-
 def told(found: list[Single], share: float, level: float) -> list[str]:
     """Names of the rivals by chi-square, nothing below the level."""
     most = max(s.value(share) for s in found)
-    return [s.name for s in found if most > level and s.value(share) > max(0.5 * level, RIVAL_WORTH * most)]
+    return [s.name for s in found if most > level and s.value(share) > max(0.5 * level, RIVAL_SHARE * most)]
 
 
 def main() -> int:
@@ -97,7 +86,7 @@ def main() -> int:
             effect = SAME.get(label["effect"], label["effect"])
             found = tried(flights(folder / name))
             cases.append((effect, found))
-            size, own = truth(effect, label), [s for s in found if s.name == effect]
+            size, own = true_value(effect, label), [s for s in found if s.name == effect]
             inside += [abs(s.size - size) < COVERAGE * s.sd for s in own if size is not None]
             its = next((f"{s.value(1.0):.1f} | {k + 1}" for k, s in enumerate(found) if s.name == effect), "– | –")
             most = max(found, key=lambda s: s.value(1.0))
