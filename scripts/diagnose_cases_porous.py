@@ -16,16 +16,9 @@ from collections import Counter
 from dataclasses import asdict
 
 from diagnose_cases_pack import arguments, flights, ready
-from diagnose_cases_table import SURE, hiding, right, values_inside, words, wrong_names
+from diagnose_cases_table import SURE, hiding, kind, right, values_inside, words, wrong_names
 
 from uavbatt.diagnosis.diagnosis import diagnose
-
-
-def kind(effect: str, size: str) -> str:
-    """The row of the counts that a case belongs to."""
-    if effect in ("none", "undeclared"):
-        return effect
-    return "pair" if "+" in effect else size
 
 
 def chosen(names: list[str], only: str) -> list[str]:

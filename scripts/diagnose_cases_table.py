@@ -19,12 +19,12 @@ from typing import Any
 TRUTH = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")) / "truth"
 SAME = {"partial_charge": "initial_charge", "undeclared": "undeclared"}
 SURE = 0.4
-# What a label calls the quantity of an effect, in lower case and without its unit.
-SENSORS = {
+# How the quantity of an effect begins in a label, whatever its unit.
+QUANTITIES = {
     "current_gain": "current_gain", "voltage_gain": "voltage_gain", "voltage_offset": "voltage_offset",
     "current_offset": "current_offset", "current_delay": "current_delay", "unmetered_load": "unmetered",
     "temperature_offset": "temp_offset", "temperature_lag": "temp_lag", "harness_resistance": "harness",
-    "hysteresis": "hysteresis",
+    "hysteresis": "hysteresis", "capacity_fade": "capacity", "initial_charge": ("start_soc", "initial_soc"),
 }  # fmt: skip
 
 
@@ -37,6 +37,18 @@ def labels() -> dict[str, tuple[str, str]]:
     return told
 
 
+def kind(effect: str, size: str) -> str:
+    """The row of the counts that a case belongs to."""
+    if effect in ("none", "undeclared"):
+        return effect
+    return "pair" if "+" in effect else size
+
+
+def wanted(effect: str) -> list[str]:
+    """Names of the one or two effects of a label, as a diagnosis tells them."""
+    return [SAME.get(name, name) for name in effect.split("+")]
+
+
 def right(effect: str, found: dict[str, Any]) -> bool:
     """Whether the diagnosis says what the label says."""
     classes = [set(c["members"]) for c in found["classes"]]
@@ -44,11 +56,11 @@ def right(effect: str, found: dict[str, Any]) -> bool:
         return bool(found["verdict"] == "no_missing_effect")
     if effect == "undeclared":
         return bool(found["verdict"] == "undeclared_effect")
-    wanted = [SAME.get(e, e) for e in effect.split("+")]
-    if len(wanted) == 2:
-        one, other = wanted
+    names = wanted(effect)
+    if len(names) == 2:
+        one, other = names
         return len(classes) == 2 and any(one in a and other in b for a, b in (classes, classes[::-1]))
-    return bool(classes) and wanted[0] in classes[0]
+    return bool(classes) and names[0] in classes[0]
 
 
 def hiding(found: dict[str, Any]) -> bool:
@@ -58,29 +70,29 @@ def hiding(found: dict[str, Any]) -> bool:
 
 def wrong_names(effect: str, found: dict[str, Any]) -> int:
     """Classes that are told as if they were sure and hold no label."""
-    wanted = {SAME.get(e, e) for e in effect.split("+")}
-    return sum(c["probability"] > SURE and not wanted & set(c["members"]) for c in found["classes"])
+    names = set(wanted(effect))
+    return sum(c["probability"] > SURE and not names & set(c["members"]) for c in found["classes"])
 
 
 def true_value(effect: str, label: dict[str, Any]) -> float | None:
     """Return how large an effect is by the label, in the unit of its quantity; None where the label has another."""
-    cell = {name.removesuffix("_scale"): value for name, value in label.get("cell", {}).items()}
-    if effect == "capacity_fade":
-        return 1.0 - cell["capacity"] if "capacity" in cell else None
-    if effect == "initial_charge":
-        start = cell.get("start_soc", label.get("flight", {}).get("initial_soc"))
-        return start - 1.0 if start is not None else None
-    named = {name.lower().rpartition("_")[0] or name: value for name, value in label.get("sensors", {}).items()}
-    return {**named, **label.get("sensors", {})}.get(SENSORS.get(effect, ""))
+    if effect not in QUANTITIES:
+        return None
+    parts = (label.get(part, {}) for part in ("cell", "sensors", "flight", "values"))
+    stated = (v for part in parts for name, v in part.items() if name.startswith(QUANTITIES[effect]))
+    value: float | None = next(stated, None)
+    if value is None:
+        return None
+    return {"capacity_fade": 1.0 - value, "initial_charge": value - 1.0}.get(effect, value)
 
 
 def values_inside(label: dict[str, Any], found: dict[str, Any]) -> list[bool]:
     """Whether the label's value is in the 95 % interval, for each effect that is first in its class and has one."""
     inside = []
     for c in found["classes"]:
-        name, true = c["members"][0], true_value(c["members"][0], label)
-        if true is not None and name in {SAME.get(e, e) for e in label["effect"].split("+")}:
-            told = next(iter(c["parameters"].values()))
+        name, told = c["members"][0], next(iter(c["parameters"].values()))
+        true = true_value(name, label) if name in wanted(label["effect"]) else None
+        if true is not None:
             inside.append(bool(told["lo"] <= true <= told["hi"]))
     return inside
 
@@ -102,17 +114,8 @@ def main() -> int:
     for path in sorted(Path(sys.argv[1]).glob("[bpk][0-9]*.json")):
         found = json.loads(path.read_text())
         effect, size = told[path.stem]
-        kind = (
-            "none"
-            if effect == "none"
-            else "undeclared"
-            if effect == "undeclared"
-            else "pair"
-            if "+" in effect
-            else size
-        )
-        seen[kind] += 1
-        good[kind] += right(effect, found)
+        seen[kind(effect, size)] += 1
+        good[kind(effect, size)] += right(effect, found)
         wrong += wrong_names(effect, found)
         b, a = found["before"], found["after"]
         errors = f"{1000 * b['voltage_rmse_V']:.0f} → {1000 * a['voltage_rmse_V']:.0f}"

@@ -106,10 +106,10 @@ def intervals(fit: Refit) -> dict[str, Interval]:
     for k in range(len(fit.candidate.freed))[fit.candidate.places(fit.candidate.name)]:
         freed = fit.candidate.freed[k]
         name = QUANTITIES[freed.index].name
-        value, half = float(values[k]), COVERAGE * float(errors[k])
-        lo, hi = value - half, value + half
+        value, error = float(values[k]), float(errors[k])
+        lo, hi = value - COVERAGE * error, value + COVERAGE * error
         if name == "sensor_lag_s":
-            factor = math.exp(COVERAGE * math.hypot(float(errors[k]) / value, LAG_SHARE))
+            factor = math.exp(COVERAGE * math.hypot(error / value, LAG_SHARE))
             lo, hi = value / factor, value * factor
         out[name] = Interval(value, max(lo, freed.low), min(hi, freed.high), UNITS[name])
     return out
