@@ -57,6 +57,18 @@ def test_a_part_of_a_flight_tells_less_of_the_capacity(record):
     assert part.key == record.key
 
 
+@pytest.mark.parametrize("growth", [0.0, 0.5])
+def test_a_flight_to_the_end_tells_the_ohms_as_well_as_one_to_the_half(growth: float) -> None:
+    """At the knee nobody knows how much of the drop is ohms; what was known before it must not be lost there."""
+    true_ohm = type_ohm(PACK) * (1.0 + growth)
+    whole, part = (
+        remembering.taught(BATTERY, OPTIONS, flight(1, {"resistance_growth": growth}, share)).record.told
+        for share in (1.0, 0.5)
+    )
+    assert math.exp(whole.log_ohm) == pytest.approx(true_ohm, rel=0.05)
+    assert whole.variance_ohm < 1.3 * part.variance_ohm
+
+
 def test_what_a_flight_drew_is_in_its_record(emptied, record):
     rows = emptied.samples
     assert record.charge_Ah == pytest.approx(5.0 * FADED * (record.soc_start - record.soc_end), rel=0.08)

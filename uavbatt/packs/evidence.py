@@ -13,6 +13,7 @@ either. What the belief holds for a reaction does not count: handed on as ohms i
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -37,18 +38,31 @@ UNKNOWN_AWAY_K = 12.0
 SMALLEST_SHARE, LARGEST_SHARE, MAGNIFIED_SHARE = 1e-6, 0.98, 0.5
 
 
-def told(pack: Pack, loaded: Belief, last: Belief, temp_C: float) -> Told:
-    """Return what the flight says, from the beliefs at its last row under load and at its last row of all.
+def told(pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float) -> Told:
+    """Return what the flight says, from its beliefs in order of time under load and that at its last row of all.
 
     `temp_C` is the pack's mean temperature under load [°C]; NaN where it was not measured.
     """
-    said = _with_rest(_without_prior(scales(pack, loaded), _prior(pack)), loaded, last)
+    said = _with_rest(_under_load(pack, loaded), loaded[-1], last)
     log_ohm, log_Ah, covariance, _ = health_of(pack, said)
     away_K = abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNKNOWN_AWAY_K
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
     scatter = covariance * np.outer(share, share)
     scatter += np.diag(LEAST_SD**2 + (COLD_SD_PER_K * away_K) ** 2)
     return Told(log_ohm, log_Ah, float(scatter[0, 0]), float(scatter[1, 1]), float(scatter[0, 1]))
+
+
+def _under_load(pack: Pack, loaded: Sequence[Belief]) -> Scales:
+    """Return what the rows under load say: of the capacity all of them, of the ohms when they were known best.
+
+    At the knee the discrepancy is not known, and nor is its sum with the ohms.
+    """
+    said = [_without_prior(_scales(pack, belief), _prior(pack)) for belief in loaded]
+    best = min(said, key=lambda s: float(s.covariance[0, 0]))
+    ratio = math.sqrt(said[-1].covariance[1, 1] / best.covariance[1, 1])
+    return Scales(
+        np.array([best.mean[0], said[-1].mean[1]]), best.covariance * np.array([[1.0, ratio], [ratio, ratio**2]])
+    )
 
 
 def _prior(pack: Pack) -> Scales:
@@ -69,7 +83,7 @@ def _ohms_per_volt(pack: Pack) -> float:
     return min(1.0 / drop_V, most)
 
 
-def scales(pack: Pack, belief: Belief) -> Scales:
+def _scales(pack: Pack, belief: Belief) -> Scales:
     """The belief's resistance and capacity, the discrepancy in it counted as ohms."""
     read = np.zeros((2, len(X)))
     read[0, X.LOG_RESISTANCE], read[0, X.BIAS] = 1.0, -_ohms_per_volt(pack)

@@ -7,6 +7,7 @@ whatever the ledger holds, in whatever order and on however many cores logs are 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +32,7 @@ SILENT = ForecastSettings(forecast_period_s=1e6)  # forecasts are not asked for
 KEY_ROWS = 200
 LEAST_CHARGE, LEAST_LOADED_S = 0.04, 60.0  # a hop says nothing
 LONGEST_STEP_S = 60.0
+LOOKS = 5  # at the belief under load; more of them tell no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +77,14 @@ def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught
     pack = sized(battery, size)
     estimator = Estimator(battery, options, SILENT, remembered=health_of(pack, UNKNOWN))
     estimator.update_facts(facts)
-    first, loaded = _run(estimator, rows[: last_loaded + 1])
+    cuts = np.linspace(0, last_loaded + 1, LOOKS + 1).astype(int).tolist()
+    looks = [_run(estimator, rows[a:b]) for a, b in itertools.pairwise(cuts)]
     end, last = _run(estimator, rows[last_loaded + 1 :])
-    if loaded is None or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
+    loaded = [belief for _, belief in looks if belief is not None]
+    if not loaded or estimator.pack_size is None or estimator.pack_size.cells != size.cells:
         return Taught(None, "no estimate could be made")
-    said = told(pack, loaded, last or loaded, _mean_temp_C(rows[: last_loaded + 1]))
-    estimates = [*first, *end]
+    said = told(pack, loaded, last or loaded[-1], _mean_temp_C(rows[: last_loaded + 1]))
+    estimates = [e for some, _ in looks for e in some] + end
     if drawn(rows, LONGEST_STEP_S).charge_Ah < LEAST_CHARGE * size.capacity_Ah:
         return Taught(None, f"less than {LEAST_CHARGE:.0%} of the charge was drawn")
     return Taught(_record(battery, size, pack, flight, rows, estimates, said))
