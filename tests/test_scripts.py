@@ -18,3 +18,16 @@ def test_it_finds_what_it_asks_of_the_package(name: str) -> None:
         if error.name is None or error.name.startswith("uavbatt"):
             raise
         pytest.skip(f"{error.name} is not installed")
+
+
+def test_the_bench_of_the_engine_runs_what_it_times() -> None:
+    """What it asks of the package by arguments and sizes, which loading does not show."""
+    engine = importlib.import_module("bench.engine")
+    rows = engine.flight(0.5)
+    if engine.HAS_TWIN:
+        engine.twin(rows, engine.capacities(engine.pack()))()
+    engine.filterpy_step()()
+    asked, belief, forecaster = engine.question()
+    found = forecaster.forecast(belief, 0.0)
+    ends_s = engine.reference_ends_s(belief, asked, draws=64)
+    assert found.lo_s < found.median_s < found.hi_s and 0.0 < ends_s.min() <= ends_s.max()

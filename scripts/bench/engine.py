@@ -139,13 +139,14 @@ def bank() -> SocFilter:
 
 def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
     """The twin alone: columns in, as a reader gives them, columns out."""
-    from uavbatt.compiled.filter import run
+    from uavbatt.compiled.filter import most_moments, run
     from uavbatt.compiled.jit import as_numbers
     from uavbatt.estimation.recursion import start
 
     state, _ = start(pack(), samples[0], float("nan"), members)
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples[1:]]).T.copy()
-    at = (state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *state.moments)
+    most = most_moments(table[0], state.time_s)
+    at = (most, state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *state.moments)
     numbers = as_numbers(pack())
     return lambda: run(numbers, state.ambient_C, table, *at)
 
@@ -158,7 +159,10 @@ def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
     )
     mean = np.zeros(SIZE)
     mean[X.SOC], mean[X.CORE], mean[X.SENSOR] = 0.95, 25.0, 25.0
-    sd = np.array([0.01, 0.003, 0.003, 1.0, 1.0, 0.05, 0.03, 0.005])
+    sd = np.zeros(SIZE)
+    sd[X.SOC], sd[X.CORE], sd[X.SENSOR] = 0.01, 1.0, 1.0
+    sd[X.POLARISATION], sd[X.DIFFUSION], sd[X.BIAS], sd[X.REACTION] = 0.003, 0.003, 0.005, 0.005
+    sd[X.LOG_RESISTANCE], sd[X.LOG_CAPACITY] = 0.05, 0.03
     belief = Belief.gaussian(0.0, mean, np.diag(sd**2), 20.0)
     found = forecaster.question(belief, 0.0)
     assert found is not None

@@ -30,12 +30,17 @@ share(noise)
 share(recursion)
 
 
+def most_moments(times_s: Array, at_s: float) -> int:
+    """No more moments than this come of rows at these times, from a filter at `at_s`."""
+    return min(times_s.size, int((np.nanmax(times_s) - min(at_s, np.nanmin(times_s))) / BLOCK_S)) + 4
+
+
 def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[FilteredRow], FilterState]:
     """Take a window of rows in, as `recursion.filter_window` does; returns the filter after each and the last state."""
     if not samples:
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
-    most = min(len(samples), int((np.nanmax(table[0]) - min(state.time_s, np.nanmin(table[0]))) / BLOCK_S)) + 4
+    most = most_moments(table[0], state.time_s)
     beliefs, in_force, times_s, shown, (current_A, block_A, block) = run(
         as_numbers(pack),
         state.ambient_C,
