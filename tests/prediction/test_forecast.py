@@ -87,6 +87,18 @@ def test_linear_voltage_gives_the_energy_integral(power_W: float) -> None:
     assert found.hi_s - found.lo_s < 2.0  # nothing is uncertain
 
 
+@pytest.mark.parametrize("missing_V", [-0.1, 0.1])
+def test_volts_that_are_missing_now_are_missing_at_the_end(missing_V: float) -> None:
+    """A discrepancy of -0.1 V a cell and an open-circuit voltage lower by 0.1 V are the same pack, to the end."""
+    now = belief(0.8, exact=True)
+    mean = now.mean.copy()
+    mean[X.BIAS] = -missing_V
+    misses = Belief.gaussian(0.0, mean, now.covariance, now.ambient_C)
+    lower = forecast(plain_pack(3.2 - missing_V + 0.9 * SOC_GRID), now)
+    assert lower.median_s > 500.0
+    assert forecast(plain_pack(3.2 + 0.9 * SOC_GRID), misses).median_s == pytest.approx(lower.median_s, rel=0.001)
+
+
 def test_a_climb_that_ends_the_flight_is_felt_when_it_comes() -> None:
     """A pack that is 0.2 V a cell above the cut-off, and 0.2 V below it in the climb, ends as the climb comes."""
     made, now = plain_pack(3.6 + 0.2 * SOC_GRID, 0.1), belief(0.8, exact=True)

@@ -115,6 +115,11 @@ def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: 
     return out
 
 
+def bias_variance(pack: Pack, dt_s: Number) -> Number:
+    """Return the variance [V²] that the discrepancy gains in `dt_s` [s] (Ornstein-Uhlenbeck)."""
+    return pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
+
+
 def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     """Variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
 

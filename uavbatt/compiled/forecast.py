@@ -59,11 +59,10 @@ def time_to_end(
 ) -> tuple[Array, Array]:
     """End of flight and of the low-voltage warning [s] of each column; inf beyond the horizon."""
     batch = x.shape[1]
-    memory, end_s, low_s = np.exp(-dt_s / pack.bias_tau_s), np.empty(batch), np.empty(batch)
-    kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
+    end_s, low_s, gained_V2 = np.empty(batch), np.empty(batch), b.bias_variance(pack, dt_s)
     for j in range(batch):
         end_s[j], low_s[j] = time_to_end_one(
-            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, memory, kick_V2, bias[:, j], row[:, j], by_rows
+            pack, x[:, j], power_W[:, j], ambient_C, dt_s, reserve_soc, gained_V2, bias[:, j], row[:, j], by_rows
         )
     return end_s, low_s
 
@@ -76,8 +75,7 @@ def time_to_end_one(
     ambient_C: float,
     dt_s: Array,
     reserve_soc: float,
-    memory: Array,
-    kick_V2: Array,
+    gained_V2: Array,
     bias: Array,
     row: Array,
     by_rows: bool,
@@ -125,7 +123,7 @@ def time_to_end_one(
             lags, lags_s = model.lags(cell, dt_s[k]), dt_s[k]
         doubt_V2 = b.ocv_doubt(pack, state.soc, under.c_rate * (dt_s[k] / SECONDS_PER_HOUR))
         state = model.step_cell(cell, state, under, r_ohmAh, ambient_C, dt_s[k], lags)
-        bias_V = memory[k] * bias_V + np.sqrt(kick_V2[k] + doubt_V2) * bias[k]
+        bias_V += np.sqrt(gained_V2[k] + doubt_V2) * bias[k]
         at_s += dt_s[k]
     return end_s, min(low_s, end_s)
 

@@ -88,7 +88,7 @@ class SocFilter:
         """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A` [A]."""
         at = Moments(belief.means, belief.covariances, np.log(belief.weights))
         self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), belief.ambient_C)
-        self._last = Filtered(belief, summary(at), NOTHING)
+        self._last = Filtered(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
 
     def step(self, sample: Sample) -> Estimate:
         """Take one sample in; one without voltage or current moves nothing, and its estimate says so."""
@@ -112,12 +112,12 @@ class SocFilter:
             self._state, row = start(self.pack, paired[first], self._ambient_C, self._capacities)
             rows = [*[FilteredRow(None, NAN, NOTHING)] * first, row]
         more, self._state = window(self.pack, self._state, paired[len(rows) :])
-        found = _filtered([*rows, *more], self._state.ambient_C, self._last)
+        found = _filtered(self.pack, [*rows, *more], self._state.ambient_C, self._last)
         self._last = found[-1] if found else self._last
         return found
 
 
-def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list[Filtered]:
+def _filtered(pack: Pack, rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list[Filtered]:
     """Return the filter after each row; the summary of a belief is worked out once and shared by its rows."""
     found = []
     for row in rows:
@@ -126,7 +126,7 @@ def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list
             found.append(NOT_BEGUN)
             continue
         if belief is None or belief.means is not at.x:
-            belief, known = Belief(row.time_s, at.x, at.P, at.weight, ambient_C), summary(at)
+            belief, known = Belief(row.time_s, at.x, at.P, at.weight, ambient_C), summary(at, pack.empty_soc_sd)
         else:
             belief = Belief(row.time_s, at.x, at.P, belief.weights, ambient_C)
         last = Filtered(belief, known, row.innovation)
@@ -134,8 +134,12 @@ def _filtered(rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list
     return found
 
 
-def summary(at: Moments) -> BeliefSummary:
-    """Return the means and standard deviations that an estimate shows of a belief."""
+def summary(at: Moments, empty_soc_sd: float) -> BeliefSummary:
+    """Return the means and standard deviations that an estimate shows of a belief.
+
+    empty_soc_sd : what is not known of the charge that a make leaves in its cells, as a share of what was drawn. The
+    filter counts down to the empty of the battery file, which no voltage tells from that of the pack.
+    """
     weight = at.weight
     x, covariance = weight @ at.x, mixed_covariance(at.x, at.P, weight)
     sd = np.sqrt(np.diag(covariance))
@@ -143,7 +147,7 @@ def summary(at: Moments) -> BeliefSummary:
     shared = covariance[X.LOG_RESISTANCE, X.LOG_CAPACITY]
     return BeliefSummary(
         soc=float(x[X.SOC]),
-        soc_sd=float(sd[X.SOC]),
+        soc_sd=math.hypot(sd[X.SOC], empty_soc_sd * min(max(1.0 - float(x[X.SOC]), 0.0), 1.0)),
         core_temp_C=float(x[X.CORE]),
         resistance_scale=math.exp(resistance),
         resistance_scale_sd=math.exp(resistance) * float(sd[X.LOG_RESISTANCE]),

@@ -124,8 +124,7 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     q[X.SENSOR] = CORE_WALK_K2PS * dt_s
     q[X.LOG_RESISTANCE] = RESISTANCE_WALK_PER_S * dt_s
     q[X.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
-    q[X.BIAS] = pack.bias_sd_V**2 * -np.expm1(-2.0 * dt_s / pack.bias_tau_s)
-    q[X.BIAS] += b.ocv_doubt(pack, mean[X.SOC], rate_c * dt_s / 3600.0)
+    q[X.BIAS] = b.bias_variance(pack, dt_s) + b.ocv_doubt(pack, mean[X.SOC], rate_c * dt_s / 3600.0)
     return q
 
 

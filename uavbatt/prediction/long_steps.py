@@ -18,7 +18,7 @@ from uavbatt.battery.equations import SECONDS_PER_HOUR, is_on
 from uavbatt.battery.model import Array, Parameters, State, UnderLoad
 from uavbatt.battery.pack import Installation, metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import X, drift_variance, unpack
+from uavbatt.battery.state_space import X, bias_variance, drift_variance, unpack
 from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.sampling import wander
 
@@ -69,10 +69,9 @@ def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normal
     """Return the draws, which are `at` now, after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
     cell, state, pack, under = going.cell, going.state, going.pack, _under(going, at, power_W)
     later = model.step_cell(cell, state, under, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
-    memory = np.exp(-np.asarray(dt_s) / pack.bias_tau_s)
     doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
-    kick_V = np.sqrt(pack.bias_sd_V**2 * (1.0 - memory**2) + doubt_V2) * normals
-    return going._replace(state=later, bias_V=memory * going.bias_V + kick_V)
+    kick_V = np.sqrt(bias_variance(pack, np.asarray(dt_s)) + doubt_V2) * normals
+    return going._replace(state=later, bias_V=going.bias_V + kick_V)
 
 
 def edges_through(times_s: Array) -> Array:

@@ -6,7 +6,10 @@ pack sooner than charge counting says. Each step solves V I = P and advances the
 The end of flight is the forecast form of the rule in `scoring.end_of_flight`: the 5 s mean lags a falling voltage by
 half its window, so that it crosses the cut-off MEAN_LAG_S after the voltage does; where telemetry rows are slower than
 that, the steps are the rows, and the centred median of three of them, with their noise, judges. A charge below the
-reserve ends a flight as well. `compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
+reserve ends a flight as well. The discrepancy walks on from where it is: nothing says that the voltage which a pack
+misses now will come back before the end, so it does not decay to zero as it does in the filter.
+
+`compiled.forecast` is the same compiled; a test holds the two equal to 1e-9.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import metered_voltage, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
-from uavbatt.battery.state_space import X, drift_variance, unpack
+from uavbatt.battery.state_space import X, bias_variance, drift_variance, unpack
 from uavbatt.prediction.curves import curve_tables, looked_up
 
 MEAN_LAG_S = 2.5  # half of MEAN_WINDOW_S of that rule
@@ -66,7 +69,7 @@ def time_to_end(
 
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
-    the discrepancy decays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
+    the discrepancy stays and rows are exact. Several forecasts fly side by side with a batch of two dimensions, over
     which `dt_s` [steps, ...], `ambient_C` and the pack's limits broadcast; `own_steps` ends each one's horizon. It is
     over when a share `enough` of each forecast's columns has ended; the others are inf.
     """
@@ -74,8 +77,7 @@ def time_to_end(
     cell = cell._replace(**{name: np.asarray(getattr(cell, name)) for name in MET_AT_EVERY_STEP if getattr(cell, name)})
     steps, size = power_W.shape[0], installation.cells * installation.present_capacity_Ah
     harness_ohmAh = series_resistance(installation, 0.0)
-    memory = np.exp(-dt_s / pack.bias_tau_s)
-    kick_V2 = pack.bias_sd_V**2 * (1.0 - memory**2)
+    gained_V2 = bias_variance(pack, dt_s)
     fast, slow, core, unread = model.cell_lags(cell, dt_s)
     limits = _Limits(pack, reserve_soc, _times(dt_s, x.ndim - 1), own_steps, float(np.min(own_steps)), by_rows)
     recent = _Recent(*np.zeros((len(_Recent._fields), JUDGED_BEFORE + JUDGED_AT_ONCE, *x.shape[1:])))
@@ -103,13 +105,11 @@ def time_to_end(
         if by_rows:
             mean_WpAh = 0.5 * (asked[k] + asked[min(k + 1, steps - 1)])
             under = model.under_power(cell, emf_V, series_ohmAh, mean_WpAh)
-        if wander is not None:
-            doubt_V2 = drift_variance(drift_sd_V, under.c_rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
         over = model.Lags(fast[k, ...], slow[k, ...], core[k, ...], unread)
         state = model.step_cell(cell, state, under, r_ohmAh, ambient_C, dt_s[k], over)
-        bias_V = memory[k, ...] * bias_V
         if wander is not None:
-            bias_V = bias_V + np.sqrt(kick_V2[k, ...] + doubt_V2) * wander.bias[k]
+            doubt_V2 = drift_variance(drift_sd_V, under.c_rate * (dt_s[k] / eq.SECONDS_PER_HOUR))
+            bias_V = bias_V + np.sqrt(gained_V2[k, ...] + doubt_V2) * wander.bias[k]
     return EndTimes(ends.end_s, np.minimum(ends.low_s, ends.end_s))
 
 
