@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -130,39 +131,49 @@ def test_slower_diffusion_is_news_to_a_file_that_has_a_slow_lag(healthy: Diagnos
     assert [QUANTITIES[f.index].name for f in polarisation.freed] == ["polarisation_ratio"] and polarisation.resized
 
 
+def names_seated(healthy: Diagnosis, leaves: dict[str, float], *likely: float, explains: float = 100.0) -> list[str]:
+    """Names that are seated, of effects that each leave so much in every number; the model without them leaves more."""
+    nothing = healthy.before
+    fits = [replace(nothing, candidate=Candidate((n,), (), (0,)), residual=nothing.residual + d)
+            for n, d in leaves.items()]  # fmt: skip
+    without = replace(nothing, residual=nothing.residual - explains)
+    return [list(leaves)[i] for i in seated(fits, np.array(likely), without)]
+
+
 def test_a_weak_cell_is_seated_beside_a_faded_pack(healthy: Diagnosis) -> None:
-    fits = healthy.before
-    names = ("capacity_fade", "unmetered_load", "voltage_offset", "weak_cell")
-    apart = [replace(fits, candidate=Candidate((n,), (), (0,)), residual=fits.residual + 10.0 * k)
-             for k, n in enumerate(names)]  # fmt: skip
-    assert [names[i] for i in seated(apart, np.array([0.3, 0.25, 0.2, 0.2]))] == [
-        "capacity_fade", "unmetered_load", "weak_cell"
-    ]  # fmt: skip
-    assert seated(apart[1:], np.array([0.4, 0.3, 0.3])) == [0, 1, 2]
+    leaves = {"capacity_fade": 0.0, "unmetered_load": 10.0, "voltage_offset": 20.0, "weak_cell": 30.0}
+    assert names_seated(healthy, leaves, 0.3, 0.25, 0.2, 0.2) == ["capacity_fade", "unmetered_load", "weak_cell"]
+    del leaves["capacity_fade"]
+    assert names_seated(healthy, leaves, 0.4, 0.3, 0.3) == list(leaves)
 
 
 def test_a_weak_cell_that_is_told_from_the_fade_takes_no_seat_from_what_is_likelier(healthy: Diagnosis) -> None:
     leaves = {"capacity_fade": 0.0, "current_gain": 0.0, "unmetered_load": 10.0, "weak_cell": 20.0}
-    apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + d)
-             for n, d in leaves.items()]  # fmt: skip
-    told = [[list(leaves)[i] for i in seated(apart, np.array([0.3, 0.3, 0.2, weak]))] for weak in (0.09, 0.11)]
-    assert told == [["capacity_fade", "current_gain", third] for third in ("unmetered_load", "weak_cell")]
+    for weak, third in ((0.09, "unmetered_load"), (0.11, "weak_cell")):
+        assert names_seated(healthy, leaves, 0.3, 0.3, 0.2, weak) == ["capacity_fade", "current_gain", third]
 
 
 def test_a_weak_cell_takes_the_seat_of_a_second_name_of_the_fade(healthy: Diagnosis) -> None:
     leaves = {"resistance_growth": 0.0, "current_gain": 10.0, "capacity_fade": 10.0, "weak_cell": 20.0}
-    apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + d)
-             for n, d in leaves.items()]  # fmt: skip
-    assert [list(leaves)[i] for i in seated(apart, np.full(4, 0.25))] == [
-        "resistance_growth", "capacity_fade", "weak_cell"
-    ]  # fmt: skip
+    assert names_seated(healthy, leaves, *[0.25] * 4) == ["resistance_growth", "capacity_fade", "weak_cell"]
 
 
 def test_a_likelier_name_of_the_same_family_is_seated_before_a_less_likely_one_of_another(healthy: Diagnosis) -> None:
-    names = ("resistance_growth", "harness_resistance", "slow_diffusion", "initial_charge")
-    apart = [replace(healthy.before, candidate=Candidate((n,), (), (0,)), residual=healthy.before.residual + 10.0 * k)
-             for k, n in enumerate(names)]  # fmt: skip
-    assert seated(apart, np.full(4, 0.25)) == [0, 1, 2]
+    leaves = {"resistance_growth": 0.0, "harness_resistance": 10.0, "slow_diffusion": 20.0, "initial_charge": 30.0}
+    assert names_seated(healthy, leaves, *[0.25] * 4) == list(leaves)[:3]
+
+
+def test_explanations_of_a_small_effect_are_no_names_of_one(healthy: Diagnosis) -> None:
+    """A chi-square of 7 beside the best is nothing where 10,000 are explained, and a seventh of it where 49 are."""
+    chi = 1.0 / math.sqrt(
+        healthy.before.residual.size
+    )  # a number's share of a chi-square of 1, as a standard deviation
+    leaves = {"charge_transfer": 0.0, "voltage_gain": 4.0 * chi, "voltage_offset": 5.0 * chi, "hysteresis": 2.6 * chi}
+    for explains, seats in (
+        (100.0, ["charge_transfer", "hysteresis", "voltage_gain"]),
+        (7.0, ["charge_transfer", "voltage_gain", "voltage_offset"]),
+    ):
+        assert names_seated(healthy, leaves, 0.3, 0.25, 0.25, 0.2, explains=explains * chi) == seats
 
 
 def test_what_is_worth_less_than_is_asked_is_never_told_as_likely(healthy: Diagnosis) -> None:

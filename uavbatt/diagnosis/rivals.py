@@ -19,6 +19,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
+TWIN_SHARE = 0.1  # of what the best of a class explains
 RIVAL_SHARE = 1.0 / 3.0  # of what the best is worth, or of how likely it is: less is no rival
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
 FARTHEST = 30.0  # of these: no weight is nothing, so that shares of what is left are numbers
@@ -68,18 +69,27 @@ def _at_rest(evidence: Evidence, width: int) -> Array:
 
 def same(one: Refit, other: Refit) -> bool:
     """Return True if two refits leave the same: one effect by two names, as a gain below one and a faded pack are."""
-    return float(np.sum((one.residual - other.residual) ** 2)) < SAME
+    return _apart(one, other) < SAME
 
 
-def seated(fits: Sequence[Refit], likely: Array) -> list[int]:
+def _apart(one: Refit, other: Refit) -> float:
+    """Return the chi-square between what two refits leave."""
+    return float(np.sum((one.residual - other.residual) ** 2))
+
+
+def seated(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
     """Places of the refits that a class has room for, likeliest first; what is the same as the best comes before them.
+
+    The best is told from another by at least SAME, or by a share of what it explains `before`: all explanations of a
+    small effect leave nearly the same, and are no twins for that.
 
     A pack that has faded and one with a weak cell differ in the last minute only: where one is named, so is the other,
     if these records do not tell it from the fade, in the seat of what is but another name of the fade or else of the
-    least likely. likely : how likely each is, likeliest first.
+    least likely. likely : how likely each is, likeliest first; before : the model without them.
     """
     names = [f.candidate.name for f in fits]
-    twins = [i for i, f in enumerate(fits) if same(f, fits[0])]
+    apart = [_apart(f, fits[0]) for f in fits]
+    twins = [i for i, chi2 in enumerate(apart) if chi2 < min(SAME, TWIN_SHARE * _apart(before, fits[0]))]
     seats = (twins + [i for i in range(len(fits)) if i not in twins])[:LARGEST_CLASS]
     faded, weak = (names.index(n) if n in names else -1 for n in ("capacity_fade", "weak_cell"))
     giving = [i for i in seats if i not in (*twins, faded)]

@@ -198,7 +198,7 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     likely = likely / np.sum(likely)
     order = np.argsort(-likely, kind="stable")
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
-    members = [int(order[k]) for k in seated([fits[i] for i in order], likely[order])]
+    members = [int(order[k]) for k in seated([fits[i] for i in order], likely[order], tried.before)]
     its = tried.worths[tried.rivals[members[0]]]
     return FoundEffect(
         members=tuple(fits[i] for i in members),
