@@ -165,9 +165,7 @@ def test_a_likelier_name_of_the_same_family_is_seated_before_a_less_likely_one_o
 
 def test_explanations_of_a_small_effect_are_no_names_of_one(healthy: Diagnosis) -> None:
     """A chi-square of 7 beside the best is nothing where 10,000 are explained, and a seventh of it where 49 are."""
-    chi = 1.0 / math.sqrt(
-        healthy.before.residual.size
-    )  # a number's share of a chi-square of 1, as a standard deviation
+    chi = 1.0 / math.sqrt(healthy.before.residual.size)  # of each number, for a chi-square of 1
     leaves = {"charge_transfer": 0.0, "voltage_gain": 4.0 * chi, "voltage_offset": 5.0 * chi, "hysteresis": 2.6 * chi}
     for explains, seats in (
         (100.0, ["charge_transfer", "hysteresis", "voltage_gain"]),

@@ -42,7 +42,8 @@ def known_pack() -> Pack:
     """The generic cell in a pack that scatters little, so that the filter's linearisation is good."""
     return pack()._replace(
         resistance_scale_sd=0.06, capacity_scale_sd=0.02, bias_sd_V=0.005, bias_tau_s=120.0, reaction_sd_V=0.005,
-        temperature_sd_K=0.4, ocv_sd_V=np.zeros(SOC_GRID.size), ocv_drift_sd_V=np.zeros(SOC_GRID.size),
+        ocv_sd_V=np.zeros(SOC_GRID.size), ocv_drift_sd_V=np.zeros(SOC_GRID.size),
+        temperature_sd_K=0.4, empty_soc_sd=0.0,
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ class Pack(NamedTuple):
     lag_share: tuple[float, float]  # relative error of the polarisation and of the diffusion overpotential
     rested_share: tuple[float, float]  # of the discrepancy in a first row at rest; and what of that is left when full
     evidence_share: float  # of a reading within its noise, when capacities are compared: less where errors last
-    empty_soc_sd: float  # how much charge its make leaves in it at the knee, as a share of what was drawn by then
+    empty_soc_sd: float  # of the charge that its make leaves in it at the knee, as a share of what was drawn by then
     sag_compensated: bool = False  # the autopilot has added its own guess of I·R to the voltage it reports
     guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
@@ -74,7 +74,7 @@ UNKNOWN_MAKE_BIAS_SD_V, UNKNOWN_MAKE_BIAS_TAU_S = 0.02, 3000.0
 # begins in the air.
 UNKNOWN_MAKE_REACTION_SD_V = 0.02
 # A mean over makes says how many volts a charge has, not how much of it a make leaves in its cells when the voltage
-# falls: 0.5 to 5 % at 2 to 5 C in three makes, 0 to 24 % in those of a fourth, which diffuse slowly in the cold.
+# falls: 0.5 to 5 % at 2 to 5 C in three makes, 0 to 24 % in a fourth, which diffuses slowly.
 UNKNOWN_MAKE_EMPTY_SOC_SD = 0.05
 # A fit has seen few packs at rest but full ones; a mean over makes is at rest as good anywhere.
 RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)

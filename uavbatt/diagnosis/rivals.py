@@ -19,7 +19,7 @@ from uavbatt.diagnosis.problem import Problem, Refit
 
 LARGEST_CLASS = 3
 SAME = 10.0  # chi-square between two models that no record could tell apart, refits not quite at their end
-TWIN_SHARE = 0.1  # of what the best of a class explains
+TWIN_SHARE = 0.1  # of what an effect explains: two names of it leave within that of each other
 RIVAL_SHARE = 1.0 / 3.0  # of what the best is worth, or of how likely it is: less is no rival
 TEMPER = 2.0  # sigmas of the model's error count half: it is no normal number
 FARTHEST = 30.0  # of these: no weight is nothing, so that shares of what is left are numbers
@@ -80,8 +80,8 @@ def _apart(one: Refit, other: Refit) -> float:
 def seated(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
     """Places of the refits that a class has room for, likeliest first; what is the same as the best comes before them.
 
-    The best is told from another by at least SAME, or by a share of what it explains `before`: all explanations of a
-    small effect leave nearly the same, and are no twins for that.
+    The same is what leaves within SAME of the best, and within TWIN_SHARE of what the best explains: all explanations
+    of a small effect leave nearly the same, which does not make them one.
 
     A pack that has faded and one with a weak cell differ in the last minute only: where one is named, so is the other,
     if these records do not tell it from the fade, in the seat of what is but another name of the fade or else of the
