@@ -88,8 +88,8 @@ def seated(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
     least likely. likely : how likely each is, likeliest first; before : the model without them.
     """
     names = [f.candidate.name for f in fits]
-    apart = [_apart(f, fits[0]) for f in fits]
-    twins = [i for i, chi2 in enumerate(apart) if chi2 < min(SAME, TWIN_SHARE * _apart(before, fits[0]))]
+    near = min(SAME, TWIN_SHARE * _apart(before, fits[0]))
+    twins = [i for i, f in enumerate(fits) if _apart(f, fits[0]) < near]
     seats = (twins + [i for i in range(len(fits)) if i not in twins])[:LARGEST_CLASS]
     faded, weak = (names.index(n) if n in names else -1 for n in ("capacity_fade", "weak_cell"))
     giving = [i for i in seats if i not in (*twins, faded)]

@@ -69,8 +69,8 @@ def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normal
     """Return the draws, which are `at` now, after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
     cell, state, pack, under = going.cell, going.state, going.pack, _under(going, at, power_W)
     later = model.step_cell(cell, state, under, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
-    doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (np.asarray(dt_s) / SECONDS_PER_HOUR))
-    kick_V = np.sqrt(bias_variance(pack, np.asarray(dt_s)) + doubt_V2) * normals
+    doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (dt_s / SECONDS_PER_HOUR))
+    kick_V = np.sqrt(bias_variance(pack, dt_s) + doubt_V2) * normals
     return going._replace(state=later, bias_V=going.bias_V + kick_V)
 
 
