@@ -174,6 +174,11 @@ class Estimator:
         if past is not None:
             self._followed.forecaster.recall(past.forecaster)
 
+    @property
+    def flying_since_s(self) -> float:
+        """Return the time of the row since which the pack carries the aircraft [s]; NaN on the ground."""
+        return self._followed.forecaster.flying_since_s if self._followed is not None else NAN
+
     def before_take_off(self, time_s: float) -> Forecast | None:
         """Return the endurance of a flight that began now [s], from the charge believed; None while unknown."""
         if self.belief is None or self._followed is None:

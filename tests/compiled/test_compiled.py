@@ -174,6 +174,19 @@ def first_question() -> Question:
     return next(asked(flown()[::10]))
 
 
+def test_the_slow_rows_of_a_long_log() -> None:
+    """Three hours of rows 6 s apart are more steps than there are normals: these come again."""
+    rows = 1800
+    long = first_question()._replace(
+        power_W=np.full((rows, first_question().x.shape[1]), 30.0),
+        dt_s=np.full(rows, 6.0),
+        by_rows=True,
+        reserve_soc=0.02,
+    )
+    assert_same_ends([long])
+    assert np.median(questions.end_times(long).end_s) > 1024 * 6.0
+
+
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_a_forecast_under_every_effect(name: str) -> None:
     question = first_question()

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uavbatt.battery import state_space as b
+from uavbatt.battery.initial_state import state_under_load
 from uavbatt.battery.model import SOC_GRID, Array, Parameters
-from uavbatt.battery.pack import Installation
+from uavbatt.battery.pack import Installation, grown, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import SocFilter, noise, recursion
@@ -244,6 +245,25 @@ def test_start_under_load_is_wide_and_comes_right() -> None:
     assert estimates[-1].status is Status.OK
     for sample, estimate in list(zip(loaded, estimates, strict=True))[::50]:
         assert abs(estimate.soc - true_soc(sample)) < 3.0 * estimate.soc_sd + 0.01
+
+
+INSTALLED = {
+    "nothing": {}, "harness": {"harness_ohm": 0.04}, "grown resistance": {"growth": 1.0}, "weak cell": {"deficit": 0.1},
+    "fade": {"fade": 0.2}, "sensors": {"gain_V": 0.98, "offset_V": 0.1, "gain_I": 0.95, "unmetered_W": 10.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("installed", INSTALLED.values(), ids=INSTALLED.keys())
+def test_a_start_under_load_knows_what_the_battery_file_says_of_the_installation(installed: dict[str, float]) -> None:
+    """A log that begins in the air: the first charge is right, and the first row's voltage is what is expected."""
+    there = pack()._replace(installation=pack().installation._replace(**installed))
+    cell, rate, soc = grown(there.cell, there.installation), 5.0, 0.6
+    state, true_A = state_under_load(cell, soc, 25.0, rate), rate * there.installation.present_capacity_Ah
+    volts = float(metered_voltage(there.installation, terminal_voltage(there.installation, cell, state, true_A)))
+    metered_A = (true_A - there.installation.unmetered_W / volts) * there.installation.gain_I
+    first = SocFilter(there).step(Sample(0.0, volts, float(metered_A), 25.0))
+    assert first.soc == pytest.approx(soc, abs=0.03)
+    assert abs(first.innovation_V) < 0.05
 
 
 @pytest.mark.parametrize("ambient_C", [-5.0, 20.0, 38.0])

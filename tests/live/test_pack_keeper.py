@@ -49,6 +49,25 @@ def flown(kept, rows, serial="A"):
     return kept
 
 
+def test_a_damaged_ledger_is_a_note_and_no_end(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    flown(keeper(path), rows).close(rows[-1].time_s)
+    with Ledger(path) as ledger, ledger.writing() as connection:
+        connection.execute("UPDATE flights SET known_covariance = '[1, 2'")
+    kept = keeper(path)
+    assert kept.meet(0, "A", None, 0.0).result() is None
+    assert "rows are whole" in kept.note
+    kept.close(0.0)
+
+
+def test_of_two_batteries_under_one_name_the_first_is_kept(tmp_path):
+    kept = keeper(tmp_path / "packs.sqlite", stated="left")
+    assert kept.meet(0, "", None, 0.0) is not None
+    assert kept.meet(1, "", None, 0.0) is None
+    assert "batteries 0 and 1 are both called left" in kept.note
+    kept.close(0.0)
+
+
 def test_a_flight_is_saved_after_its_landing(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     flown(keeper(path), rows).close(rows[-1].time_s)

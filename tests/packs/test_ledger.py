@@ -97,6 +97,20 @@ def test_a_log_that_began_in_the_middle_of_another_flight_does_not_know_it(tmp_p
         assert ledger.before("A", whole.start_utc_s + 0.7 * whole.duration_s, "cut").flight.key == FLIGHTS[0].key
 
 
+DAMAGE = ["known_covariance = '[1, 2'", "known_covariance = '[]'", "known_log_ohm = 'x'", "told_log_Ah = 'x'"]
+
+
+@pytest.mark.parametrize("damage", [*DAMAGE, "known_covariance = '[NaN,0,0,0,1,0,0,1,0,1]'", "findings = '{'"])
+def test_a_damaged_row_is_named_and_believed_by_nobody(tmp_path, damage):
+    path = tmp_path / "packs.sqlite"
+    with Ledger(path) as ledger:
+        ledger.save("A", FLIGHTS[0])
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"UPDATE flights SET {damage}")
+    with Ledger(path) as ledger, pytest.raises(BadInput, match=r"packs\.sqlite: .*rows are whole, found row 1: "):
+        ledger.last("A")
+
+
 def test_forgetting_a_pack_leaves_the_others(tmp_path):
     with Ledger(tmp_path / "packs.sqlite") as ledger:
         ledger.save("A", FLIGHTS[0])

@@ -149,6 +149,16 @@ def test_a_pack_that_is_not_the_one_remembered_is_noticed_by_its_ohms():
     assert "6 remembered of this pack" in unlike(PACK, health._replace(cells=6), wear=0.05, wear_sd=0.02)
 
 
+@pytest.mark.parametrize("times", [2.0, 3.0])
+def test_an_aged_pack_that_is_as_remembered_is_not_called_another(times):
+    """What the ledger remembers is shared between a reaction and the resistance: the flight shows the latter alone."""
+    health = PackHealth(math.log(times * type_ohm(PACK)), math.log(5.0), np.diag([0.05**2, 0.05**2]))
+    core = prior_of(PACK, health)
+    confirmed = math.expm1(float((core.log_resistance - core.log_scale)[core.weight.argmax()]))
+    assert unlike(PACK, health, wear=confirmed, wear_sd=0.05) == ""
+    assert "fewer ohms" in unlike(PACK, health, wear=confirmed / 3.0 - 0.2, wear_sd=0.05)
+
+
 def test_what_is_remembered_as_effects_of_the_battery_file_is_the_same_pack(record):
     health = PackHealth(record.told.log_ohm, record.told.log_Ah, record.told.matrix)
     effects, (fade_sd, growth_sd) = wear_of(PACK, health)

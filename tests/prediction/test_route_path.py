@@ -66,6 +66,16 @@ def test_a_mission_that_does_not_land_is_followed_by_the_way_home() -> None:
     assert legs[-1].end == Point(0.0, 0.0, 0.0)
 
 
+def test_a_return_that_ends_in_the_air_is_no_landing() -> None:
+    """RTL_ALT_FINAL above 0, or PX4's landing delay of -1: it waits above home, and nothing says when it lands."""
+    waits = replace(SETTINGS, return_final_m=10.0)
+    for items in ((to(1, 100.0, 0.0, 40.0),), (to(1, 100.0, 0.0, 40.0), MissionItem(2, Action.RETURN))):
+        found = path(mission(*items), HOME, waits)
+        assert not found.lands and not found.reason
+        assert [leg.phase for leg in found.legs] == [Phase.ROUTE, Phase.HOME] and found.legs[-1].end[:2] == (0.0, 0.0)
+        assert path(mission(*items), HOME, replace(SETTINGS, return_final_m=0.0)).lands
+
+
 def test_the_way_home_climbs_first_and_never_descends_to_its_height() -> None:
     low, high = way_home(Point(0.0, 100.0, 10.0), SETTINGS), way_home(Point(0.0, 100.0, 60.0), SETTINGS)
     assert low[0].end.height_m == 30.0

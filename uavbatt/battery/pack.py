@@ -94,3 +94,13 @@ def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Num
 def metered_voltage(pack: Installation, true_V: Number) -> Number:
     """Return the voltage that the sensor reports [V]."""
     return pack.gain_V * true_V + pack.offset_V
+
+
+def true_voltage(pack: Installation, voltage_V: Number) -> Number:
+    """Return the voltage at the sensor's place [V] from the metered one [V]: `metered_voltage` backwards."""
+    return (voltage_V - pack.offset_V) / pack.gain_V
+
+
+def true_power(pack: Installation, voltage_V: Number, current_A: Number) -> Number:
+    """Return the power that leaves the pack [W] from metered voltage [V] and current [A]."""
+    return true_voltage(pack, voltage_V) * true_current(pack, current_A, voltage_V)

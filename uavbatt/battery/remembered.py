@@ -158,13 +158,15 @@ def _together(*parts: Capacities) -> Capacities:
 def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
     """Return why a pack in flight is hardly the one that is remembered, by its cells or ohms; empty when it may be.
 
-    wear: ohms above the type's, relative, as the flight has them; wear_sd: of ln(1 + wear).
+    wear: ohms above the type's, relative, as the flight has them, without what a reaction takes (`with_reaction`);
+    wear_sd: of ln(1 + wear).
     """
     if not health.may_be(pack):
         return f"{pack.installation.cells} cells, {health.cells} remembered of this pack: {ANOTHER}"
     if not wear > -1.0:
         return ""
-    expected = health.log_ohm - math.log(type_ohm(pack))
+    log_resistance, log_capacity = scales_of(pack, health).mean
+    expected = _without_reaction(float(log_resistance)) - float(log_capacity)
     apart = math.log1p(wear) - expected
     sd = math.hypot(wear_sd, math.sqrt(health.covariance[0, 0]))
     if abs(apart) < max(LEAST_UNLIKE, UNLIKE_SD * sd):

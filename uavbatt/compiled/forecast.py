@@ -84,10 +84,9 @@ def time_to_end_one(
     cell, installation, state = b.unpack(pack, x)
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
     size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]
-    steps = min(dt_s.size, bias.size)
     bias_V, before, at_s, end_s, low_s = x[X.BIAS], 0.0, 0.0, np.inf, np.inf
     last_end, last_low, below_end, below_low = 0.0, 0.0, 0, 0
-    for k in range(steps):
+    for k in range(dt_s.size):
         emf_V, r_ohmAh = model.source(cell, state)
         series_ohmAh, emf_V = series_resistance(installation, r_ohmAh), emf_V + bias_V
         under = model.under_power(cell, emf_V, series_ohmAh, power_W[k] / size)

@@ -17,7 +17,7 @@ import numpy as np
 from uavbatt.battery.battery_file import BatteryFile, Certificate, EffectEntry, Verdict
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import true_current
+from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.diagnosis import residual
@@ -168,8 +168,7 @@ def remaining(
     if not math.isfinite(end_s):
         return [], []
     pack = pack_of(file, options.cells or 1, options.capacity_Ah, cutoff_V, NAN).installation
-    true_V = (volts - pack.offset_V) / pack.gain_V
-    load = LoggedLoad(time_s, np.maximum(true_V * true_current(pack, amps, volts), 0.0))
+    load = LoggedLoad(time_s, np.maximum(true_power(pack, volts, amps), 0.0))
     estimator = Estimator(file, options, ForecastSettings(load, forecast_period_s=FORECAST_S), engine)
     take_off_s = float(time_s[amps > loaded_A(amps)][0])
     errors, hits, due = [], [], take_off_s + SETTLING_S

@@ -15,7 +15,7 @@ from uavbatt.battery import state_space as b
 from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, State
-from uavbatt.battery.pack import c_rate
+from uavbatt.battery.pack import c_rate, grown, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
 
@@ -65,26 +65,30 @@ class First(NamedTuple):
 def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> First:
     """The first belief about a cell comes from its voltage `cell_V` [V] under `rate_c` [1/h] in the first row.
 
-    The drop depends on the charge, which depends on the drop: a few rounds settle it.
+    The drop depends on the charge, which depends on the drop: a few rounds settle it. Harness, grown resistance and a
+    weak cell are part of it, as they are of every voltage that the filter expects (`pack.terminal_voltage`).
     """
+    installation, cell = pack.installation, grown(pack.cell, pack.installation)
     idle = abs(rate_c) < initial_state.IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
     model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
     reaction_V = float(_reaction_V(pack, pack.reaction_sd_V, rate_c))
-    read = initial_state.charge_at(pack.cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
+    read = initial_state.charge_at(cell, cell_V, float(np.hypot(RESTED_VOLTAGE_SD_V, model_sd_V)))
     for _ in range(ROUNDS):
-        state = initial_state.state_under_load(pack.cell, read.soc, temp_C, rate_c)
-        ohmic_V = max(rate_c, 0.0) * float(model.resistance(pack.cell, read.soc, temp_C))
-        other_V = float(state.polarisation_V + state.diffusion_V + model.transfer_drop(pack.cell, rate_c))
+        state = initial_state.state_under_load(cell, read.soc, temp_C, rate_c)
+        series_ohmAh = series_resistance(installation, model.resistance(cell, read.soc, temp_C))
+        ohmic_V = max(rate_c, 0.0) * float(series_ohmAh)
+        lag_V = weak_lag(installation, cell, state, rate_c, model.cell_voltage(cell, state, rate_c))
+        other_V = float(state.polarisation_V + state.diffusion_V + model.transfer_drop(cell, rate_c) - lag_V)
         drop_V = other_V + (0.0 if pack.sag_compensated else ohmic_V)
         bias_sd_V = math.hypot(model_sd_V, float(np.interp(read.soc, model.SOC_GRID, pack.ocv_sd_V)))
         reading_sd_V = math.hypot(RESTED_VOLTAGE_SD_V, drop_share * drop_V, reaction_V)
-        read = initial_state.charge_at(pack.cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
+        read = initial_state.charge_at(cell, cell_V + drop_V, math.hypot(reading_sd_V, bias_sd_V))
     emf_V, full_share = cell_V + drop_V, pack.rested_share[1]
-    mean, covariance = initial_state.joint(pack.cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
+    mean, covariance = initial_state.joint(cell, emf_V, reading_sd_V, bias_sd_V, idle, full_share)
     if covariance[0, 0] > LOADED_SOC_SD**2:  # a voltage tells something, however steep the drop
         covariance = covariance * (LOADED_SOC_SD**2 / covariance[0, 0])
-    return First(initial_state.state_under_load(pack.cell, float(mean[0]), temp_C, rate_c), mean, covariance)
+    return First(initial_state.state_under_load(cell, float(mean[0]), temp_C, rate_c), mean, covariance)
 
 
 def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:
@@ -129,8 +133,9 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
 
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:
-    """Resistance at once [ohm·Ah] of the pack that is believed in."""
-    return model.resistance(pack.cell, mean[X.SOC], mean[X.CORE]) * np.exp(mean[X.LOG_RESISTANCE])
+    """Resistance at once [ohm·Ah] of the pack that is believed in, without the harness."""
+    cell = grown(pack.cell, pack.installation)
+    return model.resistance(cell, mean[X.SOC], mean[X.CORE]) * np.exp(mean[X.LOG_RESISTANCE])
 
 
 def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: float, tau_s: float) -> Number:
@@ -151,7 +156,7 @@ def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -
     mean [9] or [9, members]. In a block in which the motors start, a drop that saturates is not, at the mean current,
     the mean of the rows' drops: what a reaction takes more than before counts as noise, JUMP_SHARE of it.
     """
-    ohm = scaled_resistance(pack, mean) / pack.installation.capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
+    ohm = scaled_resistance(pack, mean) / pack.installation.present_capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
     slow_V = pack.cell.transfer_V + pack.reaction_sd_V
     rate, before = c_rate(pack.installation, current_A), c_rate(pack.installation, current_A - step_A)
     bent_V = JUMP_SHARE * (_reaction_V(pack, slow_V, rate) - _reaction_V(pack, slow_V, before))

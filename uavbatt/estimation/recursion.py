@@ -19,7 +19,7 @@ import numpy as np
 from uavbatt.battery import state_space as b
 from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.battery.pack import c_rate, true_current, true_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import kalman, noise
@@ -86,7 +86,7 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     if not math.isfinite(temp_C):
         temp_C, temp_sd_K = ROOM_TEMP_C, noise.UNKNOWN_TEMP_SD_K
     rate = float(c_rate(pack.installation, current_A))
-    cell_V = (sample.voltage_V - pack.installation.offset_V) / pack.installation.gain_V / pack.installation.cells
+    cell_V = float(true_voltage(pack.installation, sample.voltage_V)) / pack.installation.cells
     first = noise.first_state(pack, cell_V, temp_C, rate)
     x = np.zeros((members.log_scale.size, SIZE))
     x[:, : X.SENSOR + 1] = first.state

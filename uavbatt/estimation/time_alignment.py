@@ -10,11 +10,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import replace
 
-from uavbatt.records import Sample
+from uavbatt.records import NAN, Sample
 
 
 class Skew:
-    """A memory that gives each sample voltage and current of one instant; `delay_s` [s] as in `current_delay`."""
+    """A memory that gives each sample voltage and current of one instant; `delay_s` [s] is not 0 (`current_delay`)."""
 
     def __init__(self, delay_s: float) -> None:
         self.delay_s = delay_s
@@ -22,9 +22,12 @@ class Skew:
         self._held: list[float] = []
 
     def paired(self, sample: Sample) -> Sample:
-        """The sample with its earlier quantity `delay_s` old, interpolated between the rows."""
-        if self.delay_s == 0.0 or (self._time_s and sample.time_s <= self._time_s[-1]):
-            return sample
+        """The sample with its earlier quantity `delay_s` old, interpolated between the rows.
+
+        A row that is not later than the last has no partner: without voltage it is left out by the filter.
+        """
+        if self._time_s and sample.time_s <= self._time_s[-1]:
+            return replace(sample, voltage_V=NAN)
         current_is_late = self.delay_s > 0.0
         self._time_s.append(sample.time_s)
         self._held.append(sample.voltage_V if current_is_late else sample.current_A)

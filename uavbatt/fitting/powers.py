@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.pack import Installation, true_power
 from uavbatt.battery.powers import PRIOR_SD, TERMS, UNKNOWN, Powers, terms
 from uavbatt.navigation import Position
 from uavbatt.prediction.route_progress import Progress
-from uavbatt.records import Flight
+from uavbatt.records import Flight, Sample
 
 BLOCK_S, LONGEST_ROW_S = 5.0, 30.0
 SHORTEST_S = 120.0
@@ -26,6 +27,7 @@ TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
 SHAPE_SD = 0.01  # of the shape itself within a cell of 1 m/s airspeed and climb
 STEADY_MS2 = 0.3
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
+AS_METERED = Installation(1, 1.0)
 
 
 class PowerRows(NamedTuple):
@@ -39,16 +41,19 @@ class PowerRows(NamedTuple):
     length_s: Array
 
 
-def powers(flights: list[Flight]) -> Powers | None:
-    """Return what the flights say of the vehicle; None when none of them tells speed and climb for two minutes."""
-    told = [rows for rows in map(flown_rows, flights) if rows is not None]
+def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers | None:
+    """Return what the flights say of the vehicle; None when none of them tells speed and climb for two minutes.
+
+    sensors : what the battery file knows of voltage and current sensor.
+    """
+    told = [rows for flight in flights if (rows := flown_rows(flight, sensors)) is not None]
     if not told:
         return None
     fits = [_fit(told, induced_ms) for induced_ms in INDUCED_MS]
     return min(fits, key=lambda fit: fit[0])[1]
 
 
-def flown_rows(flight: Flight) -> PowerRows | None:
+def flown_rows(flight: Flight, sensors: Installation = AS_METERED) -> PowerRows | None:
     """Return one flight in blocks; None when too little of it is known."""
     progress, rows = Progress(), []
     before_s, before = math.nan, None
@@ -56,7 +61,7 @@ def flown_rows(flight: Flight) -> PowerRows | None:
         navigation = flight.navigation_at(sample.time_s)
         steady, before = _is_steady(before, navigation.position), navigation.position
         progress = progress.after(sample.time_s, navigation)
-        flown, power_W = progress.flown(sample.time_s, navigation), sample.voltage_V * sample.current_A
+        flown, power_W = progress.flown(sample.time_s, navigation), _power_W(sensors, sample)
         row_s, before_s = sample.time_s - before_s, sample.time_s
         if flown is not None and steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
             rows.append((sample.time_s, power_W, *map(float, flown), row_s))
@@ -67,6 +72,11 @@ def flown_rows(flight: Flight) -> PowerRows | None:
     if table[:, -1].sum() < SHORTEST_S:
         return None
     return _blocks(table)
+
+
+def _power_W(sensors: Installation, sample: Sample) -> float:
+    """Return the power of a row [W]; NaN where it is not measured."""
+    return float(true_power(sensors, sample.voltage_V, sample.current_A)) if sample.voltage_V > 0.0 else math.nan
 
 
 def _blocks(table: Array) -> PowerRows:

@@ -8,6 +8,8 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.pack import true_power
+from uavbatt.battery.scaling import installation_of
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
@@ -37,7 +39,7 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
         ),
         traces=traces,
         source=f"{len(traces)} flights",
-        powers=powers(flights),
+        powers=powers(flights, installation_of(battery, 1, 1.0)),
         speeds=speeds(flights),
     )
 
@@ -57,13 +59,15 @@ def speeds(flights: list[Flight]) -> Speeds | None:
 
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
     """One flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
+    sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows = []
     for sample in flight.samples:
         estimator.update_facts(flight.facts_at(sample.time_s))
         estimate, _ = estimator.step(sample)
         if math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
-            rows.append((estimate.time_s, max(estimate.power_W, 0.0), estimate.soc))
+            power_W = float(true_power(sensors, estimate.voltage_V, estimate.current_A))
+            rows.append((estimate.time_s, max(power_W, 0.0), estimate.soc))
     table = np.array(rows)
     if len(table) < 5:
         return None
@@ -87,7 +91,7 @@ def _airborne(watts: Array) -> tuple[int, int]:
 
 
 def _means(time_s: Array, watts: Array, grid_s: Array) -> Array:
-    """Mean power around each grid point by the energy between the middles; the value itself for slow rows."""
+    """Return the mean power [W] over GRID_S from each grid point on, by the energy between the rows."""
     energy_J = np.concatenate([[0.0], np.cumsum(0.5 * (watts[1:] + watts[:-1]) * np.diff(time_s))])
     edges_s = np.concatenate([grid_s, grid_s[-1:] + GRID_S])
     return np.asarray(np.diff(np.interp(edges_s, time_s, energy_J)) / GRID_S).clip(min=0.0)

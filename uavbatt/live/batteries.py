@@ -19,13 +19,13 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.live import state
 from uavbatt.live.config import Config
-from uavbatt.live.listener import tell
+from uavbatt.live.log import tell
 from uavbatt.live.report import Report
 from uavbatt.live.resumption import Resumption
 from uavbatt.live.saved import SavedBattery
 from uavbatt.live.tracked_battery import TrackedBattery
-from uavbatt.prediction.forecaster import NOT_FLYING, ForecastSettings
-from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Status
+from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, LiveRow
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES
@@ -90,7 +90,7 @@ class Batteries:
             tell(f"battery {instance}: {resolved.words}")
         elif resolved is None and before is None:
             tell(f"battery {instance}: no estimate yet: {remaining.reason}")
-        since_s = before.flying_since_s if before is not None and math.isfinite(before.flying_since_s) else now_s
+        flying_s = row.sample.time_s - self.tracked[instance].estimator.flying_since_s
         report = Report(
             instance=instance,
             system=self._vehicle.system,
@@ -102,7 +102,7 @@ class Batteries:
             cells=resolved.cells if resolved is not None else 0,
             battery=self._battery.battery.name,
             certificate=self._battery.status,
-            flying_since_s=NAN if remaining.reason == NOT_FLYING else since_s,
+            flying_since_s=now_s - flying_s,
         )
         if report.is_waiting:
             report = replace(report, endurance=self.tracked[instance].endurance(row.sample.time_s))

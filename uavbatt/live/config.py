@@ -131,7 +131,7 @@ def read_config(path: Path | None = None) -> Config:
         what, _, place = str(error).partition(" - at `$.")
         key = place.rstrip("`")
         raise BadInput(named, f"key {key}" if key else "", f"the keys of uavbatt.toml: {what}") from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:  # no UTF-8, too deeply nested
         raise BadInput(named, "", f"TOML: {error}") from None
 
 

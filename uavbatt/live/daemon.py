@@ -18,7 +18,8 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
-from uavbatt.live.listener import HeardFrame, Listener, tell
+from uavbatt.live.listener import HeardFrame, Listener
+from uavbatt.live.log import tell
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
 from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board

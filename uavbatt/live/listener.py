@@ -6,12 +6,11 @@ rejected and why) stands in `notes`, and once in the log.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from typing import NamedTuple
 
 from uavbatt.live.config import Config
+from uavbatt.live.log import tell
 from uavbatt.mavlink import framing
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.signing import Verifier
@@ -85,9 +84,3 @@ class Listener:
             if kind not in self._told and len(self._told) < MOST_TOLD:
                 self._told.add(kind)
                 tell(note)
-
-
-def tell(words: str) -> None:
-    """Write a line to the log; the process goes on if nobody reads the log any more."""
-    with suppress(OSError, ValueError):
-        print(f"uavbatt: {words}", file=sys.stderr, flush=True)

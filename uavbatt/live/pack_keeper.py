@@ -15,6 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
@@ -30,6 +31,8 @@ FLUSH_S = 10.0
 BEFORE_S, LANDED_S = 30.0, 20.0  # of rest before the take-off and after the landing, for the rested voltage
 SILENT_S = 120.0  # without a row a flight is over
 RESUMED_WITHIN_S = 600.0
+
+Result = TypeVar("Result")
 
 
 @dataclass(slots=True)
@@ -70,15 +73,24 @@ class PackKeeper:
             self._left_over[left.flight.name] = left
 
     def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
-        """Return what is remembered of the pack of a battery, once it has a name; None while it has none."""
+        """Return what is remembered of the pack of a battery, once it has a name; None while it has none.
+
+        Of two batteries under one name only the first is remembered. `cycles` may be told later than the name.
+        """
         name = self._stated or serial
+        first = next((i for i, kept in self._kept.items() if kept.name == name), instance)
         if not name:
+            return None
+        if first != instance:
+            self.note = f"pack ledger: batteries {first} and {instance} are both called {name}: only {first} is kept"
             return None
         kept = self._kept.get(instance)
         if kept is None or kept.name != name:
             if kept is not None:
                 self._land(kept)
-            self._kept[instance] = kept = Kept(name, self._worker.submit(self._recalled, name, now_s), cycles)
+            health = self._worker.submit(self._noting_errors, self._recalled, name, now_s)
+            self._kept[instance] = kept = Kept(name, health)
+        kept.cycles = cycles if cycles is not None else kept.cycles
         return kept.health
 
     def step(self, instance: int, sample: Sample, now_s: float, cells: int, capacity_Ah: float) -> None:
@@ -151,21 +163,18 @@ class PackKeeper:
         number, kept.number = kept.number, None
         self._worker.submit(self._noting_errors, lambda: self._learned(number.result(), None))
 
-    def _noting_errors(self, work: Callable[..., None], *arguments: object) -> None:
-        """Run work of the thread; an error becomes the note, and does not end the process."""
+    def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
+        """Run work of the thread; an error becomes the note, gives nothing, and does not end the process."""
         try:
-            work(*arguments)
+            return work(*arguments)
         except UavbattError as error:
             self.note = f"pack ledger: {error}"
         except Exception as error:  # in flight nothing ends the process
             self.note = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
+        return None
 
     def _recalled(self, name: str, now_s: float) -> PackHealth | None:
-        try:
-            last = self._ledger.last(name)
-        except UavbattError as error:
-            self.note = f"pack ledger: {error}"
-            return None
+        last = self._ledger.last(name)
         self.note = f"pack {name}: {'met before' if last is not None else 'new'}"
         if last is None:
             return None

@@ -104,7 +104,7 @@ class Control:
             made.setblocking(False)
             self.close_client()
             self._client, self._messages = Pipe(made.fileno(), made), Messages()
-        except BlockingIOError:
+        except OSError:  # nobody, or one who has gone again
             pass
         if self._client is None:
             return []

@@ -17,7 +17,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from uavbatt.errors import UsageError
 from uavbatt.live import proxy, rewriter
+from uavbatt.live.log import tell
 from uavbatt.live.report import Report
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.mavlink.pipe import Pipe
@@ -33,9 +35,13 @@ def control_path(autopilot: str) -> str:
     """Return where an endpoint's proxy listens: in $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder."""
     named = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or os.environ.get("XDG_RUNTIME_DIR", "")
     folder = Path(named) if named else Path(tempfile.gettempdir()) / f"uavbatt-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not named and folder.stat().st_uid != os.getuid():
-        raise PermissionError(f"{folder}: expected a folder of this user")
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        is_ours = bool(named) or folder.stat().st_uid == os.getuid()
+    except OSError as error:
+        raise UsageError(f"{folder}: expected a folder for the proxy's socket: {error.strerror}") from None
+    if not is_ours:
+        raise UsageError(f"{folder}: expected a folder of this user")
     return str(folder / f"proxy-{hashlib.sha256(autopilot.encode()).hexdigest()[:12]}.sock")
 
 
@@ -133,7 +139,7 @@ class ProxyClient:
         told = json.loads(body)
         self.pid, self.rewritten, self.problem = told["pid"], told["rewritten"], str(told.get("problem", ""))
         if told["settings"] != self._settings._asdict():
-            print("uavbatt: the proxy that runs has other settings: it is replaced", file=sys.stderr)
+            tell("the proxy that runs has other settings: it is replaced")
             self._tell(proxy.QUIT, b"")
             self.close()
 
@@ -141,11 +147,9 @@ class ProxyClient:
         """Connect to the running proxy, or start one and try again soon."""
         if now_s < self._next_s:
             return
-        line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            line.connect(self._settings.control)
+            line = _connected(self._settings.control)
         except OSError:
-            line.close()
             self._start(now_s)
             return
         line.setblocking(False)
@@ -161,15 +165,32 @@ class ProxyClient:
             self._child = None
             self._next_s = now_s + self._pause_s
             return
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "uavbatt.live.proxy", json.dumps(self._settings._asdict())],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        try:
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", "uavbatt.live.proxy", json.dumps(self._settings._asdict())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as error:  # no memory, no descriptor: it may come right
+            self.problem = f"the proxy does not start: {error.strerror}"
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            self._next_s = now_s + self._pause_s
+            return
         self._next_s = now_s + 0.05
         os.nice(max(GENTLE - os.nice(0), 0))  # frames go before estimates
 
     def _lost(self, now_s: float) -> None:
         self.close()
         self._next_s = now_s + 0.05
+
+
+def _connected(path: str) -> socket.socket:
+    """Return a connection to the socket of a running proxy. Raises OSError where there is none."""
+    line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        line.connect(path)
+    except OSError:
+        line.close()
+        raise
+    return line

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import struct
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 from uavbatt.live.config import RecordSection
+from uavbatt.live.log import tell
 from uavbatt.output import JsonLinesSink, line
 from uavbatt.records import Estimate, Remaining
 
@@ -158,7 +158,7 @@ class Recorder:
     def _failed(self, why: str, now_s: float) -> None:
         self.close()
         if not self.problem:
-            print(f"uavbatt: recording stopped: {why}; tried again every {RETRY_S:.0f} s", file=sys.stderr)
+            tell(f"recording stopped: {why}; tried again every {RETRY_S:.0f} s")
         self.problem = f"not recording: {why}"
         self._next_s = now_s + RETRY_S
 

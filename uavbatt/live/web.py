@@ -18,7 +18,6 @@ import math
 import os
 import re
 import socket
-import sys
 import threading
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -27,6 +26,7 @@ from typing import Any
 from uavbatt import __version__
 from uavbatt.errors import MissingExtra, UsageError
 from uavbatt.live.config import HttpSection, address
+from uavbatt.live.log import tell
 from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board
 from uavbatt.records import Status
 
@@ -208,7 +208,7 @@ def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.
         try:
             asyncio.run(server.serve(sockets=[listener]))
         except Exception as error:  # an error of the page must not end the process
-            print(f"uavbatt: page stopped: {error}", file=sys.stderr)
+            tell(f"page stopped: {error}")
 
     thread = threading.Thread(target=work, name="page", daemon=True)
     thread.start()

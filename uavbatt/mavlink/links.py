@@ -1,7 +1,8 @@
 """Endpoints (`endpoint.parse`) as raw sockets and serial lines. No dependencies but the standard library.
 
 A link never blocks and never raises for a peer that is not there: what cannot be opened or has broken off is tried
-again with a growing pause (0.5 s to 10 s), and says why in `problem`.
+again with a growing pause (0.5 s to 10 s), and says why in `problem`. UDP alone looks its host's name up when it is
+made, and refuses a name that nobody knows.
 Bytes only: what they mean is `framing`'s matter.
 """
 
@@ -72,9 +73,10 @@ class UdpLink:
             self._address = (socket.gethostbyname(at.host), at.port)
             if not self._fixed:
                 self._socket.bind(self._address)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             self._socket.close()
-            raise UsageError(f"endpoint `{at.text}`: {error.strerror or error}") from None
+            said = error.strerror if isinstance(error, OSError) and error.strerror else error
+            raise UsageError(f"endpoint `{at.text}`: {said}") from None
 
     def filenos(self) -> Iterator[int]:
         """One socket."""

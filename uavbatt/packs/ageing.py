@@ -59,8 +59,12 @@ def first_known(flight: FlightRecord) -> Known:
     """The belief about a pack after its first flight: the two kinds together, each as likely as the flight makes it."""
     kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
     likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
-    weight = likely / likely.sum() if likely.sum() > 0.0 else np.array([0.0, 1.0])
-    return _together(weight, [_taken(kind, flight) for kind in kinds])
+    return _together(_shares(likely), [_taken(kind, flight) for kind in kinds])
+
+
+def _shares(likely: Array) -> Array:
+    """Return likelihoods [2] as shares of 1; where both are nothing the second has all."""
+    return np.asarray(likely / likely.sum()) if likely.sum() > 0.0 else np.array([0.0, 1.0])
 
 
 def _together(weight: Array, beliefs: Sequence[Known]) -> Known:
@@ -203,7 +207,7 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
     between = [later(_taken(one, course.last), 0.0) for one in begun]
     likely = np.array([DAMAGED_SHARE, 1.0 - DAMAGED_SHARE])
     likely *= [_likelihood(a, course.last) * _likelihood(b, flight) for a, b in zip(begun, between, strict=True)]
-    known = _together(likely / likely.sum(), [_taken(one, flight) for one in between])
+    known = _together(_shares(likely), [_taken(one, flight) for one in between])
     said = odd.sudden(z, change, " since the flight before", "damaged, or ageing fast?")
     return AgeingState(known, between[0], flight, undamaged=course.expected, is_settled=False), said
 

@@ -40,7 +40,7 @@ class LeftOver(NamedTuple):
 
 
 def begun(ledger: Ledger, flight: Airborne) -> int:
-    """A flight has begun; the number that it is kept under."""
+    """Store a flight that has begun; returns the number under which it is kept."""
     row = (flight.name, _stored(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
     with ledger.writing() as connection:
         found = connection.execute(
@@ -50,7 +50,7 @@ def begun(ledger: Ledger, flight: Airborne) -> int:
 
 
 def add(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
-    """More rows of a flight; their times count from its start [s]."""
+    """Append rows to a flight; their times count from its start [s]."""
     values = [(number, r.time_s, r.voltage_V, _stored(r.current_A), _stored(r.temp_C)) for r in rows]
     with ledger.writing() as connection:
         connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", values)
@@ -70,7 +70,7 @@ def left_over(ledger: Ledger) -> list[LeftOver]:
 
 
 def dropped(ledger: Ledger, number: int) -> None:
-    """A flight that taught nothing is not kept."""
+    """Delete a flight that taught nothing."""
     with ledger.writing() as connection:
         connection.execute("DELETE FROM airborne WHERE id = ?", (number,))
 

@@ -50,11 +50,15 @@ class Ledger:
     def __init__(self, path: str | Path, *, only_read: bool = False) -> None:
         self.path = Path(path)
         self._connection = _opened(self.path, only_read)
-        with self._told():
-            now = schema.check_schema(self._connection, self.path)
-        if not only_read and now < len(schema.MIGRATIONS):
-            with self.writing() as connection:
-                schema.migrate(connection)
+        try:
+            with self._told():
+                now = schema.check_schema(self._connection, self.path)
+            if not only_read and now < len(schema.MIGRATIONS):
+                with self.writing() as connection:
+                    schema.migrate(connection)
+        except BaseException:
+            self._connection.close()
+            raise
 
     def __enter__(self) -> Ledger:
         return self
@@ -68,9 +72,11 @@ class Ledger:
 
     @contextmanager
     def _told(self) -> Iterator[None]:
-        """Errors of SQLite in one line that names the file."""
+        """Errors of SQLite, and rows that are damaged, in one line that names the file."""
         try:
             yield
+        except rows.DamagedRow as error:
+            raise BadInput(self.path, "", f"a pack ledger whose rows are whole, found {error}") from None
         except sqlite3.DatabaseError as error:
             raise BadInput(self.path, "", _words(error)) from None
 
@@ -125,7 +131,7 @@ class Ledger:
     def _one(self, query: str, values: dict[str, object]) -> Remembered | None:
         with self._told():
             row = self._connection.execute(query, values).fetchone()
-        return rows.remembered_of(row) if row is not None else None
+            return rows.remembered_of(row) if row is not None else None
 
     def save(self, name: str, flight: FlightRecord, landed: int | None = None) -> Remembered:
         """Save a flight of a pack; one that is in the ledger already is replaced, unless the new one knows less of it.

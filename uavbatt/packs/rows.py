@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -19,6 +21,19 @@ KNOWN = ("known_log_ohm", "known_log_Ah", "known_ohm_trend", "known_Ah_trend")
 UPPER = np.triu_indices(4)
 
 
+class DamagedRow(Exception):
+    """A row that no ledger has written: a value is missing, of another kind, or not finite where it must be."""
+
+
+@contextmanager
+def _reading(row: sqlite3.Row) -> Iterator[None]:
+    """Errors of a row's values as `DamagedRow` that names the row."""
+    try:
+        yield
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise DamagedRow(f"row {row['id']}: {error}") from None
+
+
 def flight_row(flight: FlightRecord) -> dict[str, Any]:
     """The columns of a flight as it was flown."""
     row = asdict(flight)
@@ -28,11 +43,12 @@ def flight_row(flight: FlightRecord) -> dict[str, Any]:
 
 
 def flight_of(row: sqlite3.Row) -> FlightRecord:
-    """A flight as it was flown."""
-    told = Told(*(float(row[f"told_{name}"]) for name in Told._fields))
-    values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name != "told"}
-    unknown = {f.name: NAN for f in fields(FlightRecord) if f.default is not None and values.get(f.name, 0) is None}
-    return FlightRecord(**{**values, **unknown}, told=told)
+    """A flight as it was flown. Raises DamagedRow."""
+    with _reading(row):
+        told = Told(*(float(row[f"told_{name}"]) for name in Told._fields))
+        values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name != "told"}
+        unknown = {f.name: NAN for f in fields(FlightRecord) if f.default is not None and values.get(f.name, 0) is None}
+        return FlightRecord(**{**values, **unknown}, told=told)
 
 
 def remembered_row(found: Remembered) -> dict[str, Any]:
@@ -43,12 +59,15 @@ def remembered_row(found: Remembered) -> dict[str, Any]:
 
 
 def remembered_of(row: sqlite3.Row) -> Remembered:
-    """A flight, with what is believed after it."""
-    covariance = np.zeros((4, 4))
-    covariance[UPPER] = json.loads(row["known_covariance"])
-    covariance = covariance + np.triu(covariance, 1).T
-    known = Known(np.array([row[name] for name in KNOWN]), covariance)
-    return Remembered(flight_of(row), known, findings_of(row["findings"]))
+    """A flight, with what is believed after it. Raises DamagedRow."""
+    with _reading(row):
+        covariance = np.zeros((4, 4))
+        covariance[UPPER] = json.loads(row["known_covariance"])
+        covariance = covariance + np.triu(covariance, 1).T
+        mean = np.array([float(row[name]) for name in KNOWN])
+        if not (np.isfinite(mean).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()):
+            raise ValueError("what is known of the pack is not a number with a spread")
+        return Remembered(flight_of(row), Known(mean, covariance), findings_of(row["findings"]))
 
 
 def pack_row(pack: PackRow) -> dict[str, Any]:
@@ -59,12 +78,13 @@ def pack_row(pack: PackRow) -> dict[str, Any]:
 
 
 def pack_of(row: sqlite3.Row) -> PackRow:
-    """A pack as it stands."""
-    outlook = {name: row[name] for name in OUTLOOK}
-    outlook |= {name: math.inf for name in RETIRE if row[name] is None}
-    last_utc_s = NAN if row["last_utc_s"] is None else float(row["last_utc_s"])
-    size = (int(row["cells"]), float(row["rated_Ah"]), float(row["type_ohm"]))
-    return PackRow(row["name"], *size, last_utc_s, Outlook(**outlook), findings_of(row["findings"]))
+    """A pack as it stands. Raises DamagedRow."""
+    with _reading(row):
+        outlook = {name: row[name] for name in OUTLOOK}
+        outlook |= {name: math.inf for name in RETIRE if row[name] is None}
+        last_utc_s = NAN if row["last_utc_s"] is None else float(row["last_utc_s"])
+        size = (int(row["cells"]), float(row["rated_Ah"]), float(row["type_ohm"]))
+        return PackRow(row["name"], *size, last_utc_s, Outlook(**outlook), findings_of(row["findings"]))
 
 
 def findings_text(findings: tuple[PackFinding, ...]) -> str:

@@ -125,7 +125,8 @@ def endurance(
     forecaster = Forecaster(pack, ForecastSettings(load, max(reserve_soc, EMPTY_SOC)))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
     if found is None:
-        return Endurance(ambient_C, NAN, NAN, NAN, NAN, "no end within six hours: this is not the load of a flight")
+        beyond = "the end may lie beyond six hours: this is not the load of a flight"
+        return Endurance(ambient_C, NAN, NAN, NAN, NAN, beyond)
     times_s = (found.median_s, found.lo_s, found.hi_s, found.low_warning_s)
     if found.median_s <= 0.0:
         return Endurance(ambient_C, *times_s, _why_no_flight(pack, start_soc, max(reserve_soc, EMPTY_SOC), ambient_C))

@@ -36,7 +36,7 @@ class Flown(NamedTuple):
     @property
     def mean_W(self) -> float:
         """Mean power of the flight [W], that of the last rows before there is any; at least 1 W."""
-        return max(self.flown_J / self.flown_s if self.flown_s > 0.0 else max(self.load.mean_W, 1.0), 1.0)
+        return max(1.0, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
     def after(self, sample: Sample, power_W: float, c_rate: float) -> Flown:
         """Return the past with one more row, its power [W] and its C-rate [1/h]."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import c_rate, true_current
+from uavbatt.battery.pack import c_rate, true_current, true_power
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
@@ -41,7 +41,7 @@ SETTLED_S = 4.0  # until the filter has seen what the load does to the voltage: 
 STEPS, LONGEST_STEP_S = 100, 10.0
 STEADY_STEPS, LONGEST_STEADY_STEP_S = 60, 30.0
 SHORTEST_STEP_S = 1.0
-LONGEST_HORIZON_S = 6 * 3600.0
+LONGEST_FLIGHT_S = 6 * 3600.0  # at the typical power, from all the charge that may be left
 LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario asks half
 
 
@@ -92,6 +92,11 @@ class Forecaster:
         self._at_take_off: AtTakeOff | None = None
 
     @property
+    def flying_since_s(self) -> float:
+        """Return the time of the row since which the pack carries the aircraft [s]; NaN on the ground."""
+        return self._flown.flying_since_s
+
+    @property
     def memory(self) -> Memory:
         """The past as far as forecasts need it."""
         return Memory(self._flown, self._progress.lessons, self._at_take_off)
@@ -128,7 +133,7 @@ class Forecaster:
         elif not refusal and not sample.time_s - self._asked_s < self.settings.forecast_period_s:
             assert belief is not None
             question = self.question(belief, sample.time_s, navigation)
-            refusal = "" if question else "the end lies beyond six hours: the load is not that of a flight"
+            refusal = "" if question else "the end may lie beyond six hours: the load is not that of a flight"
         if refusal:
             self._asked_s, self._ways = NAN, WaysAsked()
         elif question is not None:
@@ -156,7 +161,7 @@ class Forecaster:
         load, now = known.load, self._now(belief, time_s, navigation)
         typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
         horizon_s = LONGEST_SHARE * typical_s
-        if not horizon_s < LONGEST_HORIZON_S:
+        if not typical_s < LONGEST_FLIGHT_S:
             return None
         by_rows = self._flown.row_s > SLOW_ROW_S
         dt_s = self._flown.row_s if by_rows else _step_s(load, typical_s)
@@ -241,7 +246,7 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = sample.voltage_V * current_A, self._flown
+        power_W, before = float(true_power(installation, sample.voltage_V, sample.current_A)), self._flown
         self._flown = before.after(sample, power_W, float(c_rate(installation, current_A)))
         if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # that was the spool-up
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flown.took_off_s)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.pack import Installation, true_current
+from uavbatt.battery.pack import Installation, true_power
 from uavbatt.battery.scaling import installation_of
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UsageError
@@ -41,9 +41,8 @@ def stated_load(
         if len(rows) < 2:
             raise UsageError(f"{flight.source}: {name}log: expected rows with voltage and current")
         sensors = Installation(1, 1.0) if battery is None else installation_of(battery, 1, 1.0)
-        volts = np.array([s.voltage_V for s in rows])
-        amps = true_current(sensors, np.array([s.current_A for s in rows]), volts)
-        return LoggedLoad(np.array([s.time_s for s in rows]), np.maximum(volts * amps, 0.0))
+        time_s, volts, amps = np.array([(s.time_s, s.voltage_V, s.current_A) for s in rows]).T
+        return LoggedLoad(time_s, np.maximum(true_power(sensors, volts, amps), 0.0))
     return ConstantLoad(_watts(text, name), STATED_SPREAD)
 
 

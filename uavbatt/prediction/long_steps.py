@@ -7,7 +7,7 @@ charge at its end is asked, so that a pack that would have been at its cut-off o
 from __future__ import annotations
 
 import math
-from itertools import cycle, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +86,7 @@ def flown_on(going: Going, power_W: Array, dt_s: Array, edges_s: Array) -> Going
     drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
     passed, lengths_s = [going], np.diff(edges_s)
     mean_W = np.diff(_between(drawn_J, ends_s, edges_s), axis=0) / lengths_s[:, None]
-    for length_s, watts, normals in zip(lengths_s, mean_W, cycle(wander(lengths_s.size).bias)):
+    for length_s, watts, normals in zip(lengths_s, mean_W, wander(lengths_s.size).bias, strict=True):
         passed.append(walked(passed[-1], source(passed[-1]), watts, float(length_s), normals))
     columns = zip(*(now.state for now in passed), strict=True)
     state = State(*(np.stack(np.broadcast_arrays(*column)) for column in columns))

@@ -110,7 +110,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     at, speeds, legs = Point(0.0, 0.0, 0.0), _speeds(settings), list[Leg]()
     for item in _flown(mission):
         if item is None:
-            return Path(reason=f"the mission jumps more than {MOST_LEGS} times")
+            return Path(reason=f"the mission flies more than {MOST_LEGS} items, jumps repeated")
         if item.action is Action.SPEED:
             speeds = _changed(speeds, item, settings)
             continue
@@ -121,7 +121,9 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         at = legs[-1].end if legs else at
         if item.action is Action.RETURN and settings.return_reason:
             return Path(reason=settings.return_reason)
-        if item.action in (Action.RETURN, Action.LAND):
+        if item.action is Action.RETURN:
+            return _returned(legs, settings)
+        if item.action is Action.LAND:
             return Path(tuple(legs))
         if item.action is Action.LOITER_UNLIMITED:
             return Path(tuple(legs), lands=False)
@@ -129,7 +131,17 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         return Path(reason="the mission goes nowhere")
     if settings.return_reason:
         return Path(reason=f"{settings.return_reason}, and the mission does not end with a landing")
-    return Path((*legs, *way_home(at, settings)))
+    return _returned([*legs, *way_home(at, settings)], settings)
+
+
+def _returned(legs: list[Leg], settings: ReturnSettings) -> Path:
+    """The whole way with the return at its end: a return that ends in the air waits there for somebody to land it."""
+    if not settings.return_final_m > 0.0:
+        return Path(tuple(legs))
+    aloft = [leg for leg in legs if leg.phase is not Phase.LANDING]
+    if not aloft:
+        return Path(reason="the mission goes nowhere")
+    return Path((*aloft[:-1], aloft[-1]._replace(hold_s=ENDLESS_S)), lands=False)
 
 
 def _flown(mission: Mission) -> Iterator[MissionItem | None]:

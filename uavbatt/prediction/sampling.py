@@ -32,7 +32,8 @@ def normals() -> Array:
 def wander(steps: int, by_rows: bool = False) -> Normals:
     """Standard normals [steps, DRAWS] of the model's wandering error and, `by_rows`, of the rows' noise.
 
-    At most LONGEST steps. A forecast with fewer holds fewer in memory: in flight 256 do for an hour.
+    Beyond LONGEST steps they come again from the first on. A forecast with fewer holds fewer in memory: in flight 256
+    do for an hour.
     """
     return Normals(_kept(0, steps), _kept(1, steps) if by_rows else np.empty((0, DRAWS)))
 
@@ -44,7 +45,8 @@ def wander_home(steps: int) -> Array:
 
 def _kept(process: int, steps: int, backwards: bool = False) -> Array:
     """The first normals of a process (0 the model's error, 1 the rows' noise), or its last from the end."""
-    return _drawn(process, held(steps), backwards)[:steps]
+    drawn = _drawn(process, held(steps), backwards)
+    return drawn[:steps] if steps <= LONGEST else np.resize(drawn, (steps, DRAWS))
 
 
 def held(steps: int) -> int:

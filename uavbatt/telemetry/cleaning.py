@@ -68,6 +68,8 @@ class Cleaner(NamedTuple):
         """Take the voltage in. A leap is used from its second row on: one row may be a damaged frame."""
         if not math.isfinite(sample.voltage_V):
             return self, sample
+        if sample.voltage_V <= 0.0:  # a meter that is not connected
+            return self, replace(sample, voltage_V=NAN, cell_voltages_V=())
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
         known_V = (self.voltage_V, self.odd_V)
         if is_soon and not any(abs(sample.voltage_V - was_V) <= LEAP_SHARE * was_V for was_V in known_V):

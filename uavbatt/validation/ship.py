@@ -20,7 +20,7 @@ from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
-from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.gating.gate import Claim, Limits
 from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
 from uavbatt.validation.judging.corridor import Corridor
 
@@ -122,7 +122,8 @@ def _metered(
 
 def _held_out_discrepancy(held: HeldOut, dataset: DataSet) -> Discrepancy:
     """Sum up what the model leaves on occasions that it has not seen; it is correlated over minutes."""
-    judged = np.nanmean(held.measured_V, axis=(0, 1)) > dataset.cutoff_V + 0.1
+    margin_V = Limits().for_cells(held.cells).limiter_margin_V
+    judged = np.nanmean(held.measured_V, axis=(0, 1)) > dataset.cutoff_V + margin_V
     gap_V = (held.model_V - held.measured_V)[:, :, judged]
     with np.errstate(invalid="ignore"):
         gap_K = None if held.model_C is None or held.measured_C is None else held.model_C - held.measured_C
