@@ -22,6 +22,12 @@ RESTING_SLACK_V = 0.2  # so far below its own type's empty voltage no cell rests
 ENDING_CELL_V, USUAL_ENDING_CELL_V = (2.0, 4.2), (2.5, 3.8)  # of a cut-off or a low-voltage warning
 CAPACITY_AH = (0.05, 500.0)
 AMBIENT_C = (-40.0, 60.0)
+# How packs are flown and settings made, where a count of cells must be guessed from the first voltage.
+CHARGED_CELL_V, CHARGED_SD_V, DROP_V = 4.17, 0.05, 0.035  # of a full pack, by which it falls with each C of load
+PART_CHARGED, UNUSUALLY_CHARGED = 0.02, 0.005  # as likely, anywhere between empty and full, as beside that
+COMMON_CELLS, RARE = {1: 1.0, 2: 1.0, 3: 1.0, 4: 1.0, 5: 0.3, 6: 1.0, 8: 1.0, 10: 0.3, 12: 1.0, 14: 0.3}, 0.02
+STATED_ENDING_CELL_V, STATED_ENDING_SD_V, UNUSUALLY_STATED = 3.5, 0.15, 0.02
+LESS_LIKELY = 12.0
 HIGHEST_RESERVE = 0.99
 C_RATE, USUAL_C_RATE = (0.3, 60.0), (0.5, 30.0)  # over a minute in flight: at 60 C a pack lasts a minute
 HIGHEST_C_RATE = 200.0  # of any row: a pack that gives it is empty in 18 s
@@ -92,11 +98,35 @@ def cells_doubt(
     return None
 
 
-def cells_from_voltage(voltage_V: float, typical: int) -> int:
-    """Cells in series that fit the first voltage [V]: the battery file's own if plausible, else the fewest."""
+def cells_from_voltage(
+    voltage_V: float, typical: int = 1, endings_V: tuple[float, ...] = (), c_rate: float = 0.0
+) -> tuple[int, ...]:
+    """Counts of cells in series that fit the first voltage [V], the likeliest first.
+
+    typical : the battery file's own count, which is taken if it fits; endings_V : critical voltage and low-voltage
+    warning of the vehicle [V of the pack], NaN where it states none; c_rate : of the load at the first voltage [1/h],
+    where that is known. Counts that are LESS_LIKELY times less likely than the first are left out.
+    """
     if EMPTIEST_CELL_V <= voltage_V / typical <= FULLEST_CELL_V:
-        return typical
-    return max(1, math.ceil(voltage_V / FULLEST_CELL_V))
+        return (typical,)
+    fewest, most = (max(1, math.ceil(voltage_V / V - 1e-9)) for V in (FULLEST_CELL_V, EMPTIEST_CELL_V))
+    likely = {n: _likelihood_of(n, voltage_V / n, endings_V, c_rate) for n in range(fewest, max(most, fewest + 1))}
+    counts = sorted(likely, key=lambda n: -likely[n])
+    return tuple(n for n in counts if likely[n] * LESS_LIKELY >= likely[counts[0]])
+
+
+def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_rate: float) -> float:
+    """How likely a pack of so many cells shows so much a cell first: crews fly full packs, and few odd counts."""
+    full_V = CHARGED_CELL_V - DROP_V * min(max(c_rate, 0.0), 5.0)
+    is_full = math.exp(-0.5 * ((cell_V - full_V) / CHARGED_SD_V) ** 2)
+    is_usual = EMPTIEST_CELL_V + 0.3 <= cell_V <= full_V
+    likely = COMMON_CELLS.get(cells, RARE) * (PART_CHARGED * is_usual + is_full + UNUSUALLY_CHARGED)
+    for volts in endings_V:
+        if volts > 0.0:
+            likely *= (
+                math.exp(-0.5 * ((volts / cells - STATED_ENDING_CELL_V) / STATED_ENDING_SD_V) ** 2) + UNUSUALLY_STATED
+            )
+    return likely
 
 
 def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan) -> Doubt | None:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 NAN = math.nan
+FRESH_S = 5.0  # an older place says nothing of now
+ALOFT_M, ALOFT_MS = 5.0, 5.0  # nobody carries or drives an armed aircraft about like this
 
 
 class Mode(StrEnum):
@@ -171,6 +173,13 @@ class Navigation:
     def has_way(self) -> bool:
         """True if a mission or a home is known: without either there is no way to speak of."""
         return self.mission is not None or self.home is not None
+
+    def is_aloft(self, time_s: float) -> bool:
+        """True if the autopilot says that it flies, or its place of the last seconds is high or fast."""
+        at = self.position
+        if self.landed is not None or at is None or not abs(time_s - at.time_s) <= FRESH_S:
+            return self.landed is False
+        return at.height_m > ALOFT_M or math.hypot(at.north_ms, at.east_ms) > ALOFT_MS
 
 
 NOWHERE = Navigation()

@@ -117,7 +117,7 @@ class ClosedForm:
 def test_the_linear_case_is_the_closed_form() -> None:
     """Mean, covariance, innovation and NIS equal the recursion by hand over 200 rows of uneven spacing."""
     rng = np.random.default_rng(11)
-    ours = SocFilter(linear_pack())
+    ours = SocFilter(linear_pack(), ambient_C=22.0)
     time_s, before_A, soc = 0.0, 12.0, 0.8
     ours.step(Sample(0.0, 4 * (FLOOR_V + SLOPE_V * soc - 12 / 5 * R0), before_A, 22.0))
     start = ours.belief

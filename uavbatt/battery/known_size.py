@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, resting, size_of_pack
+from uavbatt.battery.sizing import GUESSED_FROM, PackOptions, PackSize, resting, size_of_pack
 from uavbatt.battery.statements import PowerRange, Statements
-from uavbatt.limits import Doubt, Resting, Seen
+from uavbatt.limits import Doubt, Resting, Seen, cells_from_voltage
 from uavbatt.records import NAN, PackFacts, Sample
 
 
@@ -31,6 +31,7 @@ class KnownSize(NamedTuple):
     statements: Statements = Statements()
     size: PackSize | None = None
     doubts: tuple[Doubt, ...] = ()
+    first_A: float = NAN  # current at the first voltage [A]
 
     @property
     def refusal(self) -> str:
@@ -40,7 +41,7 @@ class KnownSize(NamedTuple):
     def with_facts(self, facts: PackFacts) -> KnownSize:
         """Return the size by what the vehicle says from now on."""
         known = self._replace(facts=facts)
-        return known._sized(self.size.cells) if self.size is not None else known
+        return known._sized() if self.size is not None else known
 
     def after(self, raw: Sample, sample: Sample) -> KnownSize:
         """Return what is known after one more row, `raw` as it came and `sample` after cleaning."""
@@ -50,29 +51,52 @@ class KnownSize(NamedTuple):
         statements = self.statements.after(raw, sample, size)
         before, seen = self.statements.seen, statements.seen
         known = self._replace(statements=statements, size=size)
+        if self.size is None:
+            known = known._replace(first_A=sample.current_A)
         if seen is not before:
-            if self.options.cells is None and statements.denies(size.cells, self.resting):
-                known = known._sized(cells_from_voltage(seen.first_V, self.battery.battery.cells_series))
-            elif math.isnan(before.rested_V) and math.isfinite(seen.rested_V):
-                known = known._sized(size.cells)  # a cut-off may lie above it
-        return known._replace(doubts=statements.doubts(known.size or size, self.resting, self.stated_W))
+            is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
+            if is_denied or (math.isnan(before.rested_V) and math.isfinite(seen.rested_V)):
+                known = known._sized()  # another count, or a cut-off that lies above the rested voltage
+        sized = known.size or size
+        return known._replace(doubts=(*statements.doubts(sized, self.resting, self.stated_W), *known._of_count(sized)))
 
     def by_voltage(self, coming: Iterable[Sample]) -> PackSize | None:
         """Return the size by the first voltage of some samples; None without one."""
-        first_V = next((s.voltage_V for s in coming if math.isfinite(s.voltage_V)), NAN)
-        if not math.isfinite(first_V):
+        first = next((s for s in coming if math.isfinite(s.voltage_V)), None)
+        if first is None:
             return None
-        guessed = cells_from_voltage(first_V, self.battery.battery.cells_series)
-        return size_of_pack(self.battery, self.options, self.facts, guessed, seen=Seen(first_V))
+        guessed, *_ = self._replace(first_A=first.current_A)._counts(first.voltage_V)
+        return size_of_pack(self.battery, self.options, self.facts, guessed, seen=Seen(first.voltage_V))
 
     def anew(self) -> KnownSize:
         """Return the same size for a pack that has just been changed, so that no row of it was seen yet."""
         return self._replace(statements=Statements())
 
-    def _sized(self, guessed_cells: int) -> KnownSize:
-        """Return the size by what is known now; guessed_cells counts where nobody states the cells."""
-        seen = self.statements.seen
-        return self._replace(size=size_of_pack(self.battery, self.options, self.facts, guessed_cells, seen=seen))
+    def _sized(self) -> KnownSize:
+        """Return the size by what is known now; where nobody states the cells they are counted anew."""
+        seen, cells = self.statements.seen, self.size.cells if self.size is not None else 1
+        guessed = self._counts(seen.first_V)[0] if math.isfinite(seen.first_V) else cells
+        return self._replace(size=size_of_pack(self.battery, self.options, self.facts, guessed, seen=seen))
+
+    def _counts(self, first_V: float) -> tuple[int, ...]:
+        """Return the counts of cells that fit the first voltage [V] and what the vehicle says, the likeliest first."""
+        facts, capacity_Ah = self.facts, self.options.capacity_Ah
+        capacity_Ah = capacity_Ah if math.isfinite(capacity_Ah) else facts.capacity_Ah
+        rate = self.first_A / capacity_Ah if math.isfinite(self.first_A) and capacity_Ah > 0.0 else 0.0
+        # A vehicle whose count is denied has worked its critical voltage out from it.
+        endings_V = () if facts.cells_series is not None else (facts.critical_voltage_V, facts.low_voltage_V)
+        return cells_from_voltage(first_V, self.battery.battery.cells_series, endings_V, rate)
+
+    def _of_count(self, size: PackSize) -> tuple[Doubt, ...]:
+        """Return the doubt about a count that nobody states, where another one fits the first voltage as well."""
+        first_V = self.statements.seen.first_V
+        if size.cells_from != GUESSED_FROM or not math.isfinite(first_V):
+            return ()
+        others = [n for n in self._counts(first_V) if n != size.cells]
+        if not others:
+            return ()
+        words = f"nobody states the cells: {size.cells} in series by the first voltage, {others[0]} would fit as well"
+        return (Doubt(words, False),)
 
 
 def nothing_seen(battery: BatteryFile, options: PackOptions, stated_W: PowerRange | None) -> KnownSize:

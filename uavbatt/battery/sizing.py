@@ -29,11 +29,11 @@ from uavbatt.limits import (
     check_stated,
     ending_doubt,
 )
-from uavbatt.limits import cells_from_voltage as cells_from_voltage
 from uavbatt.records import NAN, PackFacts
 
 LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
+GUESSED_FROM = "first voltage"  # a count of cells that nobody states
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
 SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
 
@@ -88,7 +88,7 @@ def size_of_pack(
     given: PackOptions,
     said: PackFacts,
     guessed_cells: int,
-    guessed_from: str = "first voltage",
+    guessed_from: str = GUESSED_FROM,
     seen: Seen = Seen(),
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.

@@ -14,9 +14,20 @@ from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.initial_state import IDLE_C_RATE
-from uavbatt.battery.sizing import PackOptions, PackSize, cells_from_voltage, checked, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize, checked, size_of_pack
 from uavbatt.errors import UsageError
-from uavbatt.limits import C_RATE, KELVIN, LONGEST_ROW_S, POWER_FACTOR, USUAL_C_RATE, Doubt, Resting, Seen, cells_doubt
+from uavbatt.limits import (
+    C_RATE,
+    KELVIN,
+    LONGEST_ROW_S,
+    POWER_FACTOR,
+    USUAL_C_RATE,
+    Doubt,
+    Resting,
+    Seen,
+    cells_doubt,
+    cells_from_voltage,
+)
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 
 MINUTE_S = 60.0
@@ -232,7 +243,8 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
     first_V = next((s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)), NAN)
     if math.isnan(first_V):
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    guess = cells_from_voltage(first_V, battery.battery.cells_series)
+    endings_V = (said.critical_voltage_V, said.low_voltage_V) if said.cells_series is None else ()
+    guess = cells_from_voltage(first_V, battery.battery.cells_series, endings_V)[0]
     try:
         seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
         return checked(battery, size_of_pack(battery, options, said, guess, seen=seen), seen)

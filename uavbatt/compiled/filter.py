@@ -41,9 +41,10 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     most = most_moments(table[0], state.time_s)
-    beliefs, in_force, times_s, shown, (current_A, block_A, block) = run(
+    beliefs, in_force, times_s, ambients_C, shown, (current_A, block_A, block) = run(
         as_numbers(pack),
         state.ambient_C,
+        state.is_ambient_given,
         table,
         most,
         state.time_s,
@@ -54,10 +55,13 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
     )
     moments = [state.moments, *(Moments(*one) for one in list(zip(*beliefs, strict=True))[1:])]
     rows = [
-        FilteredRow(moments[k], time_s, Innovation(*row))
-        for k, time_s, row in zip(in_force.tolist(), times_s.tolist(), shown.tolist(), strict=True)
+        FilteredRow(moments[k], time_s, ambient_C, Innovation(*row))
+        for k, time_s, ambient_C, row in zip(
+            in_force.tolist(), times_s.tolist(), ambients_C.tolist(), shown.tolist(), strict=True
+        )
     ]
-    end = FilterState(moments[-1], rows[-1].time_s, current_A, block_A, Block(*block.tolist()), state.ambient_C)
+    last, open_block = rows[-1], Block(*block.tolist())
+    end = FilterState(moments[-1], last.time_s, current_A, block_A, open_block, last.ambient_C, state.is_ambient_given)
     return rows, end
 
 
@@ -87,8 +91,11 @@ def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_
 @compiled
 def update(
     pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float
-) -> tuple[Array, Array, float, float, float, float]:
-    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, as `recursion._update`."""
+) -> tuple[Array, Array, float, float, float, float, float]:
+    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, how much warmer it is [K].
+
+    As `recursion._update` has them.
+    """
     size = 2 if np.isfinite(temp_C) else 1
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
     volts, at = np.empty(2 * SIZE + 1), x.copy()
@@ -127,7 +134,7 @@ def update(
     for i in range(SIZE):
         for j in range(i):
             spread[i, j] = spread[j, i] = 0.5 * (spread[i, j] + spread[j, i])
-    return later, spread, y[0], variance_V2, nis, expected_V
+    return later, spread, y[0], variance_V2, nis, expected_V, y[1] if size == 2 else np.nan
 
 
 @compiled
@@ -150,29 +157,30 @@ def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: A
 @compiled
 def close(
     pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, ambient_C: float
-) -> tuple[Array, float, float, float, float]:
+) -> tuple[Array, float, float, float, float, float]:
     """Take a block in, as `recursion._close`: changes every member in place.
 
-    Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, and the block's
-    mean current.
+    Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, the block's mean
+    current, and the ambient temperature after it, where nobody gave one.
     """
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
     weight, members = np.exp(log_weight), log_weight.size
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
-    shown_V, shown_nis, expected_V = 0.0, 0.0, 0.0
+    shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
     for k in range(members):
-        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / block[1], ambient_C, block[1])
+        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, ambient_C, dt_s)
         step_A = mean_A - block_A
-        mean, spread, innovation_V[k], variance_V2[k], nis, volts = update(
+        mean, spread, innovation_V[k], variance_V2[k], nis, volts, off_K = update(
             pack, mean, spread, block[3] / block[0], mean_A, mean_C, step_A
         )
         shown_V, shown_nis = shown_V + weight[k] * innovation_V[k], shown_nis + weight[k] * nis
-        expected_V += weight[k] * volts
+        expected_V, warmer_K = expected_V + weight[k] * volts, warmer_K + weight[k] * off_K
         put(x[k], P[k], mean, spread)
     for i in range(block.size):
         block[i] = 0.0
     log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
-    return log_weight, shown_V, shown_nis, expected_V, mean_A
+    later_C = noise.ambient_after(ambient_C, warmer_K, dt_s) if np.isfinite(warmer_K) else ambient_C
+    return log_weight, shown_V, shown_nis, expected_V, mean_A, later_C
 
 
 @compiled
@@ -194,6 +202,7 @@ def look(
 def run(
     pack: Pack,
     ambient_C: float,
+    is_ambient_given: bool,
     rows: Array,
     most: int,
     at_s: float,
@@ -208,24 +217,26 @@ def run(
 
     most : no more moments than this come of the rows, the given one included.
     Returns the moments (means [m, members, 9], covariances and ln of the weights, the given one first), which of them
-    is in force after each row, time of the last row taken in at each row, what each row shows [n, 4] as `Innovation`
-    has it, and where that ends: currents of the last row and block [A], the open block.
+    is in force after each row, time of the last row taken in and ambient temperature at each row, what each row shows
+    [n, 4] as `Innovation` has it, and where that ends: currents of the last row and block [A], the open block.
     """
     n, last = rows.shape[1], 0
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
     log_weights = np.empty((most, log_weight.size))
-    in_force, times_s, shown = np.zeros(n, np.int64), np.empty(n), np.full((n, 4), np.nan)
+    in_force, times_s, ambients_C, shown = np.zeros(n, np.int64), np.empty(n), np.empty(n), np.full((n, 4), np.nan)
     x, P, block = x.copy(), P.copy(), block.copy()
     put_all(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
-        in_force[k], times_s[k] = last, at_s
+        in_force[k], times_s[k], ambients_C[k] = last, at_s, ambient_C
         dt_s = time_s - at_s
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
         current_A = true_current(pack.installation, metered_A, voltage_V)
         if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
-            log_weight, _, _, _, block_A = close(pack, x, P, log_weight, block, block_A, ambient_C)
+            log_weight, _, _, _, block_A, later_C = close(pack, x, P, log_weight, block, block_A, ambient_C)
+            ambient_C = ambient_C if is_ambient_given else later_C
+            ambients_C[k] = ambient_C
         block[0] += 1.0
         block[1] += dt_s
         block[2] += 0.5 * (before_A + current_A) * dt_s
@@ -238,12 +249,14 @@ def run(
         if block[1] < BLOCK_S:
             look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
             continue
-        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A = close(
+        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, later_C = close(
             pack, x, P, log_weight, block, block_A, ambient_C
         )
+        ambient_C = ambient_C if is_ambient_given else later_C
+        ambients_C[k] = ambient_C
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
         put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
         in_force[k] = last
     moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
-    return moments, in_force, times_s, shown, (before_A, block_A, block)
+    return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block)

@@ -87,7 +87,8 @@ class SocFilter:
     def restore(self, belief: Belief, current_A: float = 0.0) -> None:
         """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A` [A]."""
         at = Moments(belief.means, belief.covariances, np.log(belief.weights))
-        self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), belief.ambient_C)
+        is_given = math.isfinite(self._ambient_C)
+        self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), belief.ambient_C, is_given)
         self._last = Filtered(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
 
     def step(self, sample: Sample) -> Estimate:
@@ -110,14 +111,14 @@ class SocFilter:
             if first is None:
                 return [NOT_BEGUN] * len(paired)
             self._state, row = start(self.pack, paired[first], self._ambient_C, self._capacities)
-            rows = [*[FilteredRow(None, NAN, NOTHING)] * first, row]
+            rows = [*[FilteredRow(None, NAN, NAN, NOTHING)] * first, row]
         more, self._state = window(self.pack, self._state, paired[len(rows) :])
-        found = _filtered(self.pack, [*rows, *more], self._state.ambient_C, self._last)
+        found = _filtered(self.pack, [*rows, *more], self._last)
         self._last = found[-1] if found else self._last
         return found
 
 
-def _filtered(pack: Pack, rows: list[FilteredRow], ambient_C: float, last: Filtered) -> list[Filtered]:
+def _filtered(pack: Pack, rows: list[FilteredRow], last: Filtered) -> list[Filtered]:
     """Return the filter after each row; the summary of a belief is worked out once and shared by its rows."""
     found = []
     for row in rows:
@@ -126,9 +127,9 @@ def _filtered(pack: Pack, rows: list[FilteredRow], ambient_C: float, last: Filte
             found.append(NOT_BEGUN)
             continue
         if belief is None or belief.means is not at.x:
-            belief, known = Belief(row.time_s, at.x, at.P, at.weight, ambient_C), summary(at, pack.empty_soc_sd)
+            belief, known = Belief(row.time_s, at.x, at.P, at.weight, row.ambient_C), summary(at, pack.empty_soc_sd)
         else:
-            belief = Belief(row.time_s, at.x, at.P, belief.weights, ambient_C)
+            belief = Belief(row.time_s, at.x, at.P, belief.weights, row.ambient_C)
         last = Filtered(belief, known, row.innovation)
         found.append(last)
     return found

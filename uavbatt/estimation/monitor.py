@@ -30,6 +30,7 @@ FAR_SDS, LOST_SDS = 3.0, 5.0
 FAR_REACTION_V = 0.1  # a cell, either way: twice what the electrodes of a pack take that has lost a sixth of its charge
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S = 60.0, 5.0, 60.0
 SHORTEST_NIS_S, LONGEST_NIS_S = 2.0, 30.0  # that one value stands for: the first, and one after a gap
+LARGEST_NIS = 25.0  # a single row that is far off is no misfit of a minute
 SMALL_PACK, FAR_SMALLER, SURE_SDS = 0.9, 0.7, 1.5  # shares of what is stated, surely so
 FAR_MORE_OHMS = 3.5  # times those of a new pack of the stated size: packs that fly have up to three
 SETTLED_SHARE = 0.2  # of the capacity believed: known to less, the time left is known to a factor of two at best
@@ -54,7 +55,7 @@ class Innovations(NamedTuple):
         """The same with one more block of rows, which counts for the time since the last."""
         passed_s = time_s - self.time_s if math.isfinite(self.time_s) else SHORTEST_NIS_S
         keep = math.exp(-min(max(passed_s, 0.0), LONGEST_NIS_S) / NIS_TAU_S)
-        mean = keep * self.mean + (1.0 - keep) * nis
+        mean = keep * self.mean + (1.0 - keep) * min(nis, LARGEST_NIS)
         if mean <= NIS_LIMIT:
             return Innovations(mean, math.nan, time_s)
         return Innovations(mean, self.high_since_s if math.isfinite(self.high_since_s) else time_s, time_s)

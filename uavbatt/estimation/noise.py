@@ -18,6 +18,7 @@ from uavbatt.battery.model import Array, State
 from uavbatt.battery.pack import c_rate, grown, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import SIZE, X
+from uavbatt.limits import AMBIENT_C
 
 # A rested reading: 5 mV a cell for sensor scale and calibration, 5 mV for what a pack has not yet relaxed.
 RESTED_VOLTAGE_SD_V = 0.010
@@ -35,6 +36,9 @@ CAPACITY_WALK_PER_S = 0.01**2 / 600.0
 LONGEST_GAP_S = 60.0
 OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
+# The air moves by so much a second for each kelvin. With a quarter of it packs that come warm into the cold are still
+# given twice the time; with twice as much it swings by 15 K.
+AMBIENT_GAIN_PS, LONGEST_AMBIENT_STEP_S = 0.2, 10.0
 
 VOLTAGE_SD_V = 0.004
 # Of what a reaction takes more than in the block before. The bend of its drop is a third of it; and in the first
@@ -130,6 +134,16 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     q[X.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
     q[X.BIAS] = b.bias_variance(pack, dt_s) + b.ocv_doubt(pack, mean[X.SOC], rate_c * dt_s / 3600.0)
     return q
+
+
+def ambient_after(ambient_C: float, warmer_K: float, dt_s: float) -> float:
+    """Return the ambient temperature [°C] that is believed after a block of `dt_s` [s], where nobody stated it.
+
+    It begins as the pack's own first temperature, which of a pack that was kept warm is far off: such a pack cools, and
+    without this the filter blames its voltage. A pack that is `warmer_K` [K] than expected moves the air that way.
+    """
+    moved_C = ambient_C + AMBIENT_GAIN_PS * min(dt_s, LONGEST_AMBIENT_STEP_S) * warmer_K
+    return min(max(moved_C, AMBIENT_C[0]), AMBIENT_C[1])
 
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:

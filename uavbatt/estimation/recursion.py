@@ -42,6 +42,7 @@ class FilterState(NamedTuple):
     block_A: float  # mean of the last block
     block: Block  # the open one
     ambient_C: float
+    is_ambient_given: bool  # else it follows what the pack's temperature shows
 
 
 class Innovation(NamedTuple):
@@ -58,6 +59,7 @@ class FilteredRow(NamedTuple):
 
     moments: Moments | None
     time_s: float
+    ambient_C: float
     innovation: Innovation
 
 
@@ -95,11 +97,12 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     x[:, X.LOG_RESISTANCE] = members.log_resistance
     P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members)
     moments = Moments(x, P, np.log(members.weight))
-    ambient_C = ambient_C if math.isfinite(ambient_C) else temp_C
-    state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C)
+    is_given = math.isfinite(ambient_C)
+    ambient_C = ambient_C if is_given else temp_C
+    state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C, is_given)
     expected_V = float(moments.weight @ b.voltage(pack, x.T, current_A))
     shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, X.SOC]))
-    return state, FilteredRow(moments, sample.time_s, shown)
+    return state, FilteredRow(moments, sample.time_s, ambient_C, shown)
 
 
 def filter_window(
@@ -117,7 +120,7 @@ def filter_window(
         if isinstance(shown, Between):
             between.append((len(rows), shown))
             shown = NOTHING
-        rows.append(FilteredRow(state.moments, state.time_s, shown))
+        rows.append(FilteredRow(state.moments, state.time_s, state.ambient_C, shown))
     for (k, _), innovation in zip(between, _innovations(pack, [row for _, row in between]), strict=True):
         rows[k] = rows[k]._replace(innovation=innovation)
     return rows, state
@@ -137,7 +140,7 @@ def _take(
     if dt_s > BLOCK_S and state.block.duration_s > 0.0:
         state, _ = _close(pack, state, condition)  # rows before a gap belong to the time before it
     block = state.block.after(sample, current_A, dt_s, state.current_A)
-    state = FilterState(state.moments, sample.time_s, current_A, state.block_A, block, state.ambient_C)
+    state = state._replace(time_s=sample.time_s, current_A=current_A, block=block)
     if block.duration_s < BLOCK_S:
         return state, _between(pack, state, sample)
     return _close(pack, state, condition)
@@ -174,12 +177,20 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     process_Q = noise.process_variances(pack, at.x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.ambient_C, dt_s), at.x, at.P, process_Q)
     step_A = block.current_A - state.block_A
-    moments, shown = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition)
-    return state._replace(moments=moments, block_A=block.current_A, block=Block()), shown
+    moments, shown, warmer_K = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition)
+    ambient_C = state.ambient_C
+    if math.isfinite(warmer_K) and not state.is_ambient_given:
+        ambient_C = noise.ambient_after(ambient_C, warmer_K, dt_s)
+    return state._replace(moments=moments, block_A=block.current_A, block=Block(), ambient_C=ambient_C), shown
 
 
-def _update(pack: Pack, at: Moments, block: Block, step_A: float, condition: Condition) -> tuple[Moments, Innovation]:
-    """Condition the moments on the means of a block, whose current is `step_A` [A] more than the last one's."""
+def _update(
+    pack: Pack, at: Moments, block: Block, step_A: float, condition: Condition
+) -> tuple[Moments, Innovation, float]:
+    """Condition the moments on the means of a block, whose current is `step_A` [A] more than the last one's.
+
+    Returns them, what is shown, and by how much the block is warmer than expected [K], NaN without a temperature.
+    """
     current_A, temp_C = block.current_A, block.temp_C
     has_temp = math.isfinite(temp_C)
 
@@ -203,7 +214,8 @@ def _update(pack: Pack, at: Moments, block: Block, step_A: float, condition: Con
     log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
     after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weight)
     weight, soc = at.weight, float(after.weight @ x[:, X.SOC])
-    return after, Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
+    shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
+    return after, shown, float(weight @ innovation[:, 1]) if has_temp else math.nan
 
 
 def _at_most_full(x: Array, P: Array, condition: Condition) -> tuple[Array, Array]:

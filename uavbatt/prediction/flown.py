@@ -8,7 +8,10 @@ from typing import NamedTuple
 from uavbatt.prediction.load import RecentLoad
 from uavbatt.records import NAN, Sample
 
-FLYING_C = 0.4  # a multirotor hovers at 2-6 C, an aeroplane cruises above 0.5 C
+FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
+CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance: once it has been armed for so long
+ALOFT_C = 0.05  # where its place says that it is in the air
+DISARMED_C = 1.5  # a payload draws less; an aircraft whose armed flag is wrong hovers with more
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
@@ -20,7 +23,7 @@ class Flown(NamedTuple):
 
     rate_c : smoothed C-rate; loaded_s : last row under a load that carries the aircraft; flying_since_s : NaN on the
     ground; took_off_s : begin of the flight whose energy `flown_J` [J] was drawn in `flown_s` [s]; row_s : usual
-    distance of two rows [s].
+    distance of two rows [s]; armed, armed_since_s : the flag of the last row that had one, and since when it is so.
     """
 
     load: RecentLoad = RecentLoad()
@@ -32,16 +35,21 @@ class Flown(NamedTuple):
     took_off_s: float = NAN
     flown_s: float = 0.0
     flown_J: float = 0.0
+    armed: bool | None = None
+    armed_since_s: float = NAN
 
     @property
     def mean_W(self) -> float:
         """Mean power of the flight [W], that of the last rows before there is any; at least 1 W."""
         return max(1.0, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
-    def after(self, sample: Sample, power_W: float, c_rate: float) -> Flown:
-        """Return the past with one more row, its power [W] and its C-rate [1/h]."""
+    def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool = False) -> Flown:
+        """Return the past with one more row, its power [W] and its C-rate [1/h].
+
+        is_aloft : its place or the autopilot says that it is in the air.
+        """
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
-        now = self._with_rate(sample, dt_s, c_rate)
+        now = self._with_flag(sample)._with_rate(sample, dt_s, c_rate, is_aloft)
         if not math.isfinite(now.flying_since_s):
             return now
         now = now._replace(load=now.load.after(sample.time_s, power_W))
@@ -60,18 +68,36 @@ class Flown(NamedTuple):
             loaded_s=self.loaded_s + shift_s,
             time_s=self.time_s + shift_s,
             took_off_s=self.took_off_s + shift_s,
+            armed_since_s=self.armed_since_s + shift_s,
         )
 
-    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float) -> Flown:
+    def _with_flag(self, sample: Sample) -> Flown:
+        """Return the past with the row's armed flag. An arming begins a flight: the load before it was a payload's."""
+        if sample.armed is None or sample.armed is self.armed:
+            return self
+        if self.armed is False:
+            self = Flown(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
+        return self._replace(armed=sample.armed, armed_since_s=sample.time_s)
+
+    def _least_c(self, sample: Sample, is_aloft: bool) -> float:
+        """Return the C-rate [1/h] from which the load carries the aircraft, by what is known beside it."""
+        if sample.armed is False:
+            return DISARMED_C
+        if is_aloft:
+            return ALOFT_C
+        is_long = sample.armed is True and sample.time_s - self.armed_since_s >= ARMED_LONG_S
+        return CRUISING_C if is_long else FLYING_C
+
+    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float, is_aloft: bool) -> Flown:
         """Return the past with the row's time and C-rate, and with the aircraft in flight or on the ground by them."""
         row_s, time_s = self.row_s, sample.time_s
         if 0.0 < dt_s <= LONGEST_ROW_S:
             row_s = dt_s + (row_s - dt_s) * ROW_MEMORY if math.isfinite(row_s) else dt_s
         rate_c = c_rate + (self.rate_c - c_rate) * math.exp(-max(dt_s, 0.0) / FLYING_TAU_S) if dt_s else c_rate
         since_s, loaded_s = self.flying_since_s, self.loaded_s
-        if rate_c >= FLYING_C:
+        if rate_c >= self._least_c(sample, is_aloft):
             since_s, loaded_s = since_s if math.isfinite(since_s) else time_s, time_s
-        elif sample.armed is False or not time_s - loaded_s < LANDED_AFTER_S:
+        elif sample.armed is False or not (is_aloft or time_s - loaded_s < LANDED_AFTER_S):
             since_s = NAN
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 

@@ -247,7 +247,8 @@ class Forecaster:
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
         power_W, before = float(true_power(installation, sample.voltage_V, sample.current_A)), self._flown
-        self._flown = before.after(sample, power_W, float(c_rate(installation, current_A)))
+        rate = float(c_rate(installation, current_A))
+        self._flown = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
         if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # that was the spool-up
             self._at_take_off = self._at_take_off._replace(take_off_s=self._flown.took_off_s)
         if navigation is not NOWHERE:

@@ -13,11 +13,12 @@ from typing import NamedTuple
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
 from uavbatt.prediction.forecaster import Forecaster
 from uavbatt.prediction.time_to_end import EndTimes
-from uavbatt.prediction.voltage_bound import FALLS_FASTER, bounded
+from uavbatt.prediction.voltage_bound import ALARM_SHARE, FALLS_FASTER, bounded
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Sample, Status
 
 ALARM_S = 120.0
 ALARM = f"about 1 in {1.0 / ALARM_RISK:.0f} chance that less than {ALARM_S / 60.0:.0f} minutes are left"
+ENDS_SOON = "the measured voltage falls to the cut-off within about two minutes"  # where no time can be said
 TURN_BACK = "turn back now: later the way home may be longer than the charge lasts, at a risk of 5 %"
 
 
@@ -42,9 +43,16 @@ class Pending(NamedTuple):
             found = replace(found, warnings=(*found.warnings, FALLS_FASTER))
         if remaining.remaining_alarm_s <= ALARM_S:
             found = replace(found, warnings=(*found.warnings, ALARM))
+        if self._ends_unsaid(remaining):
+            found = replace(found, warnings=(*found.warnings, ENDS_SOON))
         if remaining.route is not None and remaining.route.turn_back_lo_s <= 0.0:
             found = replace(found, warnings=(*found.warnings, TURN_BACK))
         return found, remaining
+
+    def _ends_unsaid(self, remaining: Remaining) -> bool:
+        """Return True if no time is said in flight, and the voltage alone says what an alarm would."""
+        is_unsaid = not math.isfinite(remaining.remaining_s) and self.sample.armed is not False
+        return is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S
 
 
 def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:

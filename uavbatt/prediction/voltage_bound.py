@@ -31,7 +31,8 @@ SIGHT_S = 190.0  # beyond this a fall says little
 LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 6.0  # standard errors of the slope
 # The time by the voltage as the 5 % point, the alarm's, the median and the 95 % point may be at most.
-SHARES = (0.5, 0.63, 1.25, 2.5)
+ALARM_SHARE = 0.63
+SHARES = (0.5, ALARM_SHARE, 1.25, 2.5)
 SURE_LOOKS = 5  # a second apart
 CONTRADICTED_S = 120.0
 FALLS_FASTER = (

@@ -1,0 +1,65 @@
+"""When the aircraft flies, by its load and what is known beside it, and what of the past belongs to the flight."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from uavbatt.navigation import NOWHERE, Navigation, Position
+from uavbatt.prediction.flown import Flown
+from uavbatt.records import Sample
+
+CAPACITY_AH, VOLTS = 5.0, 16.0
+
+
+def after(past: Flown, seconds: int, watts: float, armed: bool | None, is_aloft: bool = False) -> Flown:
+    """The past after so many seconds of a power, a row a second."""
+    begin_s = past.time_s + 1.0 if math.isfinite(past.time_s) else 0.0
+    for k in range(seconds):
+        amps = watts / VOLTS
+        past = past.after(Sample(begin_s + k, VOLTS, amps, armed=armed), watts, amps / CAPACITY_AH, is_aloft)
+    return past
+
+
+def is_flying(past: Flown) -> bool:
+    return math.isfinite(past.flying_since_s)
+
+
+def test_a_payload_on_the_ground_is_no_flight_and_does_not_count_for_the_next() -> None:
+    """40 W, half a C, for ten minutes before the take-off."""
+    ground = after(Flown(), 600, 40.0, armed=False)
+    assert not is_flying(ground)
+    begun = after(ground, 5, 300.0, armed=True)
+    assert is_flying(begun) and begun.mean_W > 250.0
+
+
+@pytest.mark.parametrize("armed", [None, False])
+def test_a_load_that_must_fly_is_a_flight_whatever_the_flag_says(armed: bool | None) -> None:
+    assert is_flying(after(Flown(), 20, 300.0, armed))
+
+
+def test_an_aeroplane_of_long_endurance_flies_once_it_has_been_armed_for_a_minute() -> None:
+    """A third of a C: 26 W of 5 Ah."""
+    assert not is_flying(after(Flown(), 30, 26.0, armed=True))
+    assert is_flying(after(Flown(), 90, 26.0, armed=True))
+    assert not is_flying(after(Flown(), 90, 26.0, armed=None))
+
+
+def test_what_is_high_or_fast_flies_and_a_glide_of_minutes_is_no_landing() -> None:
+    aloft = after(Flown(), 30, 12.0, armed=True, is_aloft=True)
+    assert is_flying(aloft)
+    assert is_flying(after(aloft, 300, 0.0, armed=True, is_aloft=True))
+    assert not is_flying(after(aloft, 300, 0.0, armed=True))
+    assert not is_flying(after(aloft, 10, 0.0, armed=False))
+
+
+def test_where_it_is_says_that_it_flies() -> None:
+    def at(height_m: float, north_ms: float) -> Navigation:
+        return Navigation(position=Position(100.0, 0.0, 0.0, height_m, north_ms, 0.0, 0.0))
+
+    assert at(30.0, 0.0).is_aloft(101.0) and at(0.0, 12.0).is_aloft(101.0)
+    assert not at(1.0, 1.0).is_aloft(101.0)
+    assert not at(30.0, 0.0).is_aloft(200.0)  # long ago
+    assert not NOWHERE.is_aloft(0.0)
+    assert Navigation(landed=False).is_aloft(0.0) and not Navigation(landed=True).is_aloft(0.0)
