@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
+import os
 import subprocess
+import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command import UAVBATT, called, run
+from frames import hover, write_log
 
 from uavbatt import __version__
 from uavbatt.output import COLUMNS
@@ -148,6 +153,25 @@ def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
     command = f"'{UAVBATT}' replay a.csv --capacity-ah 5 --jsonl - | head -n 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert len(done.stdout.splitlines()) == 1 and "Traceback" not in done.stderr
+
+
+def test_standard_input_and_pipes_are_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short(tmp_path, "a.csv")
+    data = (tmp_path / "a.csv").read_bytes()
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    done = called("replay", "-", *PACK, "--plain", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("standard input: ")
+    os.mkfifo(tmp_path / "pipe.csv")
+    threading.Thread(target=(tmp_path / "pipe.csv").write_bytes, args=(data,), daemon=True).start()
+    done = run("replay", "pipe.csv", *PACK, "--plain", folder=tmp_path, timeout_s=60.0)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_standard_input_of_two_batteries_is_one_pack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_log(tmp_path / "two.tlog", [*hover(60, 23.0, 9.0), *hover(60, 23.1, 9.0, instance=1)])
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(log.read_bytes())))
+    done = called("replay", "-", *PACK, "--join", "parallel", folder=tmp_path)
+    assert done.returncode == 0 and "batteries 0, 1 joined in parallel" in done.stdout
 
 
 def test_info(tmp_path: Path) -> None:

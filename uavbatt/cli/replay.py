@@ -147,7 +147,7 @@ def _one(
     if planned is not None:
         flight = with_mission(flight, planned)
     to_come = stated_load(load[0], flight, load[1], content)
-    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(log))
+    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(flight))
     estimator = estimator_for(flight, content, options, settings, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:

@@ -168,7 +168,7 @@ def replay(
     flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read_vehicle(vehicle)
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
     to_come = stated_load(str(load), flight, flown, content, name="load=")
-    settings = ForecastSettings(to_come, reserve_soc, _period_s(log, forecast_period_s))
+    settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
     estimator = estimator_for(flight, content, options, settings, _recalled(packs, pack, flight, content))
     run = list(steps(flight, estimator))
     size = size_of_replayed(estimator, flight)
@@ -208,10 +208,10 @@ def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> Battery
     return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
 
 
-def _period_s(log: str | Path | Flight, stated_s: object) -> float:
+def _period_s(flight: Flight, stated_s: object) -> float:
     """Return the time between forecasts [s]: as stated, else a recording's own, else the usual one."""
     if stated_s is None:
-        return ForecastSettings().forecast_period_s if isinstance(log, Flight) else recorded_period_s(log)
+        return recorded_period_s(flight)
     if isinstance(stated_s, int | float) and stated_s >= 0.0:
         return float(stated_s)
     raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")

@@ -45,7 +45,7 @@ def read_log(path: str | Path, instance: int | None = None, system: int | None =
     path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance or system.
     """
-    return read_bytes(*_content(Path(path)), instance, system)
+    return read_bytes(*content_of(Path(path)), instance, system)
 
 
 def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
@@ -64,6 +64,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
         notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
         identity=completed(log.identity, log.parameters, chosen, log.packs.get(chosen)),
         navigation=log.navigation,
+        forecast_period_s=log.forecast_period_s,
     )
 
 
@@ -71,13 +72,13 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
     """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _read(*_content(Path(path)))
+    _, log = _read(*content_of(Path(path)))
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
 
-def _content(path: Path) -> tuple[str, Content]:
-    """The name of a log, and its bytes."""
+def content_of(path: Path) -> tuple[str, Content]:
+    """The name of a log, and its bytes, read once: standard input and pipes give them no second time."""
     if str(path) == STANDARD_INPUT:
         return "standard input", sys.stdin.buffer.read()
     if path.is_dir():
