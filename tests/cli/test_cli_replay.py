@@ -141,6 +141,23 @@ def test_options_of_the_pack_are_used(tmp_path: Path) -> None:
     assert all(ends[name] < ends["plain"] for name in ("reserve", "cutoff", "small"))
 
 
+def test_forecasts_to_a_reserve_are_not_judged_by_the_cut_off(tmp_path: Path, whole: tuple[Path, str]) -> None:
+    outputs = ("--json", "s.json", "--report", "r.html")
+    done = called("replay", LOG, *PACK, "--reserve-soc", "0.2", *outputs, folder=tmp_path)
+    said = "he forecasts end at the reserve of 20%, the log at the cut-off: they are not compared"
+    assert done.returncode == 0 and done.stdout.count(said) == 1 and "optimistic" not in done.stdout
+    assert (tmp_path / "r.html").read_text(encoding="utf-8").count(said) == 2
+    summary = json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))
+    assert (summary["reserve_soc"], summary["scores"]) == (0.2, []) and summary["end_of_flight_s"] > 0.0
+    assert json.loads((whole[0] / "f.json").read_text(encoding="utf-8"))["reserve_soc"] == 0.0
+
+
+def test_a_plan_states_its_reserve(tmp_path: Path) -> None:
+    pack = ("--cells", "4", "--capacity-ah", "5", "--power-w", "250")
+    assert called("plan", *pack, "--reserve-soc", "0.2", "--json", "p.json", folder=tmp_path).returncode == 0
+    assert json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))["reserve_soc"] == 0.2
+
+
 def test_lines_on_standard_output_are_nothing_but_lines(tmp_path: Path) -> None:
     short(tmp_path, "a.csv", 40)
     done = run("replay", "a.csv", *PACK, "--jsonl", "-", folder=tmp_path)

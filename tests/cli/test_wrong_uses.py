@@ -142,7 +142,6 @@ REFUSED: dict[str, Use] = {
     "a data set that leads away": Use(
         ("validate", "away", "--ship", "ship"), 1, ("away/battery.toml: key name", "found '../../away'")
     ),
-    "a data set below its end": Use(("validate", "end"), 4, ("end", "above the cut-off of 16.7 V", "found none")),
     "a data set in semicolons": Use(("validate", "semicolons"), 1, ("discharge.csv", "commas", "semicolons")),
 }
 NOTED: dict[str, Use] = {
@@ -212,6 +211,12 @@ def test_a_bad_log_among_good_ones(folder: Path) -> None:
 def test_two_runs_are_not_enough_data(folder: Path) -> None:
     done = called("validate", "two", "--method", "paper", folder=folder)
     assert_refused(done, Use((), 4, ("three runs or more",)))
+
+
+def test_tests_that_begin_below_the_cut_off_are_not_enough_data(folder: Path) -> None:
+    done = called("validate", "end", folder=folder)
+    said = done.stderr.splitlines()[-1]  # after what is being done
+    assert done.returncode == 4 and "above the cut-off of 16.7 V, found none" in said and "Traceback" not in done.stderr
 
 
 def test_a_command_that_is_mistyped(folder: Path) -> None:

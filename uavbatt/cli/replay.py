@@ -158,7 +158,7 @@ def _one(
             for sink in out:
                 sink.write(output.line(step.estimate, step.remaining))
         resolved = size_of_replayed(estimator, flight)
-        found = outcome(run, resolved.cutoff_V)
+        found = outcome(run, resolved.cutoff_V, reserve_soc)
         if any(charts):
             from uavbatt.report.flight import save_charts
 

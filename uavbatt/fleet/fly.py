@@ -101,7 +101,7 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return bad(log, job, "expected at least one row with a voltage")
-    found = outcome(run, pack.cutoff_V)
+    found = outcome(run, pack.cutoff_V, job.settings.reserve_soc)
     who, info = flight.identity, describe(flight)
     last = run[-1].estimate
     limit_s = gap_limit_s(median_step_s(flight.samples))

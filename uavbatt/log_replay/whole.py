@@ -174,7 +174,7 @@ def replay(
     size = size_of_replayed(estimator, flight)
     if packs is not None:
         _remember(packs, pack, flight, content, options)
-    return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V))
+    return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V, reserve_soc))
 
 
 def _minutes(seconds: float) -> str:
