@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import json
 import os
@@ -178,6 +179,8 @@ def test_standard_input_and_pipes_are_read_once(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
     done = called("replay", "-", *PACK, "--plain", folder=tmp_path)
     assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("standard input: ")
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(gzip.compress(data))))
+    assert called("replay", "-", *PACK, "--plain", folder=tmp_path).stdout == done.stdout
     os.mkfifo(tmp_path / "pipe.csv")
     threading.Thread(target=(tmp_path / "pipe.csv").write_bytes, args=(data,), daemon=True).start()
     done = run("replay", "pipe.csv", *PACK, "--plain", folder=tmp_path, timeout_s=60.0)

@@ -14,14 +14,13 @@ from uavbatt.errors import BadInput, UsageError
 from uavbatt.records import Flight
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.formats.logger_table import kind_of_table
-from uavbatt.telemetry.formats.packed import is_packed, unpacked
+from uavbatt.telemetry.formats.packed import Content as Content
+from uavbatt.telemetry.formats.packed import as_log, is_packed, unpacked
 from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
 if TYPE_CHECKING:
     from uavbatt.telemetry.columns import Columns
-
-Content = bytes | memoryview  # of a file
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI or blackbox)"
 STANDARD_INPUT = "-"
@@ -80,7 +79,7 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
 def content_of(path: Path) -> tuple[str, Content]:
     """The name of a log, and its bytes, read once: standard input and pipes give them no second time."""
     if str(path) == STANDARD_INPUT:
-        return "standard input", sys.stdin.buffer.read()
+        return as_log("standard input", sys.stdin.buffer.read())
     if path.is_dir():
         raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
