@@ -173,6 +173,26 @@ def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
     assert len(done.stdout.splitlines()) == 1 and "Traceback" not in done.stderr
 
 
+def test_files_are_written_although_the_reader_leaves(tmp_path: Path) -> None:
+    short(tmp_path, "a.csv")
+    command = f"set -o pipefail; '{UAVBATT}' replay a.csv --capacity-ah 5 --json s.json | true"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))["rows"] == 60
+
+
+def test_a_stream_of_ascii_takes_every_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short(tmp_path, "é✈.csv")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    done = run("replay", "é✈.csv", *PACK, "--json", "-", folder=tmp_path)
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert done.stdout.isascii() and json.loads(done.stdout)["log"] == "é✈.csv"
+    done = run("replay", "é✈.csv", *PACK, "--jsonl", "-", folder=tmp_path)
+    assert done.returncode == 0 and len([json.loads(line) for line in done.stdout.splitlines()]) == 60
+    done = run("replay", "é✈.csv", *PACK, "--report", "-", folder=tmp_path)
+    assert done.returncode == 0 and done.stdout.isascii() and "&#233;&#9992;.csv" in done.stdout
+
+
 def test_standard_input_and_pipes_are_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     short(tmp_path, "a.csv")
     data = (tmp_path / "a.csv").read_bytes()

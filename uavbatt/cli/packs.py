@@ -67,12 +67,12 @@ def _change(path: Path, forget: str, take_in: Path | None) -> None:
 
 
 def _export(ledger: Ledger, pack: str, path: Path) -> None:
-    from uavbatt.files import atomic_write
+    from uavbatt.files import atomic_write, json_for
     from uavbatt.packs.exchange import exported, text_of
 
     content = exported(ledger, pack)
     with atomic_write(path) as stream:
-        stream.write(text_of(content))
+        stream.write(json_for(stream, text_of(content)))
 
 
 def _chosen(ledger: Ledger, name: str) -> list[PackRow]:
@@ -116,10 +116,8 @@ def _plain(pack: PackRow) -> dict[str, Any]:
 
 
 def _write_report(path: Path, ledger: Ledger, found: list[PackRow]) -> None:
-    from uavbatt.files import atomic_write
     from uavbatt.report.packs import MOST_FIGURES, packs_report
+    from uavbatt.report.page import write_page
 
     drawn = [(pack, ledger.flights(pack.name)) for pack in found[:MOST_FIGURES]]
-    html = packs_report(str(ledger.path.name), found, drawn)
-    with atomic_write(path, "w") as stream:
-        stream.write(html)
+    write_page(path, packs_report(str(ledger.path.name), found, drawn))
