@@ -8,9 +8,9 @@ import sys
 from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, SupportsIndex
 
-from uavbatt.errors import BadInput, UsageError
+from uavbatt.errors import BadInput, UsageError, check_path
 from uavbatt.records import Flight
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.formats.logger_table import kind_of_table
@@ -44,6 +44,7 @@ def read_log(path: str | Path, instance: int | None = None, system: int | None =
     path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance or system.
     """
+    check_path("path", path, "the path of a flight log")
     return read_bytes(*content_of(Path(path)), instance, system)
 
 
@@ -200,6 +201,8 @@ def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilde
 
 def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:
     """The asked instance, which must be there, or the default one."""
+    if not isinstance(instance, SupportsIndex | None):
+        raise UsageError(f"instance={instance!r}: expected the number of a battery, or None")
     chosen = default_instance(log) if instance is None else instance
     there = log.columns or log.rows
     if chosen not in there:
