@@ -62,6 +62,7 @@ def changed(content, **values):
         (lambda c: changed(c, cells=0), "key cells: expected 1 to 100"),
         (lambda c: changed(c, rated_Ah=1e308), "key rated_Ah"),
         (lambda c: changed(c, type_ohm=-1.0), "key type_ohm"),
+        (lambda c: changed(c, rated_Ah="nan"), "key rated_Ah: expected 0.05 to 500, found nan"),
         (lambda c: {**c, "name": "a\nb"}, "key name: expected a name of 1 to 64 printable"),
         (lambda c: {**c, "flights": [*c["flights"], {**c["flights"][0], "cells": 5}]}, "flight 4, key cells"),
         (lambda c: changed(c, cells="four"), "key flights|Expected|expected"),

@@ -29,14 +29,16 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "weak_cell_V": (0.0, 10.0),
     "cycles": (0, 1_000_000),
 }
-"""Key -> least and greatest value; NaN and None are unknown."""
+"""Key -> least and greatest value; NaN and None are unknown, but for NEEDED."""
+NEEDED = ("rated_Ah", "type_ohm")
 
 
 def doubt_of(flight: FlightRecord) -> tuple[str, str] | None:
     """Return the key of a flight whose value cannot be, and what was expected; None if it may be a flight."""
     for key, (low, high) in BOUNDS.items():
         value = getattr(flight, key)
-        if value is not None and not math.isnan(value) and not low <= value <= high:
+        is_unknown = value is None or (math.isnan(value) and key not in NEEDED)
+        if not is_unknown and not low <= value <= high:
             return key, f"{low:g} to {high:g}, found {value:g}"
     words = _told_doubt(flight)
     return ("told", words) if words else None
