@@ -100,6 +100,7 @@ def test_missing_readings_are_nan(tmp_path):
         (ROWS.replace("a,1,25,60", ",1,25,60"), "line 3, sample: expected a label"),
         (ROWS.replace("11.0,,", "11.0,"), "line 3: expected 7 cells, found 6"),
         (ROWS.replace("25,60", "25,60000000"), "line 4, time_s: expected time increasing"),
+        ("a,1,25,0,4.2,,\na,1,25,60,3.7,,\na,1,25,120,3.5,,\n", "4.2 V at most for 3 cells: per cell?"),
         ("", "line 2: expected at least one row"),
     ],
 )
@@ -130,6 +131,10 @@ def test_bad_header(tmp_path, header, said):
         (BATTERY + "capacity_Ah = 5000\n", "capacity_Ah: expected ampere-hours, found 5000 (mAh?)"),
         (BATTERY + "[uncertainty]\nvoltage_resolution = 0.01\n", "key uncertainty.voltage_resolution"),
         (BATTERY + "oops", "expected TOML"),
+        (BATTERY.replace('"x"', '"../../evil/name"'), "battery.toml: key name: expected the name of a file"),
+        (BATTERY.replace('"x"', r'"..\\evil"'), "key name"),
+        (BATTERY.replace('"x"', '".hidden"'), "key name"),
+        (BATTERY.replace('"x"', r'"a\nb"'), "key name"),
     ],
 )
 def test_bad_battery_names_the_key(tmp_path, battery, said):

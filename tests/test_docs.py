@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from command import called
+from packs.made import flight
 
 import uavbatt
 from uavbatt import dataset, output
@@ -21,15 +22,18 @@ from uavbatt.battery.effects import EFFECTS, unit_words
 from uavbatt.cli.app import app
 from uavbatt.dataset_csv import COLUMNS as DISCHARGE_COLUMNS
 from uavbatt.diagnosis.classes import EffectClass
+from uavbatt.diagnosis.residual import Shape
 from uavbatt.fleet.row import COLUMNS as FLEET_COLUMNS
 from uavbatt.live import config
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
+from uavbatt.packs.ledger import Ledger
 from uavbatt.records import Status
 from uavbatt.telemetry.formats import airdata_csv, blackbox_csv, csv_table, dji_record_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 FORMATS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+MEASURED = ("soc_start", "soc_end", "charge_Ah", "energy_Wh", "temp_mean_C", "temp_max_C")
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
@@ -151,6 +155,12 @@ def test_a_replay_s_rows_and_summary(tmp_path: Path, short_log: Path) -> None:
     said = keys_in(json.loads((tmp_path / "s.json").read_text()))
     agree(documented("Replay: summary"), said)
     agree(keys_in(json.loads(example("summary.json"))), said)
+    ledger = ("--packs", "p.sqlite", "--pack", "A")
+    assert called("replay", short_log, "no.csv", *ledger, "--json", "s.json", folder=tmp_path).returncode == 1
+    remembered, failed = json.loads((tmp_path / "s.json").read_text())
+    assert set(failed) == {"log", "error"}
+    assert documented("Replay: summary", 1) == ["pack", "pack_flights", "pack_findings"]
+    assert keys_in(remembered) - said <= set(documented("Replay: summary", 1))
 
 
 def test_a_plan_s_summary(tmp_path: Path) -> None:
@@ -161,10 +171,64 @@ def test_a_plan_s_summary(tmp_path: Path) -> None:
     agree(documented("Plan: summary"), {key for key in said if not key.startswith("planned.")})
 
 
+def test_the_numbers_of_the_plans_are_those_of_their_commands(tmp_path: Path) -> None:
+    written(tmp_path, "quad.vehicle.toml", "round.waypoints")
+    for title in ("plan.json", "mission.json"):
+        commands = re.findall(r"`uavbatt (plan [^`]+)`", FORMATS.partition(f'title="{title}"')[0])
+        assert called(*commands[-1].split(), "--json", title, folder=tmp_path).returncode == 0
+        said, told = json.loads((tmp_path / title).read_text()), json.loads(example(title))
+        assert_alike({**said, "table": said["table"][2:3], "legs": said.get("legs", [])[:1]}, {"legs": [], **told})
+
+
+def assert_alike(said: object, told: object) -> None:
+    """What a page tells is what a program says, but for the last digits."""
+    if isinstance(told, dict) and isinstance(said, dict):
+        assert said.keys() == told.keys()
+        for key, value in told.items():
+            assert_alike(said[key], value)
+    elif isinstance(told, list) and isinstance(said, list):
+        for one, other in zip(said, told, strict=True):
+            assert_alike(one, other)
+    else:
+        assert said == (pytest.approx(told, rel=0.01, abs=0.1) if isinstance(told, float) else told)
+
+
+def test_a_mission_s_plan() -> None:
+    """Its example is what the command says: asked above."""
+    told = keys_in(json.loads(example("mission.json")))
+    of_the_pack = set(documented("Plan: summary")) - {"load"}
+    own = {key for key in told - of_the_pack if not key.startswith("planned.")}
+    rows = {key for key in told if key.startswith("table.")} | {"planned", "table"}
+    agree(documented("Plan: summary", 1), own | rows)
+
+
+def test_the_pack_ledger_s_json(tmp_path: Path) -> None:
+    ledger, pack = tmp_path / "p.sqlite", ("--pack", "A")
+    loss = flight(8, 1.0, 0.75, weak_cell=3, weak_cell_V=0.012, cycles=41, **dict.fromkeys(MEASURED, 0.5))
+    with Ledger(ledger) as opened:
+        opened.save_all("A", [*(flight(k) for k in range(8)), loss])
+    assert called("packs", ledger, *pack, "--json", "p.json", folder=tmp_path).returncode == 0
+    assert called("packs", ledger, *pack, "--export", "A.json", folder=tmp_path).returncode == 0
+    for title, made, table in (("packs.json", "p.json", 0), ("A.json", "A.json", 1)):
+        said = keys_in(json.loads((tmp_path / made).read_text()))
+        agree(keys_in(json.loads(example(title))), said)
+        agree(documented("Pack ledger", table), {key for key in said if not key.startswith("history.flight.")})
+    taken_in = called("packs", "q.sqlite", "--import", written(tmp_path, "A.json") / "A.json", folder=tmp_path)
+    assert taken_in.returncode == 0, taken_in.stderr
+
+
+def test_the_packaged_batteries(tmp_path: Path) -> None:
+    assert called("batteries", "--json", "b.json", folder=tmp_path).returncode == 0
+    said = json.loads((tmp_path / "b.json").read_text())
+    assert json.loads(example("batteries.json")) == [one for one in said if one["battery"]["name"] == "lipo-generic"]
+
+
 def test_a_diagnosis() -> None:
     said = keys_in(json.loads(example("diagnosis.json")))
     of_a_class = {f"classes.{field.name}" for field in fields(EffectClass)}
-    assert set(documented("Diagnosis")) == {key for key in said if key.count(".") < 1} | of_a_class
+    of_what_is_left = {f"left.{field.name}" for field in fields(Shape)}
+    assert set(documented("Diagnosis")) == {key for key in said if key.count(".") < 1} | of_a_class | of_what_is_left
+    assert of_what_is_left <= said
 
 
 def test_the_fleet_s_table() -> None:

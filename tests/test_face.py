@@ -135,3 +135,25 @@ def test_an_estimator_names_them_too() -> None:
         uavbatt.Estimator.from_battery("lipo-generic", reserve_soc=20)
     with pytest.raises(uavbatt.BadInput, match="lpab-3s"):
         uavbatt.Estimator.from_battery("nothing")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"log": 3}, "log=3: expected the path of a flight log, or a Flight"),
+        ({"battery": 3}, "battery=3: expected the name or path of a battery file"),
+        ({"vehicle": 3}, "vehicle=3: expected the path of a vehicle file"),
+        ({"mission": 3}, "mission=3: expected the path of a file, or None"),
+        ({"packs": 3}, "packs=3: expected the path of a file, or None"),
+        ({"instance": "0"}, "instance='0': expected the number of a battery, or None"),
+    ],
+    ids=str,
+)
+def test_an_argument_of_another_type_is_named(wrong: dict[str, object], words: str, short_log: Path) -> None:
+    with pytest.raises(uavbatt.UsageError, match=words):
+        uavbatt.replay(**{"log": short_log, **wrong})  # type: ignore[arg-type]
+
+
+def test_a_log_that_is_no_path_is_named() -> None:
+    with pytest.raises(uavbatt.UsageError, match="path=3: expected the path of a flight log"):
+        uavbatt.read_log(3)  # type: ignore[arg-type]

@@ -149,6 +149,7 @@ def load(path: str | Path | None = None) -> DataSet:
     if missing:
         raise BadInput(shown, "", f"a folder with battery.toml and discharge.csv; {missing} missing")
     battery = _decode(root / "battery.toml", f"{shown}/battery.toml", _Battery)
+    _check_name(battery.name, f"{shown}/battery.toml")
     if battery.capacity_Ah is not None and capacity_doubt(battery.capacity_Ah) is not None:
         slip = " (mAh?)" if battery.capacity_Ah > CAPACITY_AH[1] else ""
         said = f"ampere-hours, found {battery.capacity_Ah:g}{slip}"
@@ -159,6 +160,13 @@ def load(path: str | Path | None = None) -> DataSet:
     flags = _decode(root / "flags.toml", f"{shown}/flags.toml", _Flags).flag if has_flags else []
     facts = {f: getattr(battery, f) for f in battery.__struct_fields__}
     return DataSet(**facts, runs=runs, sha256=_digest(battery, runs), path=shown, flags=tuple(flags))
+
+
+def _check_name(name: str, shown: str) -> None:
+    """Raise BadInput for a name that would take the battery file that it names to another folder."""
+    if name.startswith(".") or not name.isprintable() or any(mark in name for mark in "/\\"):
+        said = "the name of a file: printable, without / and \\, and without a point in front"
+        raise BadInput(shown, "key name", f"{said}, found {name!r}")
 
 
 def write_template(folder: Path) -> None:

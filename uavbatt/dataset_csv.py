@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 COLUMNS = ("sample", "run", "ambient_c", "time_s", "voltage_v", "current_a", "surface_c")
 MIN_POINTS = 3
 CELL_RANGE_V = (0.5, 5.0)
+LEAST_HIGHEST_CELL_V = 2.2  # every cell that flies shows more at some time, and half of a full LiPo cell is less
 TEMP_RANGE_C = (-80.0, 150.0)
 
 
@@ -126,7 +127,7 @@ def _runs(rows: list[_Row], cells_series: int, shown: str) -> tuple[Run, ...]:
         if stuck and (name == "surface_C" or values[0] == 0):
             said = f"readings, every row says {values[0]:g}; leave the cells empty if it was not measured"
             raise BadInput(shown, f"column {name.lower()}", said)
-    return tuple(_run(key, group, shown) for key, group in grouped.items())
+    return tuple(_run(key, group, cells_series, shown) for key, group in grouped.items())
 
 
 def _check_units(row: _Row, cells_series: int, shown: str) -> None:
@@ -142,7 +143,7 @@ def _check_units(row: _Row, cells_series: int, shown: str) -> None:
             raise BadInput(shown, f"{place}, {name}", f"-80 to 150 °C, found {value:g}{guess}")
 
 
-def _run(key: tuple[str, int, float], rows: list[_Row], shown: str) -> Run:
+def _run(key: tuple[str, int, float], rows: list[_Row], cells_series: int, shown: str) -> Run:
     sample, run, ambient_C = key
     place = f"sample {sample}, run {run} at {ambient_C:g} °C (from line {rows[0].line})"
     time_s, voltage_V, current_A, surface_C = np.array([r[2:] for r in rows], dtype=float).T
@@ -151,6 +152,10 @@ def _run(key: tuple[str, int, float], rows: list[_Row], shown: str) -> Run:
         raise BadInput(shown, place, f"at least {MIN_POINTS} voltage readings, found {len(measured)}")
     if np.all(measured == measured[0]):
         raise BadInput(shown, place, f"a discharge, voltage_v is constant at {measured[0]:g}")
+    highest_V = float(np.max(measured))
+    if highest_V < LEAST_HIGHEST_CELL_V * cells_series:
+        said = f"the voltage of the whole pack, found {highest_V:g} V at most for {cells_series} cells: per cell?"
+        raise BadInput(shown, f"{place}, voltage_v", said)
     duration_s = time_s[-1] - time_s[0]
     if duration_s > 1e6:
         raise BadInput(shown, place, f"time_s in seconds, the run lasts {duration_s:g} (milliseconds?)")

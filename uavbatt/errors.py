@@ -7,6 +7,7 @@ what was expected, so that the command line prints it as it is and never a trace
 from __future__ import annotations
 
 import unicodedata
+from os import PathLike
 from pathlib import Path
 
 
@@ -41,6 +42,12 @@ class UsageError(UavbattError):
     """The call itself cannot be carried out as it was written."""
 
     exit_code = 2
+
+
+def check_path(argument: str, value: object, expected: str = "the path of a file") -> None:
+    """Raise UsageError, with the argument's name, for a value that names no file."""
+    if not isinstance(value, str | PathLike):
+        raise UsageError(f"{argument}={value!r}: expected {expected}")
 
 
 class MissingExtra(UavbattError):

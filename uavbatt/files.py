@@ -84,9 +84,20 @@ def plain(value: Any) -> Any:
 def write_json(path: Path, content: Any, indent: int = 2) -> None:
     """Write `content`, made `plain`, to `path`."""
     with atomic_write(path, "w") as stream:
-        stream.write(_escaped(json.dumps(plain(content), indent=indent, ensure_ascii=False)) + "\n")
+        stream.write(json_for(stream, json.dumps(plain(content), indent=indent, ensure_ascii=False)) + "\n")
 
 
-def _escaped(text: str) -> str:
-    """JSON whose foreign texts reach neither a terminal as commands nor the encoder as halves of characters."""
-    return _FOREIGN.sub(lambda found: found[0] if printable(found[0]) == found[0] else json.dumps(found[0])[1:-1], text)
+def json_for(stream: TextIO, text: str) -> str:
+    """JSON whose foreign texts reach neither a terminal as commands nor the encoder as what it cannot write.
+
+    stream : what it is written to; a character that its encoding does not have is escaped, as JSON allows
+    """
+    if text.isascii() and "\x7f" not in text:
+        return text
+    encoding = stream.encoding or "utf-8"
+    return _FOREIGN.sub(lambda found: found[0] if _fits(found[0], encoding) else json.dumps(found[0])[1:-1], text)
+
+
+def _fits(character: str, encoding: str) -> bool:
+    """Return True for a character that may be printed and that the encoding has."""
+    return printable(character) == character and bool(character.encode(encoding, "ignore"))

@@ -16,7 +16,7 @@ from typing import Protocol, TextIO
 
 import msgspec
 
-from uavbatt.files import atomic_write
+from uavbatt.files import atomic_write, json_for
 from uavbatt.records import Estimate, Remaining, Route, Status
 
 COLUMNS: Mapping[str, int | None] = {
@@ -119,7 +119,7 @@ class JsonLinesSink:
 
     def write(self, line: Line) -> None:
         """Write one line; a key too many or too few is a `KeyError` here rather than at the reader."""
-        self._file.write(msgspec.json.encode(in_order(line)).decode() + "\n")
+        self._file.write(json_for(self._file, msgspec.json.encode(in_order(line)).decode()) + "\n")
 
 
 class CsvSink:

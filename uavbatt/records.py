@@ -105,6 +105,7 @@ class Flight:
         notes: what a reader of the log should know.
         identity: aircraft, pack and date, as far as the log tells them.
         navigation: route and position whenever they change, ascending in time.
+        forecast_period_s: between forecasts in the `uavbatt live` that recorded the log [s]; NaN for other logs.
     """
 
     source: str
@@ -118,6 +119,7 @@ class Flight:
     notes: tuple[str, ...] = ()
     identity: Identity = Identity()
     navigation: tuple[Navigation, ...] = ()
+    forecast_period_s: float = NAN
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)

@@ -62,6 +62,10 @@ def test_forget_export_and_import(run, ledger, tmp_path):
         (["packs", "none.sqlite"], 1, "none.sqlite: expected a pack ledger, found no such file"),
         (["packs", "{ledger}", "--pack", "C"], 1, "expected a pack named C, found none"),
         (["packs", "{ledger}", "--forget", "C"], 1, "expected a pack named C to forget"),
+        (["packs", "empty.sqlite"], 1, "empty.sqlite: expected a pack ledger, found an empty file"),
+        (["packs", "."], 1, ".: expected a pack ledger, found a directory"),
+        (["packs", "none.sqlite", "--forget", "A"], 1, "none.sqlite: expected a pack ledger, found no such file"),
+        (["packs", "none.sqlite", "--import", "bad.json"], 1, "bad.json: expected a pack as"),
         (["packs", "{ledger}", "--export", "x.json"], 2, "expected --pack NAME as well"),
         (["replay", "x.tlog", "--pack", "A"], 2, "expected --packs FILE as well"),
         (
@@ -72,8 +76,11 @@ def test_forget_export_and_import(run, ledger, tmp_path):
     ],
 )
 def test_wrong_input_is_named_in_one_line(run, ledger, arguments, code, words):
+    (ledger.parent / "empty.sqlite").touch()
+    (ledger.parent / "bad.json").write_text("{}")
     said = run(*(argument.replace("{ledger}", str(ledger)) for argument in arguments))
     assert said.returncode == code
+    assert not (ledger.parent / "none.sqlite").exists()  # a change that fails makes no ledger
     assert words in said.stderr
     assert "Traceback" not in said.stderr
 

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import csv
+import gzip
+import io
 import json
+import os
 import subprocess
+import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command import UAVBATT, called, run
+from frames import hover, write_log
 
 from uavbatt import __version__
 from uavbatt.output import COLUMNS
@@ -136,6 +142,23 @@ def test_options_of_the_pack_are_used(tmp_path: Path) -> None:
     assert all(ends[name] < ends["plain"] for name in ("reserve", "cutoff", "small"))
 
 
+def test_forecasts_to_a_reserve_are_not_judged_by_the_cut_off(tmp_path: Path, whole: tuple[Path, str]) -> None:
+    outputs = ("--json", "s.json", "--report", "r.html")
+    done = called("replay", LOG, *PACK, "--reserve-soc", "0.2", *outputs, folder=tmp_path)
+    said = "he forecasts end at the reserve of 20%, the log at the cut-off: they are not compared"
+    assert done.returncode == 0 and done.stdout.count(said) == 1 and "optimistic" not in done.stdout
+    assert (tmp_path / "r.html").read_text(encoding="utf-8").count(said) == 2
+    summary = json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))
+    assert (summary["reserve_soc"], summary["scores"]) == (0.2, []) and summary["end_of_flight_s"] > 0.0
+    assert json.loads((whole[0] / "f.json").read_text(encoding="utf-8"))["reserve_soc"] == 0.0
+
+
+def test_a_plan_states_its_reserve(tmp_path: Path) -> None:
+    pack = ("--cells", "4", "--capacity-ah", "5", "--power-w", "250")
+    assert called("plan", *pack, "--reserve-soc", "0.2", "--json", "p.json", folder=tmp_path).returncode == 0
+    assert json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))["reserve_soc"] == 0.2
+
+
 def test_lines_on_standard_output_are_nothing_but_lines(tmp_path: Path) -> None:
     short(tmp_path, "a.csv", 40)
     done = run("replay", "a.csv", *PACK, "--jsonl", "-", folder=tmp_path)
@@ -148,6 +171,47 @@ def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
     command = f"'{UAVBATT}' replay a.csv --capacity-ah 5 --jsonl - | head -n 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert len(done.stdout.splitlines()) == 1 and "Traceback" not in done.stderr
+
+
+def test_files_are_written_although_the_reader_leaves(tmp_path: Path) -> None:
+    short(tmp_path, "a.csv")
+    command = f"set -o pipefail; '{UAVBATT}' replay a.csv --capacity-ah 5 --json s.json | true"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))["rows"] == 60
+
+
+def test_a_stream_of_ascii_takes_every_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short(tmp_path, "é✈.csv")
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    done = run("replay", "é✈.csv", *PACK, "--json", "-", folder=tmp_path)
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert done.stdout.isascii() and json.loads(done.stdout)["log"] == "é✈.csv"
+    done = run("replay", "é✈.csv", *PACK, "--jsonl", "-", folder=tmp_path)
+    assert done.returncode == 0 and len([json.loads(line) for line in done.stdout.splitlines()]) == 60
+    done = run("replay", "é✈.csv", *PACK, "--report", "-", folder=tmp_path)
+    assert done.returncode == 0 and done.stdout.isascii() and "&#233;&#9992;.csv" in done.stdout
+
+
+def test_standard_input_and_pipes_are_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short(tmp_path, "a.csv")
+    data = (tmp_path / "a.csv").read_bytes()
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    done = called("replay", "-", *PACK, "--plain", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("standard input: ")
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(gzip.compress(data))))
+    assert called("replay", "-", *PACK, "--plain", folder=tmp_path).stdout == done.stdout
+    os.mkfifo(tmp_path / "pipe.csv")
+    threading.Thread(target=(tmp_path / "pipe.csv").write_bytes, args=(data,), daemon=True).start()
+    done = run("replay", "pipe.csv", *PACK, "--plain", folder=tmp_path, timeout_s=60.0)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_standard_input_of_two_batteries_is_one_pack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_log(tmp_path / "two.tlog", [*hover(60, 23.0, 9.0), *hover(60, 23.1, 9.0, instance=1)])
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(log.read_bytes())))
+    done = called("replay", "-", *PACK, "--join", "parallel", folder=tmp_path)
+    assert done.returncode == 0 and "batteries 0, 1 joined in parallel" in done.stdout
 
 
 def test_info(tmp_path: Path) -> None:

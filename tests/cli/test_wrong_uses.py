@@ -68,6 +68,12 @@ FILES: dict[str, str | bytes] = {
     "mv/discharge.csv": runs(lambda t: 16600.0 - 8.0 * t, 3),
     "semicolons/battery.toml": BATTERY,
     "semicolons/discharge.csv": runs(lambda t: 16.6 - 0.008 * t, 3).replace(",", ";"),
+    "cell/battery.toml": BATTERY,
+    "cell/discharge.csv": runs(lambda t: 4.15 - 0.002 * t, 3),
+    "away/battery.toml": BATTERY.replace('"a"', '"../../away"'),
+    "away/discharge.csv": runs(lambda t: 16.6 - 0.008 * t, 3),
+    "end/battery.toml": BATTERY.replace("13.2", "16.7"),
+    "end/discharge.csv": runs(lambda t: 16.6 - 0.008 * t, 3),
     "two/battery.toml": BATTERY,
     "two/discharge.csv": runs(lambda t: round(16.6 - 0.004 * t, 3), 2),
     "m100.vehicle.toml": """name = "m100"\nbattery = "lipo-generic"\nsource = "x"
@@ -132,6 +138,10 @@ REFUSED: dict[str, Use] = {
         ("plan", "--cells", "4", *STATED, "--power-w", "99999"), 2, ("99999 W on 4S 5 Ah", "1351 C", "60 C")
     ),
     "a data set in mV": Use(("validate", "mv"), 1, ("discharge.csv", "line 2", "voltage_v", "(millivolts?)")),
+    "a data set of one cell": Use(("validate", "cell"), 1, ("discharge.csv", "4.15 V at most for 4", "per cell?")),
+    "a data set that leads away": Use(
+        ("validate", "away", "--ship", "ship"), 1, ("away/battery.toml: key name", "found '../../away'")
+    ),
     "a data set in semicolons": Use(("validate", "semicolons"), 1, ("discharge.csv", "commas", "semicolons")),
 }
 NOTED: dict[str, Use] = {
@@ -201,6 +211,12 @@ def test_a_bad_log_among_good_ones(folder: Path) -> None:
 def test_two_runs_are_not_enough_data(folder: Path) -> None:
     done = called("validate", "two", "--method", "paper", folder=folder)
     assert_refused(done, Use((), 4, ("three runs or more",)))
+
+
+def test_tests_that_begin_below_the_cut_off_are_not_enough_data(folder: Path) -> None:
+    done = called("validate", "end", folder=folder)
+    said = done.stderr.splitlines()[-1]  # after what is being done
+    assert done.returncode == 4 and "above the cut-off of 16.7 V, found none" in said and "Traceback" not in done.stderr
 
 
 def test_a_command_that_is_mistyped(folder: Path) -> None:

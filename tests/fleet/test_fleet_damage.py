@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -122,3 +124,24 @@ def test_a_file_name_that_is_no_text_ends_no_run(tmp_path: Path) -> None:
     assert done.returncode == 0 and "1 flown" in done.stdout
     assert "(0 done now)" in fleet(tmp_path).stdout
     assert table(tmp_path)[0]["file"].endswith("a?.csv")
+
+
+def test_packed_logs_are_flown_as_they_are(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "a.csv").write_text(ROWS)
+    (logs / "b.csv.gz").write_bytes(gzip.compress(ROWS.encode()))
+    (logs / "c.csv.gz").write_bytes(gzip.compress(ROWS.encode())[:-9])
+    for name, inside in (("d.zip", ("a.csv",)), ("e.zip", ("a.csv", "b.csv"))):
+        with zipfile.ZipFile(logs / name, "w") as archive:
+            for one in inside:
+                archive.writestr(one, ROWS)
+    done = fleet(tmp_path)
+    assert "5 logs (5 done now): 3 flown" in done.stdout
+    found = {Path(row["file"]).name: row for row in table(tmp_path)}
+    for name in ("b.csv.gz", "d.zip"):
+        assert {k: v for k, v in found[name].items() if k not in ("file", "size_bytes")} == {
+            k: v for k, v in found["a.csv"].items() if k not in ("file", "size_bytes")
+        }
+    assert found["c.csv.gz"]["reason"].startswith("expected a whole gzip or zip file")
+    assert found["e.zip"]["reason"].startswith("expected an archive of one log, found 2 files")

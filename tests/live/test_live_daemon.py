@@ -79,7 +79,7 @@ def test_a_recording_replays_to_the_same_lines(tmp_path: Path) -> None:
     bench.fly(30.0, volts=16.0, used=0.13)
     bench.daemon.close()
     (log,), (lines,) = tmp_path.glob("*.tlog"), tmp_path.glob("*.battery0.jsonl")
-    assert forecast_period_s(log) == 1.0
+    assert forecast_period_s(log.read_bytes()) == read_log(log).forecast_period_s == 1.0
     estimator = Estimator(battery_file.read_battery("lipo-generic"), settings=settings)
     replayed = [output.line(s.estimate, s.remaining) for s in steps(read_log(log), estimator)]
     assert [json.loads(text) for text in lines.read_text().splitlines()] == replayed

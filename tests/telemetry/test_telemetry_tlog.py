@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import math
 import random
 import struct
@@ -237,3 +238,10 @@ def test_real_tlogs_agree_with_pymavlink(shared_data: Path, number: int) -> None
     ] == rows
     assert flight.skipped_bytes == 0
     assert flight.facts_at(9e9).critical_voltage_V == pytest.approx(13.2)
+
+
+def test_a_recording_says_its_period_packed_or_not(tmp_path: Path) -> None:
+    log = pack(param("UAVB_FORECAST_S", 1.0), 0.0) + pack(heartbeat(), 0.5) + pack(battery(), 1.0)
+    (tmp_path / "packed.tlog.gz").write_bytes(gzip.compress(log))
+    assert read(tmp_path, log).forecast_period_s == read_log(tmp_path / "packed.tlog.gz").forecast_period_s == 1.0
+    assert math.isnan(read(tmp_path, pack(heartbeat(), 0.5) + pack(battery(), 1.0)).forecast_period_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from collections.abc import Collection
@@ -21,6 +22,8 @@ def main() -> None:
     # Small matrices: a second thread of the linear algebra only gets in the way of the first.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(50_000)  # rows are values without circles: looking for some took a seventh of a replay
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a table on a stream of ASCII has escapes in its words
+        sys.stdout.reconfigure(errors="backslashreplace")
     from uavbatt.cli.app import app
     from uavbatt.errors import UavbattError, terminal_line
 

@@ -136,8 +136,15 @@ def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) ->
 
 
 def say(line: str, *outputs: Path | None) -> None:
-    """A line for a person: on stdout, but on stderr when an output goes there, which is nothing but data then."""
-    typer.echo(terminal_line(line), err=STANDARD_OUTPUT in outputs)
+    """A line for a person: on stdout, but on stderr when an output goes there, which is nothing but data then.
+
+    A reader who leaves (`uavbatt ... | head`) misses the other lines, and the files are written all the same.
+    """
+    is_data = STANDARD_OUTPUT in outputs
+    try:
+        typer.echo(terminal_line(line), err=is_data)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if is_data else sys.stdout).fileno())
 
 
 def remark(line: str) -> None:

@@ -34,8 +34,7 @@ def packs(
     if export is not None and not pack:
         raise UsageError("--export: expected --pack NAME as well, the pack to write")
     if forget or take_in is not None:
-        with Ledger(ledger) as changed:
-            _change(changed, forget, take_in)
+        _change(ledger, forget, take_in)
     with Ledger(ledger, only_read=True) as opened:
         if export is not None:
             _export(opened, pack, export)
@@ -49,24 +48,31 @@ def packs(
             _write_report(report, opened, found)
 
 
-def _change(ledger: Ledger, forget: str, take_in: Path | None) -> None:
-    if forget:
-        if not ledger.forget(forget):
-            raise UavbattError(f"{ledger.path}: expected a pack named {forget} to forget, found none")
-        remark(f"{forget} is forgotten")
-    if take_in is not None:
-        from uavbatt.packs.exchange import imported
+def _change(path: Path, forget: str, take_in: Path | None) -> None:
+    """Forget a pack, take one in. What cannot be done is found before the ledger is opened, which makes one."""
+    from uavbatt.packs.exchange import read_pack
+    from uavbatt.packs.ledger import Ledger
 
-        remark(f"{imported(ledger, take_in)} is taken in")
+    carried = read_pack(take_in) if take_in is not None else None
+    if forget:
+        with Ledger(path, only_read=True) as ledger:
+            if ledger.pack(forget) is None:
+                raise UavbattError(f"{path}: expected a pack named {forget} to forget, found none")
+    with Ledger(path) as ledger:
+        if forget and ledger.forget(forget):
+            remark(f"{forget} is forgotten")
+        if carried is not None:
+            ledger.save_all(carried.name, carried.flights)
+            remark(f"{carried.name} is taken in")
 
 
 def _export(ledger: Ledger, pack: str, path: Path) -> None:
-    from uavbatt.files import atomic_write
+    from uavbatt.files import atomic_write, json_for
     from uavbatt.packs.exchange import exported, text_of
 
     content = exported(ledger, pack)
     with atomic_write(path) as stream:
-        stream.write(text_of(content))
+        stream.write(json_for(stream, text_of(content)))
 
 
 def _chosen(ledger: Ledger, name: str) -> list[PackRow]:
@@ -110,10 +116,8 @@ def _plain(pack: PackRow) -> dict[str, Any]:
 
 
 def _write_report(path: Path, ledger: Ledger, found: list[PackRow]) -> None:
-    from uavbatt.files import atomic_write
     from uavbatt.report.packs import MOST_FIGURES, packs_report
+    from uavbatt.report.page import write_page
 
     drawn = [(pack, ledger.flights(pack.name)) for pack in found[:MOST_FIGURES]]
-    html = packs_report(str(ledger.path.name), found, drawn)
-    with atomic_write(path, "w") as stream:
-        stream.write(html)
+    write_page(path, packs_report(str(ledger.path.name), found, drawn))

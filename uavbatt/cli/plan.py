@@ -100,7 +100,7 @@ def plan(
 
         write_page(report, plan_report(found))
     if summary is not None:
-        _write_summary(summary, found, content.certificate.content_sha256)
+        _write_summary(summary, found, reserve_soc, content.certificate.content_sha256)
 
 
 def _load(
@@ -153,7 +153,7 @@ def _headline(here: Endurance) -> str:
     return said + (f"; {here.remark}" if here.remark else "")
 
 
-def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
+def _write_summary(path: Path, plan: Plan, reserve_soc: float, content_sha256: str) -> None:
     """The plan for a program: where the numbers came from, the planned temperature, the table."""
     from uavbatt.files import write_json
 
@@ -166,6 +166,7 @@ def _write_summary(path: Path, plan: Plan, content_sha256: str) -> None:
         **pack,
         "load": plan.load,
         "start_soc": plan.start_soc,
+        "reserve_soc": reserve_soc,
         "warnings": list(plan.warnings),
         "planned": asdict(plan.here),
         "table": [asdict(e) for e in plan.rows],

@@ -65,7 +65,7 @@ def plan_mission(
     if summary is not None:
         from uavbatt.files import write_json
 
-        write_json(summary, _summary(found, mission.name, content.certificate.content_sha256))
+        write_json(summary, _summary(found, mission.name, conditions[2], content.certificate.content_sha256))
 
 
 def clock(seconds: float) -> str:
@@ -143,7 +143,7 @@ def _charges(leg: LegEnd) -> dict[str, float]:
     return {"soc": leg.soc, "soc_lo": leg.soc_lo, "soc_hi": leg.soc_hi}
 
 
-def _summary(plan: MissionPlan, name: str, content_sha256: str) -> dict[str, Any]:
+def _summary(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
     """The plan for a program: where the numbers came from, the planned temperature, each leg, the table."""
     pack = asdict(plan.resolved)
     del pack["uncertified"], pack["notices"], pack["refusal"]
@@ -157,6 +157,7 @@ def _summary(plan: MissionPlan, name: str, content_sha256: str) -> dict[str, Any
         "wind_north_ms": plan.planned.wind.north_ms,
         "wind_east_ms": plan.planned.wind.east_ms,
         "start_soc": plan.start_soc,
+        "reserve_soc": reserve_soc,
         "warnings": list(plan.warnings),
         "planned": _fit(plan.here),
         "turning_point": plan.turning._asdict() if plan.turning is not None else None,

@@ -147,7 +147,7 @@ def _one(
     if planned is not None:
         flight = with_mission(flight, planned)
     to_come = stated_load(load[0], flight, load[1], content)
-    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(log))
+    settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(flight))
     estimator = estimator_for(flight, content, options, settings, memory.recalled(flight, content))
     run = []
     with ExitStack() as stack:
@@ -158,7 +158,7 @@ def _one(
             for sink in out:
                 sink.write(output.line(step.estimate, step.remaining))
         resolved = size_of_replayed(estimator, flight)
-        found = outcome(run, resolved.cutoff_V)
+        found = outcome(run, resolved.cutoff_V, reserve_soc)
         if any(charts):
             from uavbatt.report.flight import save_charts
 

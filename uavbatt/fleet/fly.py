@@ -24,6 +24,7 @@ from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load_options import stated_load
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.drawn import drawn
+from uavbatt.telemetry.formats.packed import as_log
 from uavbatt.telemetry.info import describe, gap_limit_s, median_step_s
 from uavbatt.telemetry.join import Wiring, bytes_joined
 from uavbatt.telemetry.read import read_bytes
@@ -67,19 +68,26 @@ def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
     try:
         return _flown(read(log, job), log, job, met)
     except Unreadable as error:
-        return bad(log, job, str(error).removeprefix(f"{log.name}: "), LOST)
+        return bad(log, job, _reason(error, log), LOST)
     except UavbattError as error:
-        reason = str(error).removeprefix(f"{log.name}: ")
+        reason = _reason(error, log)
     except Exception as error:  # a row with its reason, whatever it is: one log must not end the others
         reason = f"{type(error).__name__} in uavbatt itself: {error}"
     return bad(log, job, reason)
 
 
+def _reason(error: UavbattError, log: LogFile) -> str:
+    """Return what the error says without the log's own name, packed or not: the row has it already."""
+    said = str(error)
+    for name in (f"{log.name}: ", f"{log.name.removesuffix('.gz')}: ", f"{log.name}/"):
+        said = said.removeprefix(name)
+    return said
+
+
 def read(log: LogFile, job: Job) -> Flight:
     """The flight of a log, as the job asks for it. Raises BadInput when it is none, Unreadable without its bytes."""
-    if job.join:
-        return bytes_joined(log.name, log.read(), Wiring(job.join))
-    return read_bytes(log.name, log.read(), job.instance)
+    name, data = as_log(log.name, log.read())
+    return bytes_joined(name, data, Wiring(job.join)) if job.join else read_bytes(name, data, job.instance)
 
 
 def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
@@ -101,7 +109,7 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return bad(log, job, "expected at least one row with a voltage")
-    found = outcome(run, pack.cutoff_V)
+    found = outcome(run, pack.cutoff_V, job.settings.reserve_soc)
     who, info = flight.identity, describe(flight)
     last = run[-1].estimate
     limit_s = gap_limit_s(median_step_s(flight.samples))

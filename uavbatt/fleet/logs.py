@@ -1,7 +1,7 @@
 """Which logs there are: paths, folders and patterns on this disk, or addresses of any file system that fsspec knows.
 
 /data/**/*.tlog                     a pattern
-/data/summer                        a folder: every log in it, by suffix, at any depth
+/data/summer                        a folder: every log in it, by suffix, at any depth; packed ones as well
 s3://bucket/logs/*.BIN              a pattern behind an address
 zip://*.tlog::https://host/a.zip    files inside an archive
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 from uavbatt.errors import BadInput, UsageError
 
-SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv")
+SUFFIXES = (".bin", ".log", ".tlog", ".ulg", ".csv", ".zip")
 JOURNAL, TABLE = "flights.jsonl", "flights.csv"  # what a fleet's own folder holds: no logs
 LESSONS = "lessons.jsonl"
 _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag", "created", "CRC")
@@ -74,11 +74,17 @@ def _local(pattern: str) -> Iterator[LogFile]:
     names = [pattern] if Path(pattern).exists() else glob.glob(pattern, recursive=True)
     for name in names:
         path = Path(name)
-        files = (p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else (path,)
+        files = (p for p in path.rglob("*") if _is_log(p)) if path.is_dir() else (path,)
         for file in files:
             if file.is_file() and not _is_own_table(file):
                 stat = file.stat()
                 yield LogFile(str(file.resolve()), stat.st_size, str(stat.st_mtime_ns))
+
+
+def _is_log(file: Path) -> bool:
+    """True for the suffix of a log, behind which there may be that of gzip."""
+    name = PurePath(file.name.lower().removesuffix(".gz"))
+    return name.suffix in SUFFIXES
 
 
 def _is_own_table(file: Path) -> bool:

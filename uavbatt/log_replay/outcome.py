@@ -77,8 +77,9 @@ class Outcome:
         end_of_flight_s: when the log itself reaches the end of flight [s].
         refused_in_air: share of the rows in the air, after the first minute, without a forecast.
         mean_nis: mean normalised innovation squared; 1 is what the filter expects.
-        checkpoints: forecasts before that end, with their errors; empty without one.
+        checkpoints: forecasts before that end, with their errors; empty without one, and with a reserve.
         landing: the forecast at the last row in the air; None if the log shows no flight.
+        reserve_soc: state of charge at which the forecasts end the flight, too; 0 is off.
     """
 
     rows: int
@@ -91,10 +92,14 @@ class Outcome:
     mean_nis: float
     checkpoints: tuple[Checkpoint, ...]
     landing: Landing | None = None
+    reserve_soc: float = 0.0
 
 
-def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
-    """Return the figures of a finished replay; forecasts are judged by the end of flight that the log itself shows."""
+def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -> Outcome:
+    """Return the figures of a finished replay; forecasts are judged by the end of flight that the log itself shows.
+
+    cutoff_V [V]; reserve_soc: forecasts that end at it are not judged, the log shows when the voltage ended alone.
+    """
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
     amps = np.array([s.estimate.current_A for s in run])
@@ -109,6 +114,7 @@ def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
     take_off_s = float(time_s[flying][0]) if flying.any() else float(time_s[0])
+    is_judged = math.isfinite(end_s) and reserve_soc == 0.0
     return Outcome(
         rows=len(run),
         duration_s=float(time_s[-1] - time_s[0]),
@@ -118,8 +124,9 @@ def outcome(run: list[ReplayedRow], cutoff_V: float) -> Outcome:
         end_of_flight_s=end_s,
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
-        checkpoints=_checkpoints(run, time_s, take_off_s, end_s) if math.isfinite(end_s) else (),
+        checkpoints=_checkpoints(run, time_s, take_off_s, end_s) if is_judged else (),
         landing=_landing(run, flying if np.isfinite(amps).any() else np.isfinite(volts)),
+        reserve_soc=reserve_soc,
     )
 
 

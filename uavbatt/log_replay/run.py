@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import groupby
-from pathlib import Path
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
@@ -20,7 +19,6 @@ from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
-from uavbatt.telemetry.formats.recording import forecast_period_s
 
 MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1 s to be loaded (15 s to be made, once)
 
@@ -66,9 +64,9 @@ def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
     return estimator.pack_size
 
 
-def recorded_period_s(log: str | Path) -> float:
+def recorded_period_s(flight: Flight) -> float:
     """Return the time between forecasts [s] that a recording of `uavbatt live` states, else the usual one."""
-    recorded_s = forecast_period_s(log)
+    recorded_s = flight.forecast_period_s
     return recorded_s if math.isfinite(recorded_s) else ForecastSettings().forecast_period_s
 
 

@@ -14,7 +14,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.errors import MissingExtra, UsageError
+from uavbatt.errors import MissingExtra, UsageError, check_path
 from uavbatt.limits import Names
 from uavbatt.log_replay.outcome import Outcome, outcome
 from uavbatt.log_replay.run import ReplayedRow, estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
@@ -161,20 +161,22 @@ def replay(
     """
     if pack and packs is None:
         raise UsageError(f"pack={pack!r}: expected packs= as well, the ledger that remembers it")
+    for argument, value in (("mission", mission), ("packs", packs)):
+        if value is not None:
+            check_path(argument, value, "the path of a file, or None")
+    content, flown = _read(battery, allow_uncertified), _read_vehicle(vehicle)
     flight = _flight(log, instance)
     if mission is not None:
         flight = with_mission(flight, read_mission(mission))
-    content = _read(battery, allow_uncertified)
-    flown = vehicle if isinstance(vehicle, VehicleFile | None) else vehicle_file.read_vehicle(vehicle)
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
     to_come = stated_load(str(load), flight, flown, content, name="load=")
-    settings = ForecastSettings(to_come, reserve_soc, _period_s(log, forecast_period_s))
+    settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
     estimator = estimator_for(flight, content, options, settings, _recalled(packs, pack, flight, content))
     run = list(steps(flight, estimator))
     size = size_of_replayed(estimator, flight)
     if packs is not None:
         _remember(packs, pack, flight, content, options)
-    return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V))
+    return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V, reserve_soc))
 
 
 def _minutes(seconds: float) -> str:
@@ -205,13 +207,22 @@ def _read(battery: str | Path | BatteryFile, allow_uncertified: bool) -> Battery
     """Return the content of a battery file that is named, or as it is given."""
     if isinstance(battery, BatteryFile):
         return battery
+    check_path("battery", battery, "the name or path of a battery file, or its content")
     return battery_file.read_battery(battery, allow_uncertified=allow_uncertified)
 
 
-def _period_s(log: str | Path | Flight, stated_s: object) -> float:
+def _read_vehicle(vehicle: str | Path | VehicleFile | None) -> VehicleFile | None:
+    """Return the content of a vehicle file that is named, or as it is given."""
+    if isinstance(vehicle, VehicleFile | None):
+        return vehicle
+    check_path("vehicle", vehicle, "the path of a vehicle file, its content, or None")
+    return vehicle_file.read_vehicle(vehicle)
+
+
+def _period_s(flight: Flight, stated_s: object) -> float:
     """Return the time between forecasts [s]: as stated, else a recording's own, else the usual one."""
     if stated_s is None:
-        return ForecastSettings().forecast_period_s if isinstance(log, Flight) else recorded_period_s(log)
+        return recorded_period_s(flight)
     if isinstance(stated_s, int | float) and stated_s >= 0.0:
         return float(stated_s)
     raise UsageError(f"forecast_period_s={stated_s!r}: expected 0 s or more")
@@ -220,6 +231,7 @@ def _period_s(log: str | Path | Flight, stated_s: object) -> float:
 def _flight(log: str | Path | Flight, instance: int | None) -> Flight:
     """Return the flight that is asked for, read if it is not yet."""
     if not isinstance(log, Flight):
+        check_path("log", log, "the path of a flight log, or a Flight")
         return read_log(log, instance)
     if instance is not None and instance != log.instance:
         raise UsageError(f"instance={instance}: the flight was read with battery {log.instance}; give the log's path")

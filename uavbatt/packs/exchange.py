@@ -6,12 +6,13 @@ import json
 import math
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from uavbatt.errors import BadInput, misread
-from uavbatt.packs.ledger import Ledger
+from uavbatt.packs.bounds import doubt_of
+from uavbatt.packs.ledger import Ledger, check_name
 from uavbatt.packs.records import FlightRecord
 
 FORMAT, VERSION = "uavbatt-pack", 1
@@ -36,22 +37,39 @@ def exported(ledger: Ledger, name: str) -> dict[str, Any]:
     return {"format": FORMAT, "version": VERSION, "name": name, "flights": flights}
 
 
-def imported(ledger: Ledger, path: Path) -> str:
-    """Save the flights of a pack's file; flights that are there already count once. Returns the pack's name."""
+class CarriedPack(NamedTuple):
+    """A pack out of its file, as a ledger may take it in."""
+
+    name: str
+    flights: tuple[FlightRecord, ...]
+
+
+def read_pack(path: Path) -> CarriedPack:
+    """Read a pack's file. Raises BadInput that names what in it no ledger can hold."""
     try:
         content = msgspec.json.decode(path.read_bytes(), type=PackFile)
-        flights = [flight_of(entry) for entry in content.flights]
+        flights = tuple(flight_of(entry) for entry in content.flights)
     except OSError as error:
         raise BadInput(path, "", f"{KIND}, cannot be read: {error.strerror}") from None
     except (msgspec.DecodeError, RecursionError) as error:
         raise misread(path, error, KIND) from None
     if (content.format, content.version) != (FORMAT, VERSION) or not flights:
         raise BadInput(path, "", f"{KIND}, version {VERSION}, with at least one flight")
+    check_name(content.name, path, "key name")
     for number, flight in enumerate(flights, 1):
-        if why_not := _implausible(flight):
-            raise BadInput(path, f"flight {number}", why_not)
-    ledger.save_all(content.name, flights)
-    return content.name
+        if doubt := doubt_of(flight):
+            raise BadInput(path, f"flight {number}, key {doubt[0]}", doubt[1])
+        if flight.cells != flights[0].cells:
+            said = f"{flights[0].cells} as in the first flight, found {flight.cells}"
+            raise BadInput(path, f"flight {number}, key cells", said)
+    return CarriedPack(content.name, flights)
+
+
+def imported(ledger: Ledger, path: Path) -> str:
+    """Save the flights of a pack's file; flights that are there already count once. Returns the pack's name."""
+    pack = read_pack(path)
+    ledger.save_all(pack.name, pack.flights)
+    return pack.name
 
 
 def plain_flight(flight: FlightRecord) -> dict[str, Any]:
@@ -64,18 +82,6 @@ def plain_flight(flight: FlightRecord) -> dict[str, Any]:
 def flight_of(entry: dict[str, Any]) -> FlightRecord:
     """The flight that `plain_flight` made plain; msgspec.ValidationError when it is none."""
     return msgspec.convert(entry, FlightRecord, strict=False)
-
-
-def _implausible(flight: FlightRecord) -> str:
-    """Return what of a flight cannot be; empty when it may be one."""
-    told = flight.told
-    if not (1e-5 < math.exp(min(told.log_ohm, 50.0)) < 10.0 and 0.01 < math.exp(min(told.log_Ah, 50.0)) < 1e4):
-        return "ohms and ampere-hours of a pack"
-    if not (told.variance_ohm > 0.0 and told.variance_Ah * told.variance_ohm > told.covariance**2):
-        return "variances above zero, and a covariance that they allow"
-    if not (flight.rated_Ah > 0.0 and flight.type_ohm > 0.0 and flight.cells > 0):
-        return "cells, a rated capacity and a resistance above zero"
-    return ""
 
 
 def _names(ledger: Ledger) -> str:

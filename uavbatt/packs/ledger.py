@@ -53,6 +53,8 @@ class Ledger:
         try:
             with self._told():
                 now = schema.check_schema(self._connection, self.path)
+            if only_read and now == 0:
+                raise BadInput(self.path, "", "a pack ledger, found an empty file")
             if not only_read and now < len(schema.MIGRATIONS):
                 with self.writing() as connection:
                     schema.migrate(connection)
@@ -143,8 +145,7 @@ class Ledger:
 
     def save_all(self, name: str, flights: Sequence[FlightRecord], landed: int | None = None) -> list[Remembered]:
         """Save many flights of one pack at once, as one by one; returns those that stand in the ledger now."""
-        if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
-            raise BadInput(self.path, "pack", f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r}")
+        check_name(name, self.path, "pack")
         with self.writing() as connection:
             pack = _pack_id(connection, self.path, name, flights)
             kept = [_kept(connection, pack, flight) for flight in flights]
@@ -161,6 +162,12 @@ class Ledger:
             return connection.execute("DELETE FROM packs WHERE name = ?", (name,)).rowcount > 0
 
 
+def check_name(name: str, path: Path, place: str) -> None:
+    """Raise BadInput for a name that no pack can have; it stands at a place of the file `path`."""
+    if not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
+        raise BadInput(path, place, f"a name of 1 to {LONGEST_NAME} printable characters, found {name!r}")
+
+
 def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHealth:
     """The prior of the flight that begins at a time, by what is believed after the last one before it."""
     days = ageing.days_between(last.flight, start_utc_s)
@@ -171,6 +178,8 @@ def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHeal
 def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
     if only_read and not path.exists():
         raise BadInput(path, "", "a pack ledger, found no such file")
+    if path.is_dir():
+        raise BadInput(path, "", "a pack ledger, found a directory")
     if not path.parent.is_dir():
         raise BadInput(path, "", "an existing folder to keep the pack ledger in")
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from datetime import UTC, datetime
 
+from uavbatt.packs.bounds import LATEST_UTC_S
 from uavbatt.packs.outlook import INTERVAL_SD, RETIRED_AT
 from uavbatt.packs.records import Outlook, PackRow, Remembered
 
@@ -48,7 +49,8 @@ def pack_lines(pack: PackRow) -> list[str]:
 def flight_line(after: Remembered) -> str:
     """One line of a flight: what it said by itself, and what is believed after it."""
     flight, mean = after.flight, after.known.mean
-    when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if flight.start_utc_s > 0 else ""
+    has_date = 0.0 < flight.start_utc_s <= LATEST_UTC_S
+    when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if has_date else ""
     told = f"says {math.exp(flight.told.log_Ah):.2f} Ah, {1000.0 * math.exp(flight.told.log_ohm):.1f} mohm"
     known = f"known {math.exp(mean[1]):.2f} Ah, {1000.0 * math.exp(mean[0]):.1f} mohm"
     words = "; ".join(finding.words for finding in after.findings)

@@ -20,7 +20,7 @@ from uavbatt.report.flight_chart import save_time_left, time_left_chart
 from uavbatt.report.flight_cursor import cursor, cursor_script
 from uavbatt.report.flight_events import events
 from uavbatt.report.flight_figures import figures
-from uavbatt.report.flight_limits import limits_of
+from uavbatt.report.flight_limits import against_a_reserve, limits_of
 from uavbatt.report.page import (
     DASH,
     UNKNOWN,
@@ -140,6 +140,9 @@ def _stretches(found: Sequence[Stretch]) -> Html:
 
 
 def _checkpoints(outcome: Outcome) -> Html:
+    if outcome.reserve_soc > 0.0:
+        said = against_a_reserve(outcome.reserve_soc)
+        return paragraph(f"{said[:1].upper()}{said[1:]}.")
     if not outcome.checkpoints:
         return paragraph("The log does not show the end of flight, or it is too short before it: nothing to compare.")
     body = []

@@ -79,6 +79,9 @@ def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
 
 def _checked(outcome: Outcome, resolved: PackSize) -> str:
     """How good the forecasts were, where the log shows the end of flight."""
+    if outcome.reserve_soc > 0.0:
+        said = against_a_reserve(outcome.reserve_soc)
+        return f"{said[:1].upper()}{said[1:]}."
     if outcome.checkpoints:
         return "; ".join(_error_words(c) for c in (*outcome.checkpoints[:1], *_late(outcome))) + "."
     if math.isfinite(outcome.end_of_flight_s):
@@ -88,6 +91,11 @@ def _checked(outcome: Outcome, resolved: PackSize) -> str:
         "Not checked against the truth: the flight ended before its battery did, which ends below "
         f"{cutoff} under load ({resolved.cutoff_from})."
     )
+
+
+def against_a_reserve(reserve_soc: float) -> str:
+    """Say why forecasts that end at a reserve are not judged by the end that a log shows."""
+    return f"the forecasts end at the reserve of {reserve_soc:.0%}, the log at the cut-off: they are not compared"
 
 
 def _late(outcome: Outcome) -> Sequence[Checkpoint]:

@@ -12,7 +12,7 @@ from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
 from uavbatt.log_replay.run import ReplayedRow, way_said
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
-from uavbatt.report.flight_limits import limits_of
+from uavbatt.report.flight_limits import against_a_reserve, limits_of
 from uavbatt.report.page import duration
 
 JUST_S, NEAR_S = 30.0, 10.0
@@ -30,7 +30,9 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
     ]
     lines += _route_lines(_route_summary(run))
     lines += [f"  warning    {w}" for w in [*dated_warnings(run), *flight.notes]]
-    if math.isfinite(found.end_of_flight_s):
+    if found.reserve_soc > 0.0:
+        lines.append(f"  {against_a_reserve(found.reserve_soc)}")
+    elif math.isfinite(found.end_of_flight_s):
         lines.append(f"  end of flight at {found.end_of_flight_s:.0f} s; forecasts before it (positive = optimistic):")
         for c in found.checkpoints:
             if math.isfinite(c.remaining_s):

@@ -226,4 +226,5 @@ def _policy(script: str) -> str:
 def write_page(path: str | Path, html: str) -> None:
     """Write a page to `path` (`-`: standard output), whole or not at all. Raises BadInput when it cannot be written."""
     with atomic_write(path) as file:
-        file.write(html)
+        encoding = file.encoding or "utf-8"  # of standard output it may be ASCII
+        file.write(html.encode(encoding, "xmlcharrefreplace").decode(encoding))

@@ -48,6 +48,7 @@ class LogBuilder:
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock
+    forecast_period_s: float = NAN  # of the process whose recording it is
     _raw_s: float = NAN
     _offset_s: float = NAN
 

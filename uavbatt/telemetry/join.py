@@ -15,7 +15,7 @@ from pathlib import Path
 
 from uavbatt.errors import UsageError
 from uavbatt.records import NAN, Flight, PackFacts, Sample
-from uavbatt.telemetry.read import Content, read_bytes, read_log
+from uavbatt.telemetry.read import Content, content_of, read_bytes
 
 PAIRED_S, PAIRED_ROWS = 2.0, 1.5  # a reading of another battery older than both is none
 ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
@@ -30,12 +30,12 @@ class Wiring(StrEnum):
 
 def read_joined(path: str | Path, wiring: Wiring, system: int | None = None) -> Flight:
     """All batteries of a log as one pack. Raises UsageError for a log of one battery, else as `read_log`."""
-    return _all_joined(lambda instance: read_log(path, instance, system), wiring)
+    return bytes_joined(*content_of(Path(path)), wiring, system)
 
 
-def bytes_joined(source: str, data: Content, wiring: Wiring) -> Flight:
+def bytes_joined(source: str, data: Content, wiring: Wiring, system: int | None = None) -> Flight:
     """The same of a log that is in memory; `source` is its name."""
-    return _all_joined(lambda instance: read_bytes(source, data, instance), wiring)
+    return _all_joined(lambda instance: read_bytes(source, data, instance, system), wiring)
 
 
 def _all_joined(read: Callable[[int | None], Flight], wiring: Wiring) -> Flight:

@@ -8,20 +8,19 @@ import sys
 from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, SupportsIndex
 
-from uavbatt.errors import BadInput, UsageError
+from uavbatt.errors import BadInput, UsageError, check_path
 from uavbatt.records import Flight
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.formats.logger_table import kind_of_table
-from uavbatt.telemetry.formats.packed import is_packed, unpacked
+from uavbatt.telemetry.formats.packed import Content as Content
+from uavbatt.telemetry.formats.packed import as_log, is_packed, unpacked
 from uavbatt.telemetry.identity import completed
 from uavbatt.telemetry.parameters import capacity_notes, facts_timeline
 
 if TYPE_CHECKING:
     from uavbatt.telemetry.columns import Columns
-
-Content = bytes | memoryview  # of a file
 
 KNOWN_KINDS = "a flight log (DataFlash .BIN or .log, .tlog, PX4 .ulg, or a CSV of telemetry, DJI or blackbox)"
 STANDARD_INPUT = "-"
@@ -45,7 +44,8 @@ def read_log(path: str | Path, instance: int | None = None, system: int | None =
     path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
     Raises BadInput for a file that is no readable flight log, UsageError for an absent instance or system.
     """
-    return read_bytes(*_content(Path(path)), instance, system)
+    check_path("path", path, "the path of a flight log")
+    return read_bytes(*content_of(Path(path)), instance, system)
 
 
 def read_bytes(source: str, data: Content, instance: int | None = None, system: int | None = None) -> Flight:
@@ -64,6 +64,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
         notes=tuple(log.all_notes() + capacity_notes(log.parameters, chosen)),
         identity=completed(log.identity, log.parameters, chosen, log.packs.get(chosen)),
         navigation=log.navigation,
+        forecast_period_s=log.forecast_period_s,
     )
 
 
@@ -71,15 +72,15 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
     """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
-    _, log = _read(*_content(Path(path)))
+    _, log = _read(*content_of(Path(path)))
     chosen = _chosen(str(path), log, instance)
     return log.columns[chosen] if log.columns else rows_of(log.rows[chosen])
 
 
-def _content(path: Path) -> tuple[str, Content]:
-    """The name of a log, and its bytes."""
+def content_of(path: Path) -> tuple[str, Content]:
+    """The name of a log, and its bytes, read once: standard input and pipes give them no second time."""
     if str(path) == STANDARD_INPUT:
-        return "standard input", sys.stdin.buffer.read()
+        return as_log("standard input", sys.stdin.buffer.read())
     if path.is_dir():
         raise BadInput(path, "", f"{KNOWN_KINDS}, found a directory")
     try:
@@ -200,6 +201,8 @@ def _reader(kind: str, system: int | None) -> Callable[[str, Content], LogBuilde
 
 def _chosen(source: str, log: LogBuilder, instance: int | None) -> int:
     """The asked instance, which must be there, or the default one."""
+    if not isinstance(instance, SupportsIndex | None):
+        raise UsageError(f"instance={instance!r}: expected the number of a battery, or None")
     chosen = default_instance(log) if instance is None else instance
     there = log.columns or log.rows
     if chosen not in there:

@@ -101,7 +101,7 @@ def validate(
     method : "iso" lets equivalence decide, "paper" the study's corridor; both are reported
     close_loop : False leaves out the analysis over ambient temperatures, which takes most of the time
 
-    Raises NotEnoughData below three occasions at one ambient temperature.
+    Raises NotEnoughData below three occasions at one ambient temperature, and for tests that begin at the cut-off.
     """
     readings = read_once(dataset)
     ambient_C = readings.ambient_C
@@ -112,6 +112,11 @@ def validate(
         raise NotEnoughData(
             f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {gate.LEAST_OCCASIONS} repeated "
             "runs at one ambient temperature to judge dispersion"
+        )
+    if not gate.above_limiter(levels.values, declared, dataset.cutoff_V).size:
+        raise NotEnoughData(
+            f"{dataset.path}: expected instants at {ambient_C:g} °C at which the mean voltage is more than "
+            f"{declared.limiter_margin_V:.2g} V above the cut-off of {dataset.cutoff_V:g} V, found none"
         )
     volts = corridors(readings)
     found = volts[ambient_C]

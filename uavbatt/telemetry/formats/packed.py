@@ -14,10 +14,17 @@ GZIP, ZIP = b"\x1f\x8b", b"PK\x03\x04"
 MOST_BYTES = 2**31  # a packed file of a few kB can hold any number of zeros
 _CHUNK = 1 << 20
 
+Content = bytes | memoryview  # of a file
+
 
 def is_packed(head: bytes) -> bool:
     """Return True if a file begins as gzip or zip does."""
     return head.startswith((GZIP, ZIP))
+
+
+def as_log(source: str, data: Content) -> tuple[str, Content]:
+    """Return name and content of a log that may be packed. Raises BadInput as `unpacked`."""
+    return unpacked(source, bytes(data)) if is_packed(bytes(data[: len(ZIP)])) else (source, data)
 
 
 def unpacked(source: str, data: bytes) -> tuple[str, bytes]:

@@ -6,8 +6,6 @@ between two forecasts. Other logs have none.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN
 from uavbatt.telemetry.formats.tlog_frames import frames
@@ -22,13 +20,11 @@ def is_recording(data: bytes | memoryview) -> bool:
     return PERIOD_NAME.encode() in bytes(data[:HEAD_BYTES])
 
 
-def forecast_period_s(path: str | Path) -> float:
-    """Seconds between forecasts in the process that wrote the recording `path`; NaN when it does not say."""
-    with Path(path).open("rb") as file:
-        head = file.read(HEAD_BYTES)
-    if not is_recording(head):
+def forecast_period_s(data: bytes | memoryview) -> float:
+    """Seconds between forecasts in the process that wrote the recording `data`; NaN when it does not say."""
+    if not is_recording(data):
         return NAN
-    said = frames(head).of(fields.PARAM_VALUE)
+    said = frames(bytes(data[:HEAD_BYTES])).of(fields.PARAM_VALUE)
     payloads = said.payloads(PARAM_VALUE.itemsize)
     found = (value for name, value in parameters(payloads, [False] * len(payloads)) if name == PERIOD_NAME)
     return next((value for value in found if value > 0.0), NAN)

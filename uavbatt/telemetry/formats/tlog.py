@@ -22,7 +22,7 @@ from uavbatt.telemetry.column_rules import add_rows, times_s
 from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
-from uavbatt.telemetry.formats.recording import is_recording
+from uavbatt.telemetry.formats.recording import forecast_period_s, is_recording
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
@@ -47,7 +47,9 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
 
     Raises UsageError when no autopilot of that system speaks of a battery in the log named `source`.
     """
-    log = LogBuilder(longest_step_s=math.inf if is_recording(data) else LEAP_S)
+    log = LogBuilder(
+        longest_step_s=math.inf if is_recording(data) else LEAP_S, forecast_period_s=forecast_period_s(data)
+    )
     found = frames(data)
     log.skipped_bytes = found.skipped_bytes
     if math.isnan(found.first_s):

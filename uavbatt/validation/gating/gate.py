@@ -129,7 +129,12 @@ def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Ar
 
 def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
     """Return the indices of the instants before the speed controller's limiter takes over."""
-    mean_V = np.nanmean(held.measured_V, axis=(0, 1))
+    return above_limiter(held.measured_V, limits, cutoff_V)
+
+
+def above_limiter(measured_V: Array, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
+    """Return the same of records [occasion, sample, instant]."""
+    mean_V = np.nanmean(measured_V, axis=(0, 1))
     return np.flatnonzero(mean_V > cutoff_V + limits.limiter_margin_V)
 
 

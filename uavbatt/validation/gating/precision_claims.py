@@ -102,6 +102,8 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
         reason = unknown if linked.dependent is None else f"the samples depend on each other (p = {linked.p_value:.1g})"
         return informing(name, held.ambient_C, reason, p_value)
     at = gate.judged_instants(held, limits, cutoff_V)
+    if not at.size:
+        return informing(name, held.ambient_C, "no instant can be judged", p_value)
     A_R = max(precision(levels.cells(int(i))).A_R for i in at)
     if not limits.precision_A_R >= A_R:
         reason = f"s_R known to ±{A_R:.0%} only (declared: ±{limits.precision_A_R:.0%}), {k} samples"
