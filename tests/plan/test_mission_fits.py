@@ -62,6 +62,14 @@ def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
     assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_reserve_has_to_be_left_at_home_and_not_where_it_turns(long: MissionPlan) -> None:
+    """From the latest safe place the aircraft, which flew a straight line there, comes home with more than that."""
+    careful = planned(to(1, 0.0, 6000.0, 40.0), reserve_soc=0.3)
+    assert careful.turning is not None and long.turning is not None
+    there_and_back = planned(to(1, 0.0, careful.turning.east_m, 40.0))
+    assert there_and_back.here.route.soc_lo == pytest.approx(0.3, abs=0.05)
+
+
 def test_a_wind_that_nobody_flies_against_leaves_no_way_home(long: MissionPlan) -> None:
     found = planned(to(1, 0.0, 2000.0, 40.0), wind=Wind(0.0, 35.0))
     assert "do not take off" in found.here.no_way_home

@@ -150,7 +150,7 @@ def _fit(
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
-    flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
+    flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario, reserve)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
     known = ToCome(load, "route", "", ahead, "", home)
