@@ -190,8 +190,9 @@ def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: R
         run_m *= SPLINE_LENGTHENS
     legs = [Leg(item.seq, Phase.ROUTE, at, to, run_m, *speeds, max(item.hold_s, 0.0))]
     if item.action is Action.LOITER_TURNS and item.turns > 0.0 and item.radius_m:
-        circle_m = 2.0 * math.pi * abs(item.radius_m) * item.turns
-        legs.append(Leg(item.seq, Phase.ROUTE, to, to, circle_m, *speeds))
+        radius_m = abs(item.radius_m)
+        length_m = 2.0 * math.pi * radius_m * item.turns
+        legs.append(Leg(item.seq, Phase.ROUTE, to, to, length_m, *speeds, circle_m=radius_m))
     if item.action is Action.LOITER_UNLIMITED:
         legs[-1] = legs[-1]._replace(hold_s=ENDLESS_S)
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs
