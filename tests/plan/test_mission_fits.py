@@ -62,6 +62,16 @@ def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
     assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_mission_many_times_as_long_as_the_flight_does_not_fit(long: MissionPlan) -> None:
+    """Steps of minutes carry a draw from its last charge to far beyond empty: it ends there, and nothing overflows."""
+    for items in ((to(1, 0.0, 50_000.0, 40.0),), (to(1, 0.0, 100.0, 40.0, hold_s=40_000.0),)):
+        found = planned(*items)
+        assert not found.here.fits and not any(row.fits for row in found.rows)
+        assert found.legs[-1].soc_hi == pytest.approx(0.0, abs=1e-6)
+    far = planned(to(1, 0.0, 50_000.0, 40.0)).here.route
+    assert far.turn_back_lo_s == pytest.approx(long.here.route.turn_back_lo_s, rel=0.1)
+
+
 def test_a_reserve_has_to_be_left_at_home_and_not_where_it_turns(long: MissionPlan) -> None:
     """From the latest safe place the aircraft, which flew a straight line there, comes home with more than that."""
     careful = planned(to(1, 0.0, 6000.0, 40.0), reserve_soc=0.3)

@@ -34,6 +34,8 @@ from uavbatt.records import Route
 
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
+MOST_HOVERS = 2.0  # a route is looked at for as long as so many hovers on this charge: it does not fit anyway
+FULL_CELL_V = 4.0
 LEVELS = (0.05, 0.5, 0.95)
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
@@ -144,7 +146,8 @@ def _fit(
     """The mission at one temperature, and the draws that flew it."""
     (ahead, way), ambient_C = flown, belief.ambient_C
     load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
-    dt_s = np.full(STEPS, BEYOND * ahead.touchdown_s / STEPS)
+    looked_s = min(ahead.touchdown_s, MOST_HOVERS * _longest_hover_s(pack, planned.powers))
+    dt_s = np.full(STEPS, BEYOND * looked_s / STEPS)
     scenarios = load.scenarios_over(dt_s)
     scenario = sampling.assigned(scenarios.weight)
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
@@ -154,14 +157,22 @@ def _fit(
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
     known = ToCome(load, "route", "", ahead, "", home)
-    asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
+    turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
+    asked = route_forecast.ask(known, flying, way, planned.settings, turns_by_s)
     route = route_forecast.route_answer(asked, end_s)
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
     return RouteFit(
         ambient_C, route, float(spare[1]), float(spare[0]), float(spare[2]), range_remark(battery, ambient_C)
     ), flying
+
+
+def _longest_hover_s(pack: Pack, powers: Powers) -> float:
+    """How long a full pack would hover, rather too long."""
+    installation = pack.installation
+    energy_Wh = installation.present_capacity_Ah * installation.cells * FULL_CELL_V
+    return float(energy_Wh * 3600.0 / powers.hover_W)
 
 
 def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
