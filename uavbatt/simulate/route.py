@@ -122,4 +122,5 @@ def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:
 def _degrees(home: Home, place: Point) -> tuple[float, float]:
     """Latitude and longitude [deg] of a place in metres around home."""
     east_scale = METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
-    return home.lat_deg + place.north_m / METRES_PER_DEGREE, home.lon_deg + place.east_m / east_scale
+    lon_deg = math.remainder(home.lon_deg + place.east_m / east_scale, 360.0)
+    return home.lat_deg + place.north_m / METRES_PER_DEGREE, lon_deg
