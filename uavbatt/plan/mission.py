@@ -28,7 +28,7 @@ from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
-from uavbatt.prediction.route_path import path, way_home
+from uavbatt.prediction.route_path import path, return_reason, way_home
 from uavbatt.prediction.route_pieces import Way
 from uavbatt.records import Route
 
@@ -130,7 +130,8 @@ def make_route_plan(
     here, flying = fit(ambient_C)
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
-    warnings = (*filter(None, (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead))), *resolved.notices)
+    remarks = (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead), _home_remark(planned))
+    warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
     return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying), turning, rows, warnings)
 
@@ -154,9 +155,10 @@ def _fit(
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
     flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario, reserve)
+    elsewhere = return_reason(planned.mission, planned.settings)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
-    known = ToCome(load, "route", "", ahead, "", home)
+    known = ToCome(load, "route", "", ahead, elsewhere, None if elsewhere else home)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
     asked = route_forecast.ask(known, flying, way, planned.settings, turns_by_s)
@@ -197,6 +199,12 @@ def _air_remark(ahead: Ahead) -> str:
     if fastest_ms <= FASTEST_USUAL_MS:
         return ""
     return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"
+
+
+def _home_remark(planned: Planned) -> str:
+    """A warning where the mission lands but nobody knows the way home from it; empty where it is known."""
+    elsewhere = return_reason(planned.mission, planned.settings)
+    return f"no turn-back: {elsewhere}" if elsewhere else ""
 
 
 def _speeds_remark(planned: Planned) -> str:

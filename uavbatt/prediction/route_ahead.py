@@ -15,7 +15,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction.route_legs import Leg, Point, legs_table
-from uavbatt.prediction.route_path import ENDLESS_S, landing, way_home
+from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, way_home
 from uavbatt.prediction.route_pieces import Pieces, Way, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 
@@ -90,8 +90,8 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
     here = here_at(time_s, navigation)
     if here is None:
         return "the position is not known" if navigation.position is None else "the position is stale"
-    if navigation.settings.return_reason:
-        return navigation.settings.return_reason
+    if elsewhere := return_reason(navigation.mission, navigation.settings):
+        return elsewhere
     legs = way_home(here, navigation.settings)
     if navigation.mode in (Mode.RETURN, Mode.RETURN_BY_TRACK):
         legs = _begun(here, navigation)

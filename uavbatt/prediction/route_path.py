@@ -63,6 +63,11 @@ def finite_or(value: float, otherwise: float) -> float:
     return value if math.isfinite(value) and value > 0.0 else otherwise
 
 
+def return_reason(mission: Mission | None, settings: ReturnSettings) -> str:
+    """Return why the way home is not known, by the vehicle or by what came with its mission; empty when it is."""
+    return settings.return_reason or (mission.return_reason if mission is not None else "")
+
+
 def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
     """Return the autopilot's way from a point to touchdown at home: climb, run, wait, descend, land."""
     speeds, run_m = _speeds(settings), math.hypot(begin.north_m, begin.east_m)
@@ -111,6 +116,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     if mission.reason:
         return Path(reason=mission.reason)
     at, speeds, legs = Point(0.0, 0.0, 0.0), _speeds(settings), list[Leg]()
+    elsewhere = return_reason(mission, settings)
     flown = _flown(mission)
     for item in flown:
         if item is None:
@@ -125,8 +131,8 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         at = legs[-1].end if legs else at
         if item.action in (Action.LAND, Action.RETURN) and any(i is None or i.action not in ON_GROUND for i in flown):
             return Path(reason=f"the mission flies on after landing at item {item.seq}")
-        if item.action is Action.RETURN and settings.return_reason:
-            return Path(reason=settings.return_reason)
+        if item.action is Action.RETURN and elsewhere:
+            return Path(reason=elsewhere)
         if item.action is Action.RETURN:
             return _returned(legs, settings)
         if item.action is Action.LAND:
@@ -135,8 +141,8 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
             return Path(tuple(legs), lands=False)
     if not legs:
         return Path(reason="the mission goes nowhere")
-    if settings.return_reason:
-        return Path(reason=f"{settings.return_reason}, and the mission does not end with a landing")
+    if elsewhere:
+        return Path(reason=f"{elsewhere}, and the mission does not end with a landing")
     return _returned([*legs, *way_home(at, settings)], settings)
 
 

@@ -90,7 +90,7 @@ def route_flight(
     mission: Mission, home: Home, wind: Wind, take_off_s: float, settings: ReturnSettings | None = None
 ) -> RouteFlight:
     """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end."""
-    mission = _with_home_item(mission, home)
+    mission = dataclasses.replace(_with_home_item(mission, home), return_reason="")  # this one has no rally points
     way: Path = path(mission, home, settings or return_settings(PARAMETERS))
     if way.reason or not way.lands:
         raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end'}")
