@@ -42,9 +42,15 @@ def mission(*items: MissionItem) -> Mission:
     return Mission((MissionItem(0, Action.WAYPOINT, HOME.lat_deg, HOME.lon_deg, 0.0, Frame.SEA), *items), "test")
 
 
-def planned(*items: MissionItem, wind: Wind | None = None, remembered: PackHealth | None = None) -> MissionPlan:
-    """The plan of a mission for a quad of 180 W on a 4S pack of 5 Ah at 25 °C."""
+def planned(
+    *items: MissionItem,
+    wind: Wind | None = None,
+    remembered: PackHealth | None = None,
+    reserve_soc: float = 0.0,
+    ambient_C: float = 25.0,
+) -> MissionPlan:
+    """The plan of a mission for a quad of 180 W on a 4S pack of 5 Ah."""
     battery = battery_file.read_battery("lipo-generic")
     size = resolve(battery, PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2))
     asked = Planned(mission(*items), HOME, SETTINGS, POWERS, wind or Wind(0.0, 0.0))
-    return make_route_plan(battery, size, asked, 25.0, remembered=remembered)
+    return make_route_plan(battery, size, asked, ambient_C, reserve_soc=reserve_soc, remembered=remembered)

@@ -95,6 +95,7 @@ class Mission:
     source: str = ""  # "link", "log" or the file's name
     reason: str = ""
     has_home_item: bool = True  # ArduPilot: item 0 is home and is never flown to; PX4: item 0 is the first that is
+    return_reason: str = ""  # why the way home is not straight, if what came with the mission says so (rally points)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,16 @@ import math
 
 import numpy as np
 import pytest
+from factories import generic_pack
 from route_rig import planned, to
 
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.errors import UsageError
 from uavbatt.navigation import Action, MissionItem, Wind
+from uavbatt.plan.endurance import rested
 from uavbatt.plan.mission import MissionPlan
+from uavbatt.prediction import sampling
+from uavbatt.prediction.long_steps import begun, flown_on
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +58,46 @@ def test_the_charge_falls_from_leg_to_leg_to_that_of_touchdown() -> None:
 
 
 def test_a_pack_flown_far_beyond_empty_gets_no_charge_back() -> None:
-    """Four times as far as the pack goes: the voltage of the draws turns round, the charge they have left does not."""
-    found = planned(to(1, 0.0, 12_000.0, 40.0))
-    highest = [leg.soc_hi for leg in found.legs]
-    assert highest == sorted(highest, reverse=True)
-    assert all(row.route.soc_hi <= 1.0 for row in found.rows)
-    assert found.here.route.soc_hi == pytest.approx(0.0, abs=1e-6)
+    """Four times as long as the pack lasts: the draws' voltage turns round, the charge they have left does not."""
+    pack = generic_pack()
+    x = sampling.samples(rested(pack, 1.0, 25.0))
+    edges_s = np.arange(0.0, 7200.0, 20.0)
+    passed = flown_on(begun(pack, x, 25.0), np.full((1, x.shape[1]), 180.0), np.array([7200.0]), edges_s)
+    assert (np.diff(passed.state.soc, axis=0) <= 0.0).all()
+    assert np.isfinite(passed.state.soc).all() and passed.state.soc[-1].max() < 0.01
+
+
+def test_a_charge_is_told_only_where_most_flights_come_and_is_never_above_full(long: MissionPlan) -> None:
+    told = [math.isfinite(leg.soc) for leg in long.legs]
+    assert told == sorted(told, reverse=True) and not told[-1]
+    assert math.isnan(long.here.route.soc) and math.isnan(long.here.route.soc_hi)
+    short = planned(to(1, 0.0, 20.0, 5.0))
+    assert max(leg.soc_hi for leg in short.legs) <= 1.0 and short.here.route.soc_hi <= 1.0
+    assert short.here.route.soc > 0.9
+
+
+def test_a_pack_that_is_too_cold_to_fly_has_no_charge_at_touchdown() -> None:
+    frozen = planned(to(1, 0.0, 300.0, 40.0), ambient_C=-60.0)
+    assert frozen.here.route.risk > 0.5
+    assert math.isnan(frozen.here.route.soc)
+
+
+def test_a_mission_many_times_as_long_as_the_flight_does_not_fit(long: MissionPlan) -> None:
+    """Steps of minutes carry a draw from its last charge to far beyond empty: it ends there, and nothing overflows."""
+    for items in ((to(1, 0.0, 50_000.0, 40.0),), (to(1, 0.0, 100.0, 40.0, hold_s=40_000.0),)):
+        found = planned(*items)
+        assert not found.here.fits and not any(row.fits for row in found.rows)
+        assert math.isnan(found.legs[-1].soc_hi)
+    far = planned(to(1, 0.0, 50_000.0, 40.0)).here.route
+    assert far.turn_back_lo_s == pytest.approx(long.here.route.turn_back_lo_s, rel=0.1)
+
+
+def test_a_reserve_has_to_be_left_at_home_and_not_where_it_turns(long: MissionPlan) -> None:
+    """From the latest safe place the aircraft, which flew a straight line there, comes home with more than that."""
+    careful = planned(to(1, 0.0, 6000.0, 40.0), reserve_soc=0.3)
+    assert careful.turning is not None and long.turning is not None
+    there_and_back = planned(to(1, 0.0, careful.turning.east_m, 40.0))
+    assert there_and_back.here.route.soc_lo == pytest.approx(0.3, abs=0.05)
 
 
 def test_a_wind_that_nobody_flies_against_leaves_no_way_home(long: MissionPlan) -> None:

@@ -87,6 +87,23 @@ def test_a_headwind_on_the_way_home_brings_the_turn_back_forward() -> None:
     assert head.turn_back_s < tail.turn_back_s - 5.0
 
 
+def test_a_way_home_that_ends_below_the_reserve_is_no_way_home() -> None:
+    """The reserve ends a flight: who would land with less of it has to have turned already."""
+    waiting = known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0))
+    home_soc = route(waiting).home_soc
+
+    def turn_back_with(reserve_soc: float) -> float:
+        estimator = Estimator.from_battery(
+            "lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2, reserve_soc=reserve_soc
+        )
+        for k in range(ROWS):
+            estimator.step(*row(k, waiting))
+        return turn_back_s(estimator, waiting)
+
+    assert turn_back_with(home_soc + 0.03) == 0.0
+    assert 0.0 < turn_back_with(home_soc - 0.1) < turn_back_with(0.0)
+
+
 def test_the_same_route_in_another_frame_with_a_jump_or_uploaded_twice_gives_the_same_numbers() -> None:
     items = (leg_to(350.0), to(2, 100.0, 3000.0, 350.0), to(3, 0.0, 3000.0, 350.0), to(4, 100.0, 3000.0, 350.0))
     plain = flown(known(*items))[-1]

@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 from route_rig import HOME, SETTINGS, mission, to
 
-from uavbatt.navigation import Action, Frame, MissionItem, SpeedKind
+from uavbatt.navigation import Action, Frame, Home, MissionItem, SpeedKind, Wind
 from uavbatt.prediction.route_legs import Phase, Point
-from uavbatt.prediction.route_path import path, way_home
+from uavbatt.prediction.route_path import METRES_PER_DEGREE, path, way_home
+from uavbatt.simulate.route import route_flight
 
 
 def ends(*items: MissionItem) -> list[tuple[float, float, float]]:
@@ -58,6 +59,31 @@ def test_speeds_change_where_an_item_says_so_and_come_back_without_one() -> None
     own = MissionItem(4, Action.SPEED)
     items = (to(1, 100.0, 0.0, 40.0), faster, to(3, 200.0, 0.0, 40.0), own, to(5, 300.0, 0.0, 40.0))
     assert [leg.speed_ms for leg in path(mission(*items), HOME, SETTINGS).legs[:3]] == [5.0, 10.0, 5.0]
+
+
+def test_a_mission_that_flies_on_after_landing_is_no_route() -> None:
+    there, down = to(1, 100.0, 0.0, 40.0), to(2, 100.0, 0.0, 0.0, action=Action.LAND)
+    waits, up = MissionItem(3, Action.DELAY, hold_s=60.0), MissionItem(4, Action.TAKEOFF, alt_m=40.0)
+    for landing in (down, MissionItem(2, Action.RETURN)):
+        found = path(mission(there, landing, waits, up, to(5, 3000.0, 0.0, 40.0)), HOME, SETTINGS)
+        assert found.reason == "the mission flies on after landing at item 2" and not found.legs
+        assert path(mission(there, landing, waits, MissionItem(4, Action.OTHER)), HOME, SETTINGS).lands
+
+
+def test_turns_without_a_radius_are_those_of_the_autopilots_own() -> None:
+    """ArduCopter flies circles of CIRCLE_RADIUS, 10 m, where the item says 0."""
+    turns = to(1, 100.0, 0.0, 40.0, action=Action.LOITER_TURNS, turns=3.0)
+    own, said = (path(mission(replace(turns, radius_m=radius_m)), HOME, SETTINGS).legs for radius_m in (0.0, -10.0))
+    assert own == said
+    assert own[1].moving_s == pytest.approx(3.0 * 2.0 * math.pi * 10.0 / 5.0)
+
+
+def test_a_mission_across_the_antimeridian_is_as_short_as_elsewhere() -> None:
+    fiji = Home(-17.0, 179.999, 10.0)
+    legs = path(mission(MissionItem(1, Action.WAYPOINT, -17.0, -179.999, 40.0)), fiji, SETTINGS).legs
+    assert legs[0].run_m == pytest.approx(0.002 * METRES_PER_DEGREE * math.cos(math.radians(17.0)), rel=1e-6)
+    flight = route_flight(mission(MissionItem(1, Action.WAYPOINT, -17.0, -179.999, 40.0)), fiji, Wind(0.0, 0.0), 0.0)
+    assert flight.position(flight.begins_s[1]).lon_deg == pytest.approx(-179.999)
 
 
 def test_a_mission_that_does_not_land_is_followed_by_the_way_home() -> None:

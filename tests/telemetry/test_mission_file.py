@@ -7,9 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from route_rig import HOME, SETTINGS
 
 from uavbatt.errors import BadInput
-from uavbatt.navigation import Action, Home
+from uavbatt.navigation import Action, Home, Mode, Navigation, Position
+from uavbatt.prediction.route_ahead import ahead
+from uavbatt.prediction.route_path import path
+from uavbatt.prediction.route_progress import Progress
 from uavbatt.telemetry.formats.mission_file import read_mission
 
 WAYPOINTS = """QGC WPL 110
@@ -61,6 +65,20 @@ def test_the_same_mission_in_both_kinds_of_file(tmp_path: Path) -> None:
     assert one.home == other.home == Home(47.0, 8.0, 420.0)
     assert one.mission.reason == ""
     assert other.cruise_ms == 5.0
+
+
+def test_rally_points_of_a_plan_make_the_way_home_unknown(tmp_path: Path) -> None:
+    """The vehicle may return to one of them, as one that says RALLY_TOTAL."""
+    said = json.loads(plan(*ITEMS))
+    rallied = [
+        read_mission(written(tmp_path, json.dumps(said | {"rallyPoints": {"points": points, "version": 2}})))
+        for points in ([], [[47.01, 8.01, 30]])
+    ]
+    assert path(rallied[0].mission, HOME, SETTINGS).lands and not path(rallied[0].mission, HOME, SETTINGS).reason
+    assert "rally points" in path(rallied[1].mission, HOME, SETTINGS).reason
+    over_home = Position(0.0, 47.0, 8.0, 30.0, 0.0, 0.0, 0.0)
+    on_return = Navigation(mode=Mode.RETURN, mission=rallied[1].mission, home=HOME, position=over_home)
+    assert "rally points" in str(ahead(Progress(), on_return, 0.0))
 
 
 def test_a_px4_plan_begins_with_its_first_item_and_jumps_by_its_numbers(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ Number = Any  # a float or an array of them: numpy's stubs cannot say "the same 
 KELVIN = 273.15
 REFERENCE_TEMP_C = 25.0
 SECONDS_PER_HOUR = 3600.0
+LEAST_EMF_V = 1e-3
 
 
 def is_on(value: Number) -> bool:
@@ -88,8 +89,10 @@ def hysteresis_fraction(drawn: Number, charge: Number) -> Number:
 def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> Number:
     """Current that draws `power_W` from a source with inner resistance: the smaller root of (E - R I) I = P.
 
-    Beyond the largest power that the source can give, E²/4R, the current of that largest power, E/2R.
+    Beyond the largest power that the source can give, E²/4R, the current of that largest power, E/2R. A source whose
+    voltage has turned round, far beyond empty, gives next to nothing.
     """
+    emf_V = np.maximum(emf_V, LEAST_EMF_V)
     square_V2, four_ohm = emf_V * emf_V, 4.0 * resistance_ohm
     root = np.sqrt(np.maximum(square_V2 - four_ohm * power_W, 0.0))
     reachable = np.minimum(power_W, square_V2 / four_ohm)

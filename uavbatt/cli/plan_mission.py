@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.remembered import PackHealth
     from uavbatt.battery.sizing import PackSize
     from uavbatt.plan.mission import LegEnd, MissionPlan, RouteFit
+    from uavbatt.records import Route
 
 MOST_LEGS = 40  # lines on a terminal
 
@@ -84,7 +85,7 @@ def _lines(plan: MissionPlan, name: str) -> list[str]:
         f"{name}: {'fits' if here.fits else 'does NOT fit'} at {here.ambient_C:g} °C; "
         f"probability that the battery ends before touchdown {route.risk:.0%}"
         + (f"; {here.remark}" if here.remark else ""),
-        f"  touchdown after {clock(route.left_s)} with {_charge(route.soc, route.soc_lo, route.soc_hi)}; "
+        f"  touchdown after {clock(route.left_s)}{_at_touchdown(route)}; "
         f"hover left then {clock(here.spare_s)} [{clock(here.spare_lo_s)}, {clock(here.spare_hi_s)}]",
     ]
     if here.no_way_home:
@@ -108,7 +109,14 @@ def _turning(plan: MissionPlan) -> str:
     return f"that is {abs(north):.0f} m {ways[0]}, {abs(east):.0f} m {ways[1]} of home"
 
 
+def _at_touchdown(route: Route) -> str:
+    charge = _charge(route.soc, route.soc_lo, route.soc_hi)
+    return f" is {charge}" if math.isnan(route.soc) else f" with {charge}"
+
+
 def _charge(middle: float, lo: float, hi: float) -> str:
+    if math.isnan(middle):
+        return "not reached"
     return f"{middle:.0%} [{lo:.0%}, {hi:.0%}] of the charge"
 
 

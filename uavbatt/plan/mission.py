@@ -7,7 +7,8 @@ spreads, the battery file's spreads for a rested pack.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,13 +29,16 @@ from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
 from uavbatt.prediction.route_load import RouteLoad
-from uavbatt.prediction.route_path import path, way_home
+from uavbatt.prediction.route_path import path, return_reason, way_home
 from uavbatt.prediction.route_pieces import Way
 from uavbatt.records import Route
 
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
+MOST_HOVERS = 2.0  # a route is looked at for as long as so many hovers on this charge: it does not fit anyway
+FULL_CELL_V = 4.0
 LEVELS = (0.05, 0.5, 0.95)
+NOT_REACHED = 0.5  # a place before which more of the draws end has no charge to speak of
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
 
 
@@ -61,7 +65,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class LegEnd:
-    """The end of a leg: place, time [s from take-off], and the charge then."""
+    """The end of a leg: place, time [s from take-off], and the charge then; NaN where most flights end before."""
 
     item: int  # -1 on the way home
     end_s: float
@@ -73,7 +77,10 @@ class LegEnd:
 
 @dataclass(frozen=True, slots=True)
 class RouteFit:
-    """The mission at one ambient temperature; `spare_s` is the hover left at home after touchdown."""
+    """The mission at one ambient temperature; `spare_s` is the hover left at home after touchdown.
+
+    The charge at touchdown is NaN where most flights end before it.
+    """
 
     ambient_C: float
     route: Route
@@ -121,16 +128,17 @@ def make_route_plan(
     ahead, way = planned.ahead()
     pack = with_reaction(sized(battery, resolved), remembered)
 
-    def fit(at_C: float) -> tuple[RouteFit, Flying]:
+    def fit(at_C: float) -> tuple[RouteFit, Flying, Array]:
         belief = rested(pack, start_soc, at_C, remembered)
         return _fit(battery, pack, planned, (ahead, way), belief, reserve_soc)
 
-    here, flying = fit(ambient_C)
+    here, flying, end_s = fit(ambient_C)
     rows = tuple(fit(at_C)[0] for at_C in TABLE_C)
     turn_s = here.route.turn_back_lo_s
-    warnings = (*filter(None, (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead))), *resolved.notices)
+    remarks = (resolved.uncertified, _speeds_remark(planned), _air_remark(ahead), _home_remark(planned))
+    warnings = (*filter(None, remarks), *resolved.notices)
     turning = ahead.points(np.array([turn_s]))[0] if math.isfinite(turn_s) else None
-    return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying), turning, rows, warnings)
+    return MissionPlan(resolved, planned, start_soc, here, _leg_ends(ahead, flying, end_s), turning, rows, warnings)
 
 
 def _fit(
@@ -140,31 +148,52 @@ def _fit(
     flown: tuple[Ahead, Way],
     belief: Belief,
     reserve_soc: float,
-) -> tuple[RouteFit, Flying]:
-    """The mission at one temperature, and the draws that flew it."""
+) -> tuple[RouteFit, Flying, Array]:
+    """The mission at one temperature, the draws that flew it, and when each of them ends [s]."""
     (ahead, way), ambient_C = flown, belief.ambient_C
     load = RouteLoad(ahead, planned.powers, 1.0, planned.powers.level_sd)
-    dt_s = np.full(STEPS, BEYOND * ahead.touchdown_s / STEPS)
+    looked_s = min(ahead.touchdown_s, MOST_HOVERS * _longest_hover_s(pack, planned.powers))
+    dt_s = np.full(STEPS, BEYOND * looked_s / STEPS)
     scenarios = load.scenarios_over(dt_s)
     scenario = sampling.assigned(scenarios.weight)
     x, power_W = sampling.samples(belief), scenarios.power_W[:, scenario]
     reserve = max(reserve_soc, EMPTY_SOC)
     question = Question(0.0, float(dt_s.sum()), pack, x, power_W, ambient_C, dt_s, reserve, False)
-    flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario)
+    flying = Flying(pack, x, power_W, ambient_C, dt_s, scenario, reserve)
+    elsewhere = return_reason(planned.mission, planned.settings)
     legs_home = legs_table(way_home(ahead.begin, planned.settings))
     home = RouteLoad(Ahead(ahead.begin, way.pieces(legs_home)), planned.powers, 1.0, load.level_sd)
-    known = ToCome(load, "route", "", ahead, "", home)
-    asked = route_forecast.ask(known, flying, way, planned.settings, ahead.touchdown_s)
+    known = ToCome(load, "route", "", ahead, elsewhere, None if elsewhere else home)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
-    route = route_forecast.route_answer(asked, end_s)
+    turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
+    asked = route_forecast.ask(known, flying, way, planned.settings, turns_by_s)
+    route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
-    return RouteFit(
-        ambient_C, route, float(spare[1]), float(spare[0]), float(spare[2]), range_remark(battery, ambient_C)
-    ), flying
+    spare_lo_s, spare_s, spare_hi_s = map(float, spare)
+    found = RouteFit(ambient_C, route, spare_s, spare_lo_s, spare_hi_s, range_remark(battery, ambient_C))
+    return found, flying, end_s
 
 
-def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
+def _with_charge_shown(route: Route) -> Route:
+    """The route with a charge at touchdown that a pack can have, and none where most flights end before it."""
+    lo, middle, hi = _shown((route.soc_lo, route.soc, route.soc_hi), route.risk)
+    return replace(route, soc=middle, soc_lo=lo, soc_hi=hi)
+
+
+def _shown(charge: Iterable[float], ended: float) -> tuple[float, ...]:
+    """The quantiles of a charge as they are shown where a share `ended` of the draws does not come."""
+    return tuple(math.nan if ended > NOT_REACHED else min(max(float(soc), 0.0), 1.0) for soc in charge)
+
+
+def _longest_hover_s(pack: Pack, powers: Powers) -> float:
+    """How long a full pack would hover, rather too long."""
+    installation = pack.installation
+    energy_Wh = installation.present_capacity_Ah * installation.cells * FULL_CELL_V
+    return float(energy_Wh * 3600.0 / powers.hover_W)
+
+
+def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
     """Return when and with what charge each leg ends: a wait belongs to the leg before it."""
     pieces = ahead.pieces
     goes_on = (pieces.end[1:] != pieces.end[:-1]).any(axis=1) | (pieces.seq[1:] != pieces.seq[:-1])
@@ -174,9 +203,10 @@ def _leg_ends(ahead: Ahead, flying: Flying) -> tuple[LegEnd, ...]:
     edges_s = edges_through(ends_s)
     passed = flown_on(going, flying.power_W, flying.dt_s, edges_s).of(np.searchsorted(edges_s, ends_s))
     soc = np.quantile(passed.state.soc, LEVELS, axis=1)
+    ended = (end_s < ends_s[:, None]).mean(axis=1)
     return tuple(
-        LegEnd(int(pieces.seq[i]), float(end_s), Point(*pieces.end[i].tolist()), *(max(float(z), 0.0) for z in charge))
-        for i, end_s, charge in zip(last, ends_s, soc[[1, 0, 2]].T, strict=True)
+        LegEnd(int(pieces.seq[i]), float(leg_s), Point(*pieces.end[i].tolist()), *_shown(charge, float(before)))
+        for i, leg_s, charge, before in zip(last, ends_s, soc[[1, 0, 2]].T, ended, strict=True)
     )
 
 
@@ -186,6 +216,12 @@ def _air_remark(ahead: Ahead) -> str:
     if fastest_ms <= FASTEST_USUAL_MS:
         return ""
     return f"a leg asks {fastest_ms:.0f} m/s through the air, with this wind: few multirotors fly so fast"
+
+
+def _home_remark(planned: Planned) -> str:
+    """A warning where the mission lands but nobody knows the way home from it; empty where it is known."""
+    elsewhere = return_reason(planned.mission, planned.settings)
+    return f"no turn-back: {elsewhere}" if elsewhere else ""
 
 
 def _speeds_remark(planned: Planned) -> str:

@@ -116,6 +116,11 @@ class FlightLessons(NamedTuple):
         """Return what is known of the timing of such a leg."""
         return self.short if leg.moving_s < SHORT_LEG_S else self.long
 
+    def expected_s(self, leg: Leg) -> float:
+        """Return how long such a leg and the wait at its end take by what is known [s]."""
+        stretch, speeding = self.timing(leg).factors
+        return stretch * leg.moving_s + speeding * leg.fastest_ms + leg.hold_s
+
     @property
     def wind(self) -> tuple[float, float]:
         """The velocity of the air north and east [m/s]; still where nobody measures it."""

@@ -186,7 +186,15 @@ class Forecaster:
         ways = route_forecast.ways_asked(known, navigation, time_s)
         if not self._ways.is_due(ways, typical_s):
             return question._replace(ways=self._ways)
-        flying = Flying(question.pack, question.x, question.power_W, question.ambient_C, question.dt_s, scenario)
+        flying = Flying(
+            question.pack,
+            question.x,
+            question.power_W,
+            question.ambient_C,
+            question.dt_s,
+            scenario,
+            question.reserve_soc,
+        )
         route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
         return question._replace(route=route, ways=ways)
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import Mode, Navigation
-from uavbatt.prediction.route_legs import Leg, Phase, Point, legs_table
-from uavbatt.prediction.route_path import ENDLESS_S, landing, way_home
-from uavbatt.prediction.route_pieces import CURVE, Pieces, Way, joined
-from uavbatt.prediction.route_progress import ARRIVED_M, OVER_HOME_M, Progress, here_at, overdue
+from uavbatt.prediction.route_legs import Leg, Point, legs_table
+from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, way_home
+from uavbatt.prediction.route_pieces import Pieces, Way, joined
+from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 
 NAN = math.nan
 LEAST_TIMING_SD = 0.02
@@ -64,7 +64,7 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
         return "home is not known"
     if progress.path.reason:
         return progress.path.reason
-    if not 0 <= progress.at < len(progress.path.legs):
+    if not progress.is_on_path:
         return "the autopilot has not said where on its mission it is"
     if late := overdue(progress, time_s, navigation):
         return late
@@ -90,8 +90,8 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
     here = here_at(time_s, navigation)
     if here is None:
         return "the position is not known" if navigation.position is None else "the position is stale"
-    if navigation.settings.return_reason:
-        return navigation.settings.return_reason
+    if elsewhere := return_reason(navigation.mission, navigation.settings):
+        return elsewhere
     legs = way_home(here, navigation.settings)
     if navigation.mode in (Mode.RETURN, Mode.RETURN_BY_TRACK):
         legs = _begun(here, navigation)
@@ -109,29 +109,30 @@ def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
 
 
 def _rest_by_plan(way: Way, progress: Progress, time_s: float) -> Pieces:
-    """The rest of the route where only the autopilot's progress is known: the present leg by the clock."""
-    table, at = progress.path.table, progress.at
-    present = way.pieces(table.of(slice(at, at + 1)))
+    """The rest of the route where only the autopilot's progress is known: the legs of the present item by the clock."""
+    table, item = progress.path.table, progress.item
+    present = way.pieces(table.of(item))
     flown_s = max(time_s - progress.leg_since_s, 0.0)
     left_s = np.minimum(present.length_s, present.ends_s - flown_s)
     rest = present._replace(length_s=left_s).of(left_s > 0.0)
-    return joined(rest, way.pieces(table.of(slice(at + 1, None))))
+    return joined(rest, way.pieces(table.of(slice(item.stop, None))))
 
 
 def _rest_from(way: Way, progress: Progress, here: Point, time_s: float) -> Pieces:
     """The rest of the route from where the aircraft is."""
-    legs, at = progress.path.legs, progress.at
-    while at + 1 < len(legs) and legs[at + 1].seq == legs[at].seq and _is_behind(legs[at], here):
-        at += 1  # an item of several legs, as a landing: the place tells which
-    has_arrived = math.isfinite(progress.arrived_s) and at == progress.at
-    present = _waiting(legs[at], time_s - progress.arrived_s) if has_arrived else _shortened(legs[at], here)
-    return way.pieces(legs_table([present]).followed_by(progress.path.table.of(slice(at + 1, None))))
+    later = progress.path.table.of(slice(progress.at + progress.behind + 1, None))
+    return way.pieces(legs_table([_present(progress, here, time_s)]).followed_by(later))
 
 
-def _is_behind(leg: Leg, here: Point) -> bool:
-    if leg.phase is Phase.LANDING:
-        return here.height_m <= leg.end.height_m + 0.5
-    return math.dist(here, leg.end) < ARRIVED_M and not leg.hold_s > 0.0
+def _present(progress: Progress, here: Point, time_s: float) -> Leg:
+    """Return what is left of the leg that is flown."""
+    leg = progress.leg
+    if leg.circle_m > 0.0:  # its place on the circle does not say how many turns are left
+        flown = (time_s - progress.behind_s) / progress.lessons.expected_s(leg)
+        return leg._replace(run_m=leg.run_m * min(max(1.0 - flown, 0.0), 1.0))
+    if math.isfinite(progress.arrived_s):
+        return _waiting(leg, time_s - progress.arrived_s)
+    return _shortened(leg, here)
 
 
 def _waiting(leg: Leg, waited_s: float) -> Leg:
@@ -140,8 +141,6 @@ def _waiting(leg: Leg, waited_s: float) -> Leg:
 
 
 def _shortened(leg: Leg, here: Point) -> Leg:
-    """The leg from here on; a curve keeps its length until it is flown."""
+    """The leg from here on."""
     straight_m = math.dist(leg.begin[:2], leg.end[:2])
-    if leg.run_m > CURVE * straight_m:
-        return leg
     return leg._replace(begin=here, run_m=math.dist(here[:2], leg.end[:2]) * max(leg.run_m / max(straight_m, 1.0), 1.0))

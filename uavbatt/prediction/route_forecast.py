@@ -102,7 +102,10 @@ def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAske
 
 
 class Flying(NamedTuple):
-    """The simulated flights of a forecast: draws of the belief, their power [steps, draws], the scenario of each."""
+    """The simulated flights of a forecast: draws of the belief, their power [steps, draws], the scenario of each.
+
+    reserve_soc : the charge at which they end, too
+    """
 
     pack: Pack
     x: Array
@@ -110,6 +113,7 @@ class Flying(NamedTuple):
     ambient_C: float
     dt_s: Array
     scenario: Array
+    reserve_soc: float = 0.0
 
 
 def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
@@ -136,7 +140,8 @@ def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typic
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if homewards is not None:
         at_turn = passed.of(np.searchsorted(edges_s, look_s))
-        asked = asked._replace(turning=Turning(at_turn, look_s, flown, homewards, scenario, way, settings))
+        turning = Turning(at_turn, look_s, flown, homewards, scenario, way, settings, flying.reserve_soc)
+        asked = asked._replace(turning=turning)
     return asked
 
 

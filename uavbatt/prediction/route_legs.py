@@ -40,6 +40,7 @@ class Leg(NamedTuple):
     climb_ms: float
     descent_ms: float
     hold_s: float = 0.0
+    circle_m: float = 0.0  # radius of the circle around its end that it is; 0: it is straight
 
     @property
     def rise_m(self) -> float:
@@ -85,7 +86,7 @@ class LegsTable(NamedTuple):
 
 def legs_table(legs: Sequence[Leg]) -> LegsTable:
     """Return legs as columns."""
-    raw = np.array([(*leg[:2], *leg.begin, *leg.end, *leg[4:]) for leg in legs], float).reshape(-1, 13)
+    raw = np.array([(*leg[:2], *leg.begin, *leg.end, *leg[4:9]) for leg in legs], float).reshape(-1, 13)
     moved, end = raw[:, 5:8] - raw[:, 2:5], raw[:, 5:8]
     run_m, speed_ms, climb_ms, descent_ms, hold_s = raw[:, 8:].T
     north_m, east_m, rise_m = moved.T

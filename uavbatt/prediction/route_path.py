@@ -22,6 +22,8 @@ SPLINE_LENGTHENS = 1.06
 HIGHEST_M, FARTHEST_M = 10_000.0, 200_000.0
 # Where the vehicle does not say: ArduCopter's defaults.
 CRUISE_MS, CLIMB_MS, DESCENT_MS, RETURN_HEIGHT_M, LAND_MS, SLOW_BELOW_M = 5.0, 2.5, 1.5, 15.0, 0.5, 10.0
+CIRCLE_RADIUS_M = 10.0
+ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a landing these fly nowhere
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class _Speeds(NamedTuple):
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
     """Return the place in metres around home."""
-    east_m = (lon_deg - home.lon_deg) * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
+    east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, across 180° as well
+    east_m = east_deg * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
     return Point((lat_deg - home.lat_deg) * METRES_PER_DEGREE, east_m, height_m)
 
 
@@ -58,6 +61,11 @@ def place(home: Home, position: Position) -> Point:
 def finite_or(value: float, otherwise: float) -> float:
     """Return a positive finite parameter, or what stands in for it."""
     return value if math.isfinite(value) and value > 0.0 else otherwise
+
+
+def return_reason(mission: Mission | None, settings: ReturnSettings) -> str:
+    """Return why the way home is not known, by the vehicle or by what came with its mission; empty when it is."""
+    return settings.return_reason or (mission.return_reason if mission is not None else "")
 
 
 def way_home(begin: Point, settings: ReturnSettings) -> tuple[Leg, ...]:
@@ -108,7 +116,9 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
     if mission.reason:
         return Path(reason=mission.reason)
     at, speeds, legs = Point(0.0, 0.0, 0.0), _speeds(settings), list[Leg]()
-    for item in _flown(mission):
+    elsewhere = return_reason(mission, settings)
+    flown = _flown(mission)
+    for item in flown:
         if item is None:
             return Path(reason=f"the mission flies more than {MOST_LEGS} items, jumps repeated")
         if item.action is Action.SPEED:
@@ -119,8 +129,10 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
             return Path(reason=f"item {item.seq}: {found}")
         legs += found
         at = legs[-1].end if legs else at
-        if item.action is Action.RETURN and settings.return_reason:
-            return Path(reason=settings.return_reason)
+        if item.action in (Action.LAND, Action.RETURN) and any(i is None or i.action not in ON_GROUND for i in flown):
+            return Path(reason=f"the mission flies on after landing at item {item.seq}")
+        if item.action is Action.RETURN and elsewhere:
+            return Path(reason=elsewhere)
         if item.action is Action.RETURN:
             return _returned(legs, settings)
         if item.action is Action.LAND:
@@ -129,8 +141,8 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
             return Path(tuple(legs), lands=False)
     if not legs:
         return Path(reason="the mission goes nowhere")
-    if settings.return_reason:
-        return Path(reason=f"{settings.return_reason}, and the mission does not end with a landing")
+    if elsewhere:
+        return Path(reason=f"{elsewhere}, and the mission does not end with a landing")
     return _returned([*legs, *way_home(at, settings)], settings)
 
 
@@ -189,9 +201,10 @@ def _legs(item: MissionItem, at: Point, speeds: _Speeds, home: Home, settings: R
     if item.action is Action.SPLINE:
         run_m *= SPLINE_LENGTHENS
     legs = [Leg(item.seq, Phase.ROUTE, at, to, run_m, *speeds, max(item.hold_s, 0.0))]
-    if item.action is Action.LOITER_TURNS and item.turns > 0.0 and item.radius_m:
-        circle_m = 2.0 * math.pi * abs(item.radius_m) * item.turns
-        legs.append(Leg(item.seq, Phase.ROUTE, to, to, circle_m, *speeds))
+    if item.action is Action.LOITER_TURNS and item.turns > 0.0:
+        radius_m = abs(item.radius_m) or CIRCLE_RADIUS_M
+        length_m = 2.0 * math.pi * radius_m * item.turns
+        legs.append(Leg(item.seq, Phase.ROUTE, to, to, length_m, *speeds, circle_m=radius_m))
     if item.action is Action.LOITER_UNLIMITED:
         legs[-1] = legs[-1]._replace(hold_s=ENDLESS_S)
     return [*legs, *landing(to, settings, item.seq)] if item.action is Action.LAND else legs

@@ -8,11 +8,12 @@ from typing import NamedTuple
 from uavbatt.battery.powers import Powers, power, terms
 from uavbatt.navigation import Home, Mission, Mode, Navigation, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
-from uavbatt.prediction.route_legs import Phase, Point
+from uavbatt.prediction.route_item import is_behind, is_there, item_end
+from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.prediction.route_path import Path, path, place
 
 NAN = math.nan
-ARRIVED_M, OVER_HOME_M = 4.0, 6.0
+OVER_HOME_M = 6.0
 STALE_POSITION_S = 10.0
 OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0
 SILENT_PROGRESS_S = 60.0
@@ -34,9 +35,11 @@ class Progress(NamedTuple):
 
     known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
     path: Path = Path()
-    at: int = -1  # the leg that is flown
+    at: int = -1  # the first leg of the item that is flown to
     leg_since_s: float = NAN
-    arrived_s: float = NAN  # since when the aircraft waits at the leg's end
+    behind: int = 0  # legs of that item that are over, by the place
+    behind_s: float = NAN  # since when the leg after them is flown
+    arrived_s: float = NAN  # since when the aircraft waits at that leg's end
     time_s: float = NAN
     told_s: float = NAN  # when the power was last held against the level
     lessons: FlightLessons = FlightLessons()
@@ -49,7 +52,7 @@ class Progress(NamedTuple):
         moved = self._on_path(navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.blown(navigation.wind, row_s))
         if navigation.mode is Mode.MISSION:
-            moved = moved._arrived(time_s, navigation)
+            moved = moved._followed(time_s, navigation)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
@@ -68,7 +71,7 @@ class Progress(NamedTuple):
             found = path(*known_by)
             moved = self._replace(known_by=known_by)
             if found != self.path:  # the same mission uploaded twice changes nothing
-                moved = moved._replace(path=found, at=-1, leg_since_s=NAN)
+                moved = moved._replace(path=found, at=-1, leg_since_s=NAN, behind=0, behind_s=NAN)
         found = moved.path
         at = _leg_of(found, navigation.current, moved.at)
         if at is None or at == moved.at:
@@ -76,17 +79,55 @@ class Progress(NamedTuple):
         since_s, began_s = navigation.current_since_s, moved.leg_since_s
         if navigation.mode is Mode.MISSION and 0 <= moved.at < at and math.isfinite(began_s):
             moved = moved._replace(lessons=moved.lessons.timed(found.legs[moved.at : at], since_s - began_s))
-        return moved._replace(at=at, leg_since_s=since_s, arrived_s=NAN)
+        return moved._replace(at=at, leg_since_s=since_s, behind=0, behind_s=since_s, arrived_s=NAN)
 
-    def _arrived(self, time_s: float, navigation: Navigation) -> Progress:
-        """Since when the aircraft waits at the end of its leg."""
+    @property
+    def is_on_path(self) -> bool:
+        """True if a leg is known that is flown."""
+        return 0 <= self.at < len(self.path.legs)
+
+    @property
+    def item(self) -> slice:
+        """The legs of the item that is flown to."""
+        return slice(self.at, item_end(self.path.legs, self.at))
+
+    @property
+    def leg(self) -> Leg:
+        """The leg that is flown, where the place tells which."""
+        return self.path.legs[self.at + self.behind]
+
+    def _followed(self, time_s: float, navigation: Navigation) -> Progress:
+        """Which leg of its item the aircraft flies, never one before, and since when it waits at that leg's end."""
         here = here_at(time_s, navigation)
-        if here is None or not 0 <= self.at < len(self.path.legs):
+        if here is None or not self.is_on_path:
             return self
-        is_there = math.dist(here, self.path.legs[self.at].end) < ARRIVED_M
-        if is_there and not math.isfinite(self.arrived_s):
+        moved, legs = self._arrived(time_s, here), self.path.legs[self.item]
+        while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
+            moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(time_s, here)
+        return moved
+
+    def _arrived(self, time_s: float, here: Point) -> Progress:
+        """Since when the aircraft waits at the end of its leg."""
+        is_at_end = is_there(self.leg, here)
+        if is_at_end and not math.isfinite(self.arrived_s):
             return self._replace(arrived_s=time_s)
-        return self if is_there else self._replace(arrived_s=NAN)
+        return self if is_at_end else self._replace(arrived_s=NAN)
+
+    def _is_over(self, following: Leg, here: Point, time_s: float, navigation: Navigation) -> bool:
+        """True if the leg that is flown is over and the one that follows it in its item has begun."""
+        leg = self.leg
+        if leg.circle_m > 0.0:
+            return time_s - self.behind_s >= self.lessons.expected_s(leg)
+        return is_behind(leg, following, here, navigation.position, time_s - self.arrived_s)
+
+    def _by_clock(self, time_s: float) -> Leg:
+        """The leg of its item that should be flown now, for where nobody says the place."""
+        legs, left_s = self.path.legs[self.item], time_s - self.leg_since_s
+        for leg in legs[:-1]:
+            left_s -= self.lessons.expected_s(leg)
+            if left_s < 0.0:
+                return leg
+        return legs[-1]
 
     def flown(self, time_s: float, navigation: Navigation) -> Movement | None:
         """Return how the aircraft flies now: by its position, else by the plan of its leg; None where neither tells."""
@@ -99,9 +140,9 @@ class Progress(NamedTuple):
             over_home = navigation.mode is Mode.RETURN and _is_over_home(navigation)
             landing = navigation.mode is Mode.LAND or over_home or self._phase(navigation) is Phase.LANDING
             return Movement(math.hypot(north_ms, east_ms), position.up_ms, self._takes_off(navigation), landing)
-        if navigation.mode is not Mode.MISSION or not 0 <= self.at < len(self.path.legs):
+        if navigation.mode is not Mode.MISSION or not self.is_on_path:
             return None
-        leg = self.path.legs[self.at]
+        leg = self._by_clock(time_s)
         if not leg.moving_s > 0.0 or overdue(self, time_s, navigation):
             return None
         return Movement(
@@ -112,8 +153,7 @@ class Progress(NamedTuple):
         )
 
     def _phase(self, navigation: Navigation) -> Phase:
-        on_route = navigation.mode is Mode.MISSION and 0 <= self.at < len(self.path.legs)
-        return self.path.legs[self.at].phase if on_route else Phase.ROUTE
+        return self.leg.phase if navigation.mode is Mode.MISSION and self.is_on_path else Phase.ROUTE
 
     def _takes_off(self, navigation: Navigation) -> bool:
         return navigation.mode is Mode.TAKEOFF or self._phase(navigation) is Phase.TAKE_OFF
@@ -149,10 +189,9 @@ def overdue(progress: Progress, time_s: float, navigation: Navigation) -> str:
     heard_s = time_s - navigation.current_heard_s
     if heard_s > SILENT_PROGRESS_S:
         return f"the autopilot has not said for {heard_s:.0f} s where on its mission it is"
-    leg = progress.path.legs[progress.at]
-    stretch, speeding = progress.lessons.timing(leg).factors
-    planned_s = stretch * leg.moving_s + speeding * leg.fastest_ms + leg.hold_s
+    legs = progress.path.legs[progress.item]
+    planned_s = sum(map(progress.lessons.expected_s, legs))
     late_s = time_s - progress.leg_since_s
     if late_s > OVERDUE_LEGS * planned_s + OVERDUE_S:
-        return f"item {leg.seq} is overdue: {late_s:.0f} s on a leg of {planned_s:.0f} s"
+        return f"item {legs[0].seq} is overdue: {late_s:.0f} s on a leg of {planned_s:.0f} s"
     return ""

@@ -2,8 +2,8 @@
 
 Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
 voltage's least height above the cut-off on that way home is noted: as it turns and speeds up, and then under the
-highest power of each step. A draw's turn-back is the last t at which it has not met its end before and that height is
-not negative.
+highest power of each step; a charge near the reserve counts as such a height, for it ends a flight as well. A draw's
+turn-back is the last t at which it has not met its end before and that height is not negative.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.powers import TURN_S, turning_power
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
-from uavbatt.prediction.long_steps import STEP_S, Going, above_cutoff_V, source, walked
+from uavbatt.prediction.long_steps import STEP_S, Going, Source, above_cutoff_V, source, walked
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import Leg, legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
 from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, Pieces, Way
 from uavbatt.prediction.route_progress import OVER_HOME_M
+from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
 LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
 CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
@@ -36,6 +37,7 @@ class Turning(NamedTuple):
     """Draws that turn at instants `look_s` [s], where they are `at_turn` [looks, draws], having flown along `flown`.
 
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
+    reserve_soc : the charge at which a flight ends, as it does at the cut-off
     """
 
     at_turn: Going
@@ -45,6 +47,7 @@ class Turning(NamedTuple):
     scenario: Array
     way: Way
     settings: ReturnSettings
+    reserve_soc: float = 0.0
 
     @property
     def now(self) -> Turning:
@@ -53,7 +56,7 @@ class Turning(NamedTuple):
 
 
 class TurnBack(NamedTuple):
-    """The results of turning at some instants: how far above the cut-off each draw stayed on its way home."""
+    """The results of turning at some instants: how far above cut-off and reserve each draw stayed on its way home."""
 
     look_s: Array  # [looks] from now
     above_V: Array  # [looks, draws]
@@ -83,10 +86,10 @@ def looks(longest_s: float) -> Array:
 def turned(asked: Turning) -> TurnBack:
     """Return what comes of turning."""
     home = _homewards(asked.flown, asked.look_s, asked.load, asked.way, asked.settings)
-    return _flown_home(asked.at_turn, asked.look_s, home, factors(asked.load)[:, asked.scenario])
+    return _flown_home(asked.at_turn, asked.look_s, home, factors(asked.load)[:, asked.scenario], asked.reserve_soc)
 
 
-def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array) -> TurnBack:
+def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array, reserve_soc: float) -> TurnBack:
     """Return what comes of the ways home that begin with the draws `at_turn` [looks, draws].
 
     scenarios : factors of level, fast flight and time of each draw [3, draws]
@@ -94,7 +97,7 @@ def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array
     levels, _, stretch = scenarios
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))
-    least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels), np.empty(at_turn.bias_V.shape)
+    least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels, reserve_soc), np.empty(at_turn.bias_V.shape)
     flying = np.arange(look_s.size)  # the looks whose ways are not over yet: each has a length of its own
     for k in range(int(steps.max()) + 1):
         is_asked = _is_asked(least_V)[flying]
@@ -104,14 +107,14 @@ def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array
         if is_down.any():
             down, landed = flying[is_down], at_turn.of(is_down)
             power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
-            least_V[down] = np.minimum(least_V[down], above_cutoff_V(landed, source(landed), power_W))
+            least_V[down] = np.minimum(least_V[down], _above_V(landed, source(landed), power_W, reserve_soc))
             soc[down] = landed.state.soc
             flying, at_turn = flying[~is_down], at_turn.of(~is_down)
         if not flying.size:
             break
         at, rough = source(at_turn), home.rough[k, flying][:, None]
         power_W = home.drawn_W(k, flying, scenarios)
-        above_V = above_cutoff_V(at_turn, at, power_W * (1.0 + ROUGH * rough))
+        above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), reserve_soc)
         least_V[flying] = np.minimum(least_V[flying], above_V)
         length_s = home.length_s[k, flying][:, None] * stretch
         at_turn = walked(at_turn, at, power_W, length_s, normals[k % len(normals)])
@@ -127,10 +130,18 @@ def _is_asked(least_V: Array) -> Column:
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
 
 
-def _turning_V(at_turn: Going, power_W: Array) -> Array:
-    """Return the height above the cut-off while the draws turn, in the middle of it."""
+def _above_V(going: Going, at: Source, power_W: Array, reserve_soc: float) -> Array:
+    """Return the height above the end of flight: above the cut-off, or above the reserve where that is nearer."""
+    above_V = above_cutoff_V(going, at, power_W)
+    if not reserve_soc > 0.0:
+        return above_V
+    return np.asarray(np.minimum(above_V, (going.state.soc - reserve_soc) * SOC_IN_VOLTS))
+
+
+def _turning_V(at_turn: Going, power_W: Array, reserve_soc: float) -> Array:
+    """Return the height above the end of flight while the draws turn, in the middle of it."""
     halfway = walked(at_turn, source(at_turn), power_W, 0.5 * TURN_S, np.zeros_like(power_W))
-    return above_cutoff_V(halfway, source(halfway), power_W)
+    return _above_V(halfway, source(halfway), power_W, reserve_soc)
 
 
 def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:

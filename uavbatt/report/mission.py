@@ -58,9 +58,12 @@ def _answer(plan: MissionPlan) -> Html:
         f"{'It fits' if here.fits else 'It does not fit'}: at {celsius(here.ambient_C)} the probability that the "
         f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
     )
+    charge = (
+        f"with {_share(route.soc)} of the charge, probably between {_share(route.soc_lo)} and {_share(route.soc_hi)} "
+        "(9 in 10)"
+    )
     end = paragraph(
-        f"Touchdown after {duration(route.left_s)} with {_share(route.soc)} of the charge, probably between "
-        f"{_share(route.soc_lo)} and {_share(route.soc_hi)} (9 in 10)."
+        f"Touchdown after {duration(route.left_s)} {charge if math.isfinite(route.soc) else 'is not reached'}."
     )
     spare = paragraph(f"Hover left at touchdown: {duration(here.spare_s)}, at worst (5 %) {duration(here.spare_lo_s)}.")
     turn = []

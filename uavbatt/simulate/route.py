@@ -90,7 +90,7 @@ def route_flight(
     mission: Mission, home: Home, wind: Wind, take_off_s: float, settings: ReturnSettings | None = None
 ) -> RouteFlight:
     """Return the flight of a mission that takes off at `take_off_s` [s]. Raises UsageError for one without an end."""
-    mission = _with_home_item(mission, home)
+    mission = dataclasses.replace(_with_home_item(mission, home), return_reason="")  # this one has no rally points
     way: Path = path(mission, home, settings or return_settings(PARAMETERS))
     if way.reason or not way.lands:
         raise UsageError(f"--mission: {way.reason or 'it waits somewhere without end'}")
@@ -122,4 +122,5 @@ def watts_of(hover_W: float, shape: Powers = UNKNOWN) -> Watts:
 def _degrees(home: Home, place: Point) -> tuple[float, float]:
     """Latitude and longitude [deg] of a place in metres around home."""
     east_scale = METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
-    return home.lat_deg + place.north_m / METRES_PER_DEGREE, home.lon_deg + place.east_m / east_scale
+    lon_deg = math.remainder(home.lon_deg + place.east_m / east_scale, 360.0)
+    return home.lat_deg + place.north_m / METRES_PER_DEGREE, lon_deg

@@ -7,14 +7,16 @@
 `.plan`: `mission.items`, each a `SimpleItem` with `command`, `frame` and seven `params`, or a `ComplexItem`; surveys
 and corridor scans hold the items they were made into (`TransectStyleComplexItem.Items`), other patterns do not.
 The ground station puts home in front as item 0 for an ArduPilot, and not for a PX4; `doJumpId` names items for jumps.
+It uploads `rallyPoints` with the mission, and the vehicle may then return to one of them.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -60,8 +62,13 @@ class _PlannedMission(msgspec.Struct):
     hover_ms: float | None = msgspec.field(default=None, name="hoverSpeed")
 
 
+class _RallyPoints(msgspec.Struct):
+    points: list[Any] | None = None
+
+
 class _Plan(msgspec.Struct):
     mission: _PlannedMission
+    rally: _RallyPoints | None = msgspec.field(default=None, name="rallyPoints")
 
 
 def read_mission(path: str | Path) -> PlannedFlight:
@@ -118,9 +125,10 @@ def _line(path: str | Path, number: int, line: str) -> Fields:
 
 def _plan(path: str | Path, data: bytes) -> PlannedFlight:
     try:
-        said = msgspec.json.decode(data, type=_Plan).mission
+        plan = msgspec.json.decode(data, type=_Plan)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise misread(path, error, "a QGroundControl plan") from None
+    said = plan.mission
     is_px4 = said.firmware == _FIRMWARE_PX4
     place = [NAN if v is None else v for v in said.home or ()]
     home = Home(place[0], place[1], place[2] if len(place) > 2 else NAN) if len(place) > 1 else None
@@ -131,7 +139,13 @@ def _plan(path: str | Path, data: bytes) -> PlannedFlight:
     if not is_px4:
         at = home or Home(0.0, 0.0, 0.0)
         fields.insert(0, Fields(0, _GLOBAL, commands.WAYPOINT, 0.0, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, at.alt_m))
-    return PlannedFlight(_mission(path, fields, not is_px4), home, said.hover_ms or NAN)
+    mission = dataclasses.replace(_mission(path, fields, not is_px4), return_reason=_return_reason(plan.rally))
+    return PlannedFlight(mission, home, said.hover_ms or NAN)
+
+
+def _return_reason(rally: _RallyPoints | None) -> str:
+    count = len(rally.points or ()) if rally is not None else 0
+    return f"the plan has rally points ({count}): the vehicle may return to one of them" if count else ""
 
 
 def _flattened(path: str | Path, items: Iterable[_Item]) -> Iterator[_Item]:

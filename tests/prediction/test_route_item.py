@@ -1,0 +1,104 @@
+"""An item of several legs is followed to its end: a return, a landing, turns; by the place, or else by the clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from route_rig import HOME, SETTINGS, mission, to
+
+from uavbatt.navigation import Action, MissionItem, Mode, Navigation, Position, ReturnSettings, Wind
+from uavbatt.prediction.route_ahead import Ahead, ahead
+from uavbatt.prediction.route_path import METRES_PER_DEGREE
+from uavbatt.prediction.route_progress import Progress
+from uavbatt.simulate.route import RouteFlight, route_flight
+
+UP = MissionItem(1, Action.TAKEOFF, alt_m=20.0)
+FAR = to(2, 600.0, 0.0, 20.0)
+RETURN = MissionItem(3, Action.RETURN)
+WAITS = replace(SETTINGS, return_hold_s=60.0)
+ROUND_S = 2.0 * math.pi * 40.0 / 5.0
+
+Place = Callable[[float], Position | None]
+
+
+def touchdowns(
+    flight: RouteFlight, settings: ReturnSettings = SETTINGS, place: Place | None = None
+) -> list[tuple[float, float]]:
+    """Return what the forecast of each fifth second says of touchdown, and the truth [s]."""
+    progress, said = Progress(), list[tuple[float, float]]()
+    place = place or flight.position
+    current, since_s = 1, 0.0
+    for row in flight.flown(flight.lands_s).rows:
+        time_s = row.position.time_s
+        current, since_s = (current, since_s) if row.seq == current else (row.seq, time_s)
+        now = Navigation(
+            time_s=time_s,
+            mode=Mode.MISSION,
+            mission=flight.mission,
+            current=current,
+            current_since_s=since_s,
+            current_heard_s=time_s,
+            home=HOME,
+            settings=settings,
+            position=place(time_s),
+        )
+        progress = progress.after(time_s, now)
+        if time_s % 5.0 == 0.0:
+            found = ahead(progress, now, time_s)
+            assert isinstance(found, Ahead), found
+            said.append((time_s + found.touchdown_s, flight.lands_s))
+    return said
+
+
+def flight_of(*items: MissionItem, settings: ReturnSettings = SETTINGS) -> RouteFlight:
+    return route_flight(mission(*items), HOME, Wind(0.0, 0.0), 0.0, settings)
+
+
+@pytest.mark.parametrize(
+    ("items", "settings"),
+    [
+        ((UP, FAR, RETURN), SETTINGS),
+        ((UP, FAR, RETURN), WAITS),
+        ((UP, FAR, to(3, 0.0, 0.0, 20.0, action=Action.LAND)), SETTINGS),
+        ((UP, to(2, 600.0, 0.0, 70.0), to(3, 600.0, 400.0, 0.0, action=Action.LAND)), SETTINGS),
+        ((UP, to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0), FAR, RETURN), SETTINGS),
+    ],
+    ids=["return", "return that waits", "landing at home", "landing elsewhere", "turns"],
+)
+def test_touchdown_stays_where_it_is_along_an_item_of_several_legs(
+    items: tuple[MissionItem, ...], settings: ReturnSettings
+) -> None:
+    flight = flight_of(*(replace(item, seq=k) for k, item in enumerate(items, start=1)), settings=settings)
+    for place in (None, lambda _: None):  # by the place, and by the clock
+        for said_s, true_s in touchdowns(flight, settings, place):
+            assert said_s == pytest.approx(true_s, abs=12.0 + 0.03 * true_s)
+
+
+@pytest.mark.parametrize("height_m", [24.0, 60.0])
+def test_a_return_whose_climb_ends_elsewhere_is_followed(height_m: float) -> None:
+    """The vehicle returns at another height than anybody knows of."""
+    flight = flight_of(UP, FAR, RETURN, settings=replace(WAITS, return_height_m=height_m))
+    for said_s, true_s in touchdowns(flight, WAITS):
+        assert said_s == pytest.approx(true_s, abs=35.0)
+
+
+def test_turns_begin_at_the_edge_of_their_circle() -> None:
+    """ArduCopter flies to the nearest point of the circle and never to its centre."""
+    circle = to(2, 300.0, 0.0, 20.0, action=Action.LOITER_TURNS, turns=4.0, radius_m=40.0)
+    flight = flight_of(UP, circle, replace(RETURN, seq=3))
+    edge_s = flight.begins_s[1] + 260.0 / 5.0
+
+    def place(time_s: float) -> Position:
+        if not edge_s < time_s < edge_s + 4.0 * ROUND_S:
+            return flight.position(min(time_s, edge_s) if time_s <= edge_s else time_s)
+        angle = 2.0 * math.pi * (time_s - edge_s) / ROUND_S
+        north_m, east_m = 300.0 - 40.0 * math.cos(angle), 40.0 * math.sin(angle)
+        lon = HOME.lon_deg + east_m / METRES_PER_DEGREE / math.cos(math.radians(HOME.lat_deg))
+        north_ms, east_ms = 5.0 * math.sin(angle), 5.0 * math.cos(angle)
+        return Position(time_s, HOME.lat_deg + north_m / METRES_PER_DEGREE, lon, 20.0, north_ms, east_ms, 0.0)
+
+    for said_s, true_s in touchdowns(flight, SETTINGS, place):
+        assert said_s == pytest.approx(true_s, abs=20.0)

@@ -1,0 +1,67 @@
+"""The legs of one mission item: a return, a landing and turns have several, and the autopilot names the item alone.
+
+Which of them is flown is told by the place; of a circle, and where nobody says the place, by the clock.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from uavbatt.navigation import Position
+from uavbatt.prediction.route_legs import Leg, Phase, Point
+
+ARRIVED_M = 4.0
+DOWN_M = 0.5
+ASTRAY_M = 15.0  # a climb ends, and a descent begins, no further than this from where the plan has it
+SINKING_MS = 0.2  # a wait at another height than the plan's is no descent
+NEARING_MS = 1.0  # towards the centre: who nears it is not on the circle yet
+
+
+def item_end(legs: Sequence[Leg], at: int) -> int:
+    """Return the index after the last leg of the item that leg `at` belongs to; repeated at once, they are one."""
+    end = at + 1
+    while end < len(legs) and legs[end].seq == legs[at].seq:
+        end += 1
+    return end
+
+
+def is_there(leg: Leg, here: Point) -> bool:
+    """Return True where the aircraft waits at the leg's end, if the leg has a wait."""
+    if leg.phase is Phase.LANDING or leg.circle_m > 0.0:
+        return False
+    if leg.phase is Phase.HOME and leg.run_m > 0.0:
+        return math.dist(here[:2], leg.end[:2]) < ARRIVED_M  # at whichever height it returned
+    return math.dist(here, leg.end) < ARRIVED_M
+
+
+def is_behind(leg: Leg, following: Leg, here: Point, position: Position | None, waited_s: float) -> bool:
+    """Return True if a leg that is no circle is over and the next one of its item is flown.
+
+    waited_s : since the aircraft is at the leg's end; NaN where it is not
+    """
+    if leg.phase is Phase.LANDING:
+        return here.height_m <= leg.end.height_m + DOWN_M
+    if following.circle_m > 0.0:
+        return _is_on_circle(following, here, position)
+    if leg.rise_m > 0.0 and not leg.run_m > 0.0:
+        moved_on = math.dist(here[:2], following.end[:2]) < following.run_m - ASTRAY_M
+        return moved_on or here.height_m > leg.end.height_m - ARRIVED_M
+    return waited_s >= leg.hold_s or (following.phase is Phase.LANDING and _has_sunk(leg, here, position))
+
+
+def _has_sunk(leg: Leg, here: Point, position: Position | None) -> bool:
+    """True where the aircraft descends below the end of a leg."""
+    is_below = here.height_m < leg.end.height_m - ARRIVED_M and math.dist(here[:2], leg.end[:2]) < ASTRAY_M
+    return is_below and not (position is not None and position.up_ms > -SINKING_MS)
+
+
+def _is_on_circle(circle: Leg, here: Point, position: Position | None) -> bool:
+    """True where the autopilot has reached the edge, as ArduCopter does, or the centre, and nears it no more."""
+    north_m, east_m = circle.end.north_m - here.north_m, circle.end.east_m - here.east_m
+    centre_m = math.hypot(north_m, east_m)
+    if centre_m > circle.circle_m + ARRIVED_M or abs(here.height_m - circle.end.height_m) > ARRIVED_M:
+        return False
+    if position is None or centre_m < ARRIVED_M:
+        return True
+    return not (north_m * position.north_ms + east_m * position.east_ms) / centre_m > NEARING_MS
