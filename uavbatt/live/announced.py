@@ -29,6 +29,7 @@ WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
 # Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
 WARNINGS: dict[str, str] = {
     "turn back now": "turn back now",
+    "gives nothing": "gives nothing, another has the load",
     "the vehicle states": "cells of the vehicle not used",
     " V a cell, expected": "count of cells does not fit the pack",
     "were drawn since: another count": "count of cells does not fit the pack",

@@ -7,7 +7,7 @@ Everything else goes to the ground-station endpoints only.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from uavbatt.live.announced import Announcer
 from uavbatt.live.battery_component import BatteryFeed
@@ -107,8 +107,3 @@ class Sender:
         if (system, component) not in self._outs:
             self._outs[system, component] = Outgoing(system, component, self._key)
         return self._outs[system, component]
-
-
-def in_order(reports: Mapping[int, Report]) -> list[Report]:
-    """The batteries, those with a current first: the first one speaks for the vehicle."""
-    return sorted(reports.values(), key=lambda r: (r.estimate.current_A != r.estimate.current_A, r.instance))
