@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 NAN = math.nan
+AIRBORNE_M = 5.0  # above home: a barometer drifts by less in the minutes before take-off
 
 
 class Mode(StrEnum):
@@ -171,6 +172,13 @@ class Navigation:
     def has_way(self) -> bool:
         """True if a mission or a home is known: without either there is no way to speak of."""
         return self.mission is not None or self.home is not None
+
+    @property
+    def is_airborne(self) -> bool:
+        """True if the autopilot says that the aircraft flies; False where nothing does, or where it says otherwise."""
+        if self.landed is not None:
+            return not self.landed
+        return self.position is not None and self.position.height_m > AIRBORNE_M
 
 
 NOWHERE = Navigation()
