@@ -110,7 +110,7 @@ class LiveReader:
     @property
     def is_px4(self) -> bool:
         """Return True if the followed autopilot is PX4."""
-        return self.followed is not None and self.followed.is_px4
+        return self.followed is not None and self.followed.is_px4 is True
 
     @property
     def navigation(self) -> Navigation:

@@ -2,8 +2,8 @@
 
 A tlog may hold several vehicles, gimbals, other ground stations and batteries that are components
 of their own; only the chosen autopilot speaks of the battery here. BATTERY_STATUS names batteries by id;
-SYS_STATUS counts only where that vehicle sent no BATTERY_STATUS at all, BATTERY2 (old) where none
-had the id 1.
+SYS_STATUS counts only where that vehicle sent no BATTERY_STATUS at all, or none for 5 s and of battery 0
+alone; BATTERY2 (old) where none had the id 1.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
+from uavbatt.telemetry.vehicle import ALONE_AFTER_S, LONGEST_ALONE_S
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
@@ -127,16 +128,21 @@ def _beats(own: FrameTable) -> _Beats:
 def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
     """The statements about parameters that count, as they count in flight: see `HeardParameters`."""
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
-    # until a heartbeat says so it is no PX4, and not armed: nothing is read ahead
-    last = latest_before(place, beats.place).tolist()
-    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
-    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
     statements = own.at(place)
     payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
-    said = zip(tlog_payloads.parameters(payloads, is_px4), statements.sequence.tolist(), is_armed, strict=True)
-    for at_s, ((name, value), sequence, armed) in zip(time_s[place].tolist(), said, strict=True):
-        if heard.counts(name, finite_or_nan(value), sequence, armed):
-            log.add_parameter(at_s, name, value)
+    # Until a heartbeat says so it is no PX4, and not armed. An integer waits for the first one, as in flight.
+    if len(beats.place):
+        waits = (place < beats.place[0]) & tlog_payloads.are_integers(payloads)
+        place = np.where(waits, beats.place[0], place)
+    last = latest_before(place + 1, beats.place).tolist()
+    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
+    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
+    said = [*tlog_payloads.parameters(payloads, is_px4)]
+    at_s, sequences = time_s[place].tolist(), statements.sequence.tolist()
+    for k in np.argsort(place, kind="stable").tolist():
+        name, value = said[k]
+        if heard.counts(name, finite_or_nan(value), sequences[k], is_armed[k]):
+            log.add_parameter(at_s[k], name, value)
 
 
 def _add_packs(own: FrameTable, log: LogBuilder) -> None:
@@ -152,14 +158,17 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
     """The rows of every battery message that counts, in order."""
     places, parts = [], []
     ids: list[int] = []
+    told = np.zeros(0, np.int64)
     for message_id, kind in tlog_payloads.KINDS.items():
         place = own.places(message_id)
         is_told = bool(ids) if message_id == fields.SYS_STATUS else message_id == fields.BATTERY2 and 1 in ids
+        if is_told and ids == [0]:
+            place, is_told = _alone(place, told, time_s), False
         if is_told or not len(place):
             continue
         said = kind.said(own.at(place).payloads(kind.layout.itemsize))
         if message_id == fields.BATTERY_STATUS:
-            ids = distinct(said.instance)
+            ids, told = distinct(said.instance), place[said.voltage_V > 0.0]
         places.append(place)
         parts.append(said)
     if not parts:
@@ -174,3 +183,12 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
         armed.astype(np.int8), said.cells_V,
     )  # fmt: skip
     add_rows(log, said.instance, rows)
+
+
+def _alone(place: NDArray[np.int64], told: NDArray[np.int64], time_s: Column) -> NDArray[np.int64]:
+    """Return the messages that come when the others have not told of the battery for a while, as in flight."""
+    steps_s = np.minimum(np.diff(time_s[place], prepend=-math.inf), LONGEST_ALONE_S)
+    alone_s = np.append(np.cumsum(steps_s), 0.0)  # index -1, none before: the appended one
+    last = latest_before(place, told)
+    since_s = alone_s[latest_before(told, place)[last]] if len(told) else alone_s[:-1]
+    return place[(last >= 0) & (alone_s[:-1] - since_s > ALONE_AFTER_S)]
