@@ -47,11 +47,11 @@ def test_sys_status_speaks_again_where_battery_status_ends(tmp_path: Path) -> No
     fly(bench, 30.0, "sys", start_Ah=0.1)
     shown = bench.daemon.board.reports[0].at(bench.now_s)
     assert shown.status is not Status.STALE and shown.remaining_s > 0.0
-    assert bench.daemon.board.reports[0].rows == rows + 125
+    assert bench.daemon.board.reports[0].rows == rows + 126
     fly(bench, 10.0, "0", "sys", start_Ah=0.2)
-    assert bench.daemon.board.reports[0].rows == rows + 125 + 50
+    assert bench.daemon.board.reports[0].rows == rows + 126 + 50
     bench.daemon.close()
-    assert len(recorded(tmp_path)) == rows + 125 + 50
+    assert len(recorded(tmp_path)) == rows + 126 + 50
 
 
 def test_sys_status_says_nothing_of_a_vehicle_with_two_batteries() -> None:

@@ -191,4 +191,5 @@ def _alone(place: NDArray[np.int64], told: NDArray[np.int64], time_s: Column) ->
     alone_s = np.append(np.cumsum(steps_s), 0.0)  # index -1, none before: the appended one
     last = latest_before(place, told)
     since_s = alone_s[latest_before(told, place)[last]] if len(told) else alone_s[:-1]
-    return place[(last >= 0) & (alone_s[:-1] - since_s > ALONE_AFTER_S)]
+    is_alone: Mask = (last >= 0) & (alone_s[:-1] - since_s > ALONE_AFTER_S)
+    return place[is_alone]
