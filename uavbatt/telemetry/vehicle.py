@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.pack_voltage import PackVoltages
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
@@ -67,6 +68,7 @@ class Vehicle:
         self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
         self.senders = Senders()
         self.parameters = HeardParameters()
+        self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
         self.battery_ids: set[int] = set()
         self.is_px4: bool | None = None  # until the first heartbeat
@@ -159,7 +161,7 @@ class Vehicle:
             return []
         assert battery is not None
         if message_id == fields.BATTERY_STATUS:
-            row = self._row(time_s, battery)
+            row = self._row(time_s, self._with_all_cells(battery, time_s))
             self._alone_s = 0.0 if row is not None and row.instance == 0 else self._alone_s
             return [] if row is None else self._confirmed(row)
         return self._fallback(message_id, battery, time_s)
@@ -195,13 +197,15 @@ class Vehicle:
             self._unconfirmed[row.instance] = row
             return []
         self.battery_ids.add(row.instance)
+        is_completed = first.sample.cell_voltages_V and not row.sample.cell_voltages_V
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-        return [first, row]
+        return [row] if is_completed else [first, row]  # the first one's sum lacks the same cells
 
     def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
         """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
         is_sys_status = message_id == fields.SYS_STATUS
         if is_sys_status:
+            self.voltages.hear(battery.voltage_V, time_s)
             self._alone_s += min(time_s - self._sys_status_s, LONGEST_ALONE_S)
             self._sys_status_s = time_s
         if is_sys_status and self.battery_ids == {0} and self._alone_s > ALONE_AFTER_S:
@@ -221,6 +225,11 @@ class Vehicle:
             return []
         released, self._held = self._held, []
         return released
+
+    def _with_all_cells(self, battery: fields.BatteryFields, time_s: float) -> fields.BatteryFields:
+        # ArduPilot tells its first battery in SYS_STATUS, PX4 the one that it thinks worst of.
+        is_of_sys_status = battery.id == 0 and not (self.is_px4 and self.battery_ids - {0})
+        return self.voltages.of(battery, time_s, self._log.armed, is_of_sys_status)
 
     def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:
         """The row, cleaned by the rules of the log readers; None when they drop it."""
