@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
+from typing import Any
 
 import pytest
 from daemon_bench import Bench
 
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.live.config import RecordSection
 from uavbatt.mavlink.fields import BatteryFields
 from uavbatt.records import Sample
+from uavbatt.telemetry import read_log
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat, sys_status
 from uavbatt.telemetry.pack_voltage import PackVoltages
 
@@ -68,22 +73,38 @@ def test_another_pack_may_have_fewer_cells() -> None:
 
 
 @pytest.mark.parametrize("has_sys_status", [True, False])
+@pytest.mark.parametrize("reads_V", [0.0, 0.2])
+def test_a_log_is_read_as_it_was_heard(tmp_path: Path, reads_V: float, has_sys_status: bool) -> None:
+    bench = fly(has_sys_status, reads_V, record=RecordSection(folder=str(tmp_path), when="always"))
+    bench.daemon.close()
+    (path,) = tmp_path.glob("*.tlog")
+    flown = [json.loads(line)["voltage_V"] for line in next(tmp_path.glob("*.jsonl")).read_text().splitlines()]
+    assert [round(sample.voltage_V, 3) for sample in read_log(path).samples] == pytest.approx(flown, abs=0.0011)
+
+
+@pytest.mark.parametrize("has_sys_status", [True, False])
 def test_a_broken_sense_wire_is_no_end_of_flight(has_sys_status: bool) -> None:
-    bench = Bench(PackOptions(capacity_Ah=5.0, cells=6))
+    bench = fly(has_sys_status)
+    shown = bench.daemon.board.reports[0]
+    assert shown.remaining.remaining_s > 600.0
+    assert shown.estimate.voltage_V == pytest.approx(6.0 * (4.0 - 0.1 * 12.0 * 299 / 5.0 / 3600.0), abs=0.02)
+    assert any("1 of 6 cells" in note for note in bench.daemon.board.notes)
+    assert not [m for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
+
+
+def fly(has_sys_status: bool, reads_V: float = 0.0, **sections: Any) -> Bench:
+    """A minute at 12 A; after 40 s the third of six cells reads `reads_V`."""
+    bench = Bench(PackOptions(capacity_Ah=5.0, cells=6), **sections)
     for k in range(300):
         if k % 5 == 0:
             bench.send(heartbeat(True))
         drawn_Ah = 12.0 * k / 5.0 / 3600.0
         cell_V = 4.0 - 0.1 * drawn_Ah
-        cells_V = tuple(0.0 if k > 200 and n == 2 else cell_V for n in range(6))
+        cells_V = tuple(reads_V if k > 200 and n == 2 else cell_V for n in range(6))
         sample = Sample(0.0, 6.0 * cell_V, 12.0, 25.0, drawn_Ah, armed=True, cell_voltages_V=cells_V)
         bench.send(battery_status(sample, 0))
         if has_sys_status:
             bench.send(sys_status(sample))
         bench.daemon.turn()
         bench.now_s += 0.2
-    shown = bench.daemon.board.reports[0]
-    assert shown.remaining.remaining_s > 600.0
-    assert shown.estimate.voltage_V == pytest.approx(6.0 * cell_V, abs=0.02)
-    assert any("1 of 6 cells" in note for note in bench.daemon.board.notes)
-    assert not [m for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
+    return bench

@@ -23,7 +23,9 @@ from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import is_recording
+from uavbatt.telemetry.formats.tlog_cells import Heard, Row, with_all_cells
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
+from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
@@ -168,6 +170,7 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
             continue
         said = kind.said(own.at(place).payloads(kind.layout.itemsize))
         if message_id == fields.BATTERY_STATUS:
+            said = _completed(own, time_s, beats, place, said)
             ids, told = distinct(said.instance), place[said.voltage_V > 0.0]
         places.append(place)
         parts.append(said)
@@ -176,13 +179,30 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
     place = np.concatenate(places)
     order = np.argsort(place, kind="stable")
     place, said = place[order], tlog_payloads.together(parts).at(order)
-    last = latest_before(place, beats.place)
-    armed = np.append(beats.armed.astype(np.int8), UNKNOWN)[last]  # index -1, no heartbeat yet: the appended one
+    armed = _armed(beats, latest_before(place, beats.place))
     rows = Columns(
         time_s[place], said.voltage_V, said.current_A, said.temp_C, said.consumed_Ah, said.reported_soc,
-        armed.astype(np.int8), said.cells_V,
+        armed, said.cells_V,
     )  # fmt: skip
     add_rows(log, said.instance, rows)
+
+
+def _completed(
+    own: FrameTable, time_s: Column, beats: _Beats, place: NDArray[np.int64], said: BatteryMessages
+) -> BatteryMessages:
+    """Return what BATTERY_STATUS says, with the cells that are missing from its sums."""
+    heard, last = own.places(fields.SYS_STATUS), latest_before(place, beats.place)
+    if said.cells_V is None:
+        return said
+    kind = tlog_payloads.KINDS[fields.SYS_STATUS]
+    volts = kind.said(own.at(heard).payloads(kind.layout.itemsize)).voltage_V
+    row = Row(place, time_s[place], _armed(beats, last), np.append(beats.is_px4, False)[last])
+    return with_all_cells(said, row, Heard(heard, volts), time_s[heard])
+
+
+def _armed(beats: _Beats, last: NDArray[np.int64]) -> NDArray[np.int8]:
+    """Return whether the vehicle was armed by these heartbeats; UNKNOWN where there was none yet (index -1)."""
+    return np.append(beats.armed.astype(np.int8), UNKNOWN)[last].astype(np.int8)
 
 
 def _alone(place: NDArray[np.int64], told: NDArray[np.int64], time_s: Column) -> NDArray[np.int64]:
