@@ -7,11 +7,13 @@ from dataclasses import replace
 
 from daemon_bench import Bench
 
+from uavbatt.live.announced import Announcer
 from uavbatt.live.headline import Headline
 from uavbatt.live.named import NamedFeed
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -49,6 +51,18 @@ def test_the_first_keeps_its_place_among_equals() -> None:
     assert numbers(headline, 3.0, report(0, 290.0), report(1, 300.0)) == [1, 0]
     both_stale = (report(0, 290.0), report(1, 300.0))
     assert numbers(headline, 9.0, *both_stale) == [1, 0]
+
+
+def test_a_battery_that_gives_nothing_does_not_wait_for_take_off() -> None:
+    """In flight, at rest for so long that the forecaster thinks it on the ground."""
+    headline, announcer, heard = Headline(), Announcer(0, ()), []
+    for k in range(40):
+        one, other = report(0, 400.0, 0.0, float(k), NAN), report(1, 300.0, at_s=float(k))
+        resting = replace(other.remaining, remaining_s=NAN, status=Status.REFUSED, reason=NOT_FLYING)
+        found = headline.in_order({0: replace(one, remaining=resting), 1: other}, float(k))
+        heard += [text for _, text in announcer.texts(float(k), found[-1], True, is_airborne=True)] if k > 3 else []
+    assert not found[-1].is_waiting and "battery 1 carries the flight" in found[-1].at(39.0).reason
+    assert heard == ["Battery 0: gives nothing, another has the load"]
 
 
 def two(bench: Bench, seconds: float, amps: tuple[float, float], drawn_Ah: float = 0.0) -> None:

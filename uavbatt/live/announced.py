@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from uavbatt.live.headline import GIVES_NOTHING
 from uavbatt.live.report import Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
 from uavbatt.prediction.forecaster import JUST_TAKEN_OFF, NOT_FLYING
@@ -32,7 +33,7 @@ WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
 # Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
 WARNINGS: dict[str, str] = {
     "turn back now": "turn back now",
-    "gives nothing": "gives nothing, another has the load",
+    GIVES_NOTHING: "gives nothing, another has the load",
     "the vehicle states": "cells of the vehicle not used",
     " V a cell, expected": "count of cells does not fit the pack",
     "were drawn since: another count": "count of cells does not fit the pack",
@@ -183,8 +184,12 @@ class Announcer:
 
 
 def _waits_for_load(report: Report, is_airborne: bool) -> bool:
-    """Return True while there is no number because no load has come yet; in the air a missing load is a loss."""
-    return report.remaining.reason == JUST_TAKEN_OFF or (report.remaining.reason == NOT_FLYING and not is_airborne)
+    """Return True while there is no number because no load has come yet; in the air a missing load is a loss.
+
+    That another battery has the load is a warning of its own.
+    """
+    reason = report.remaining.reason
+    return reason == JUST_TAKEN_OFF or GIVES_NOTHING in reason or (reason == NOT_FLYING and not is_airborne)
 
 
 def _short(reason: str) -> str:

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 from uavbatt.live.log import tell
 from uavbatt.live.report import STALE_AFTER_S, Report
+from uavbatt.prediction.forecaster import NOT_FLYING
 
 NOTHING_SHARE = 0.02  # of the current of the battery that gives most; what the electronics draw is more of a small one
 NOTHING_AFTER_S = 3.0  # one row without a current is none
@@ -108,4 +109,7 @@ def _gives_nothing(report: Report, carrying: Report) -> bool:
 
 
 def _warned(report: Report, words: str) -> Report:
-    return replace(report, estimate=replace(report.estimate, warnings=(*report.estimate.warnings, words)))
+    """Return the report with these words as a warning, and as the reason where it would wait for a take-off."""
+    estimate = replace(report.estimate, warnings=(*report.estimate.warnings, words))
+    reason = words if report.remaining.reason == NOT_FLYING else report.remaining.reason
+    return replace(report, estimate=estimate, remaining=replace(report.remaining, reason=reason))
