@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
+import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from daemon_bench import OPTIONS, Bench
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from uavbatt.battery import statements
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimation import monitor
+from uavbatt.estimation.filter import known_only_to
 from uavbatt.live import announced
 from uavbatt.live.announced import Announcer
 from uavbatt.live.config import FeedSection
 from uavbatt.live.report import Report
 from uavbatt.live.web import content
+from uavbatt.prediction import forecaster, voltage_bound
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
@@ -43,11 +50,11 @@ def test_current_dies_minus_1() -> None:
     assert bench.named()["REM_S"] > 0.0
     for _ in range(2):
         rows(bench, 15.0, NAN)
-        rows(bench, 15.0, 12.0)
+        rows(bench, 47.0, 12.0)
     said = texts(bench)
     assert said == ["Battery 0: time unknown, no current reading"] * 2
     now = content(bench.daemon.board, bench.now_s)
-    assert [line["text"] for line in now["said"]] == said and 15.0 < now["said"][-1]["age_s"] < 30.0
+    assert [line["text"] for line in now["said"]] == said and 50.0 < now["said"][-1]["age_s"] < 65.0
 
 
 def test_current_dies_0A() -> None:
@@ -79,7 +86,8 @@ def test_the_end_of_a_flight_is_no_loss() -> None:
 
 def test_every_reason_fits_into_a_text() -> None:
     """The longest number of a battery, the longest reason."""
-    for reason in (*announced.REASONS, "a reason that nobody has shortened: it goes on and on and on"):
+    longer = (f"{words}, and why it is so" for words in announced.REASONS)
+    for reason in (*longer, "a reason that nobody has shortened: it goes on and on and on"):
         for status in (Status.REFUSED, Status.STALE):
             announcer = Announcer(255, ())
             announcer.texts(0.0, report(100.0, instance=255))
@@ -91,6 +99,98 @@ def test_every_reason_fits_into_a_text() -> None:
         assert len(f"Battery 255: time unknown, {short}") <= 50
     for short in announced.WARNINGS.values():
         assert len(f"Battery 255: {short}") <= 50
+
+
+REFUSALS = [
+    *(words for name, words in vars(monitor).items() if name.isupper() and isinstance(words, str)),
+    forecaster.NOT_FLYING,
+    forecaster.JUST_TAKEN_OFF,
+    "no belief about the pack yet",
+    "the end may lie beyond six hours: the load is not that of a flight",
+    voltage_bound.NO_END,
+    statements.SLOW_ROWS.words,
+    statements.CHARGING.words,
+    known_only_to(0.3),
+    known_only_to(2.0),
+    "time went backwards",
+    "no voltage in this row",
+    "no current in this row",
+    "two senders speak for this battery: voltage (10.0.0.1:14550 and 10.0.0.2:14550)",
+    "ValueError in uavbatt itself: the sky has fallen on our heads and so on",
+    "capacity: neither the vehicle nor battery `lipo-generic` states one: give --capacity-ah",
+    "12 cells in series: 16.0 V is 1.3 V a cell, expected 2.5 to 4.45 V before the load, as with 4",
+    "6 cells in series at 3.4 V a cell at rest, and 0.3 times the stated 5 Ah were drawn since: another count",
+    "the stated 5 Ah gives more than 60 C for a minute: is the capacity right?",
+    "1.5 times the stated 3.3 Ah were drawn, and the cells are far from empty: is the capacity right?",
+    "cut-off 3.3 V is 0.8 V a cell of 4, expected 2 to 4.2 V",
+    "low-voltage warning 25 V is 6.2 V a cell of 4, expected 2 to 4.2 V",
+    "no telemetry for 4 s",
+]
+
+
+@pytest.mark.parametrize("reason", REFUSALS)
+def test_every_refusal_has_words_of_its_own(reason: str) -> None:
+    assert announced._short(reason) in announced.REASONS.values(), reason
+
+
+def test_the_refusals_of_the_test_are_those_of_the_code() -> None:
+    """The forecaster's two that have no name."""
+    source = inspect.getsource(forecaster)
+    assert all(f'"{words}"' in source for words in REFUSALS if words.startswith(("no belief", "the end may")))
+
+
+def test_a_text_that_does_not_fit_ends_with_a_whole_word() -> None:
+    """Somebody adds a reason and forgets its short form."""
+    announcer = Announcer(0, ())
+    announcer.texts(0.0, report(100.0))
+    why = "the voltage is far enough off to be somebody else's battery"
+    announcer.texts(1.0, report(NAN, Status.REFUSED, "unheard of: " + why, at_s=1.0), True)
+    ((_, text),) = announcer.texts(2.0, report(NAN, Status.REFUSED, "unheard of: " + why, at_s=2.0), True)
+    assert text == "Battery 0: time unknown, unheard of: the voltage"
+
+
+def waiting(why: str, at_s: float, amps: float = 0.5) -> Report:
+    return replace(report(NAN, Status.REFUSED, why, at_s), estimate=replace(report(1.0).estimate, current_A=amps))
+
+
+def flight(announcer: Announcer, *parts: tuple[int, bool, str], airborne_s: float = math.inf) -> list[tuple[int, str]]:
+    """What is said and when [s]; parts: seconds, armed, why there is no number (empty: there is one)."""
+    found, k = [], 0
+    for seconds, is_armed, why in parts:
+        for _ in range(seconds):
+            at_s = float(k)
+            now = waiting(why, at_s) if why else report(400.0, at_s=at_s)
+            found += [(k, text) for _, text in announcer.texts(at_s, now, is_armed, at_s >= airborne_s)]
+            k += 1
+    return found
+
+
+@pytest.mark.parametrize("ground_s", [10, 60])
+def test_a_take_off_is_no_loss_and_a_dead_sensor_is_said_in_the_air(ground_s: int) -> None:
+    ground = ((ground_s, False, forecaster.NOT_FLYING), (30, True, forecaster.NOT_FLYING))
+    assert flight(Announcer(0, ()), *ground, (3, True, forecaster.JUST_TAKEN_OFF), (30, True, "")) == []
+    said = flight(Announcer(0, ()), *ground, (60, True, "no current in this row"))
+    assert said == [(ground_s + 50, "Battery 0: time unknown, no current reading")]
+
+
+def test_a_load_that_never_comes_is_said_where_the_autopilot_says_that_it_flies() -> None:
+    """The current sensor shows nothing from take-off on: for the battery alone that is an aircraft on the ground."""
+    parts = ((30, False, forecaster.NOT_FLYING), (60, True, forecaster.NOT_FLYING))
+    assert flight(Announcer(0, ()), *parts) == []
+    assert flight(Announcer(0, ()), *parts, airborne_s=40) == [(60, "Battery 0: time unknown, no load seen")]
+
+
+def test_every_flight_has_a_warning_of_its_own() -> None:
+    one = ((10, False, forecaster.NOT_FLYING), (60, True, "no current in this row"))
+    assert [k for k, _ in flight(Announcer(0, ()), *one, *one)] == [30, 100]
+
+
+def test_a_healthy_take_off_after_a_minute_on_the_ground_is_quiet() -> None:
+    bench = Bench()
+    rows(bench, 60.0, 0.3, 16.4, armed=False)
+    rows(bench, 5.0, 0.5, 16.4)
+    bench.fly(30.0)
+    assert bench.named()["REM_S"] > 0.0 and texts(bench) == []
 
 
 def report(
@@ -130,8 +230,27 @@ def test_an_alarm_that_repeats_itself_within_the_pause_is_said_behind_it() -> No
 
 def test_a_second_loss_within_the_pause_is_said_behind_it() -> None:
     announcer = Announcer(0, ())
-    heard = [said(announcer, float(k), NAN if k in (2, 3) or k > 5 else 400.0) for k in range(20)]
-    assert [k for k, texts in enumerate(heard) if texts] == [3, 13]
+    heard = [said(announcer, float(k), NAN if k in (2, 3) or k > 5 else 400.0) for k in range(80)]
+    assert [k for k, texts in enumerate(heard) if texts] == [3, 63]
+
+
+def test_a_second_loss_for_another_reason_waits_ten_seconds_only() -> None:
+    announcer = Announcer(0, ())
+    heard = []
+    for k in range(20):
+        status, why = (Status.REFUSED, "two senders") if k > 5 else (Status.STALE, "no telemetry for 4 s")
+        is_lost = k in (2, 3) or k > 5
+        told = report(NAN if is_lost else 400.0, status if is_lost else Status.OK, why, float(k))
+        heard.append(announcer.texts(float(k), told, True))
+    assert [k for k, texts in enumerate(heard) if texts] == [2, 12]
+
+
+def test_a_number_that_comes_and_goes_is_said_once_a_minute() -> None:
+    """A row every six seconds: known for three of them and stale for three."""
+    announcer = Announcer(0, ())
+    heard = [announcer.texts(float(k), report(400.0, at_s=6.0 * (k // 6)), True) for k in range(600)]
+    times_s = [k for k, texts in enumerate(heard) if texts]
+    assert len(times_s) == 10 and min(b - a for a, b in itertools.pairwise(times_s)) >= 60
 
 
 def test_a_new_warning_is_said_once_an_occurrence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,10 @@
 """Announcements of a battery (STATUSTEXT, and on the page): alarms, a number that is lost, new warnings.
 
 - The time left at worst falls through a threshold: once, and again only after it had risen 20 % above it.
-- A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and so is the end of
-  a flight: the vehicle is disarmed and nothing tells the load to come.
-- No number comes although the vehicle is armed: once.
+- A number that was there is lost, whatever its status was: with the reason. Coming back is quiet, and one that comes
+  and goes is said once a minute. So is the end of a flight quiet: nothing tells the load to come.
+- No number comes although the vehicle is armed: once a flight. Waiting for the load is none of it, armed or not, unless
+  the autopilot says that the vehicle is in the air.
 - A warning of WARNINGS stands on the estimate: once, and again only after it had been gone for a minute.
 
 A text never waits for another: the pause holds only between two texts about the same thing, and what is still so when
@@ -15,11 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from uavbatt.live.headline import GIVES_NOTHING
 from uavbatt.live.report import Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
+from uavbatt.prediction.forecaster import JUST_TAKEN_OFF, NOT_FLYING
 from uavbatt.records import Status
 
 ALARM_PAUSE_S = 10.0
+SAME_LOSS_PAUSE_S = 60.0  # for the same reason: slow or broken telemetry loses a number ten times a minute
 REARM = 1.2
 CRITICAL_BELOW_S = 90.0
 LOST_AFTER_S = 1.0  # one bad row is no loss
@@ -29,6 +33,9 @@ WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
 # Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
 WARNINGS: dict[str, str] = {
     "turn back now": "turn back now",
+    "the measured voltage falls to the cut-off": "voltage nears its cut-off: land",
+    "nobody states the cells": "cells not stated: another count fits",
+    GIVES_NOTHING: "gives nothing, another has the load",
     "the vehicle states": "cells of the vehicle not used",
     " V a cell, expected": "count of cells does not fit the pack",
     "were drawn since: another count": "count of cells does not fit the pack",
@@ -52,9 +59,11 @@ WARNINGS: dict[str, str] = {
     "the current fell to nothing": "current fell to nothing: sensor?",
 }
 
-CRITICAL = ("turn back now",)
+CRITICAL = ("turn back now", "the measured voltage falls to the cut-off")
 
-# Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ": at most 23 characters.
+LONGEST_REASON = 23
+
+# Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ".
 REASONS: dict[str, str] = {
     "no telemetry": "no telemetry",
     "no current": "no current reading",
@@ -63,7 +72,9 @@ REASONS: dict[str, str] = {
     "still settling": "charge is uncertain",
     "waiting for take-off": "no load seen",
     "not flying": "no load seen",
-    "the end lies beyond": "load is no flight's",
+    "the load has just come": "the load has just come",
+    "beyond six hours": "load is no flight's",
+    "state of charge not known": "charge is unknown",
     "no belief": "no estimate yet",
     "two senders": "two senders disagree",
     "in uavbatt itself": "a fault of uavbatt",
@@ -80,6 +91,8 @@ REASONS: dict[str, str] = {
     "the voltage has not moved": "voltage is stuck",
     "the current has not moved": "current is stuck",
     "the current fell to nothing": "current fell to nothing",
+    "the voltage is far off": "voltage does not fit",
+    "have not fitted this battery": "voltage does not fit",
     "no end in sight": "charge and load differ",
 }
 
@@ -95,13 +108,26 @@ class Announcer:
         self._was_known = self._is_without_said = False
         self._lost_s = math.nan
 
-    def texts(self, now_s: float, report: Report, is_armed: bool | None = None) -> list[tuple[int, str]]:
-        """(severity, text) of all that is to be said now; `now_s` on the monotonic clock [s]."""
+    def texts(
+        self, now_s: float, report: Report, is_armed: bool | None = None, is_airborne: bool = False
+    ) -> list[tuple[int, str]]:
+        """(severity, text) of all that is to be said now; `now_s` on the monotonic clock [s].
+
+        is_airborne : the autopilot says that the vehicle is in the air, by whatever but the battery.
+        """
         shown = report.at(now_s)
-        said = [*self._alarm(now_s, shown), *self._loss(now_s, shown, is_armed)]
+        said = self._alarm(now_s, shown)
+        if is_armed is False:  # the next flight has a warning of its own
+            self._is_without_said, self._lost_s = False, self._lost_s if self._was_known else math.nan
+        if math.isfinite(shown.remaining_s):
+            self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
+        elif shown.status is not Status.STALE and _waits_for_load(report, is_airborne and not self._was_known):
+            self._lost_s = math.nan
+        else:
+            said += self._loss(now_s, shown, is_armed)
         if shown.status is not Status.STALE:
             said += self._new_warnings(now_s, report.estimate.warnings)
-        return [(severity, f"Battery {self._instance}: {text}"[:LONGEST_TEXT]) for severity, text in said]
+        return [(severity, _fitting(f"Battery {self._instance}: {text}", LONGEST_TEXT)) for severity, text in said]
 
     def _alarm(self, now_s: float, shown: Display) -> list[tuple[int, str]]:
         left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
@@ -118,26 +144,29 @@ class Announcer:
         return [(severity, f"{_minutes(left_s)} left at worst")]
 
     def _loss(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
-        if math.isfinite(shown.remaining_s):
-            self._was_known, self._is_without_said, self._lost_s = True, True, math.nan
-            return []
         if math.isnan(self._lost_s):
             self._lost_s = now_s
         if not self._was_known:
             return self._never_known(now_s, shown, is_armed)
         is_stale = shown.status is Status.STALE  # that took its time already
-        if not (is_stale or now_s - self._lost_s >= LOST_AFTER_S) or not self._may(now_s, "loss"):
+        if not (is_stale or now_s - self._lost_s >= LOST_AFTER_S):
+            return []
+        if is_armed is False and not is_stale:
+            self._was_known = False
+            return []
+        subject = f"loss, {_short(shown.reason)}"
+        if not (self._may(now_s, "loss") and self._may(now_s, subject, SAME_LOSS_PAUSE_S)):
             return []
         self._was_known = False
-        if is_armed is False and not is_stale:
-            return []
-        self._spoke_s["loss"] = now_s
+        self._spoke_s["loss"] = self._spoke_s[subject] = now_s
         return [(SEVERITY_WARNING if is_armed else SEVERITY_NOTICE, f"time unknown, {_short(shown.reason)}")]
 
     def _never_known(self, now_s: float, shown: Display, is_armed: bool | None) -> list[tuple[int, str]]:
         """In the air without a number from the start: said once."""
-        is_due = is_armed is True and not self._is_without_said and now_s - self._lost_s >= WITHOUT_AFTER_S
-        if not is_due or shown.status is not Status.REFUSED:
+        if is_armed is not True:
+            self._lost_s = math.nan
+            return []
+        if self._is_without_said or now_s - self._lost_s < WITHOUT_AFTER_S or shown.status is not Status.REFUSED:
             return []
         self._is_without_said = True
         return [(SEVERITY_WARNING, f"time unknown, {_short(shown.reason)}")]
@@ -152,12 +181,29 @@ class Announcer:
             self._warned_s[words] = now_s
         return made
 
-    def _may(self, now_s: float, subject: str) -> bool:
-        return now_s - self._spoke_s.get(subject, -math.inf) >= ALARM_PAUSE_S
+    def _may(self, now_s: float, subject: str, pause_s: float = ALARM_PAUSE_S) -> bool:
+        return now_s - self._spoke_s.get(subject, -math.inf) >= pause_s
+
+
+def _waits_for_load(report: Report, is_airborne: bool) -> bool:
+    """Return True while there is no number because no load has come yet; in the air a missing load is a loss.
+
+    That another battery has the load is a warning of its own.
+    """
+    reason = report.remaining.reason
+    return reason == JUST_TAKEN_OFF or GIVES_NOTHING in reason or (reason == NOT_FLYING and not is_airborne)
 
 
 def _short(reason: str) -> str:
-    return next((short for words, short in REASONS.items() if words in reason), reason)
+    return next((short for words, short in REASONS.items() if words in reason), _fitting(reason, LONGEST_REASON))
+
+
+def _fitting(text: str, longest: int) -> str:
+    """Return so many of the words as fit; a single one that is longer is cut."""
+    if len(text) <= longest:
+        return text
+    whole = text[: longest + 1].rpartition(" ")[0].rstrip(" ,:;")
+    return whole or text[:longest]
 
 
 def _minutes(left_s: float) -> str:

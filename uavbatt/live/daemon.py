@@ -18,12 +18,13 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.live import state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
+from uavbatt.live.headline import Headline
 from uavbatt.live.listener import HeardFrame, Listener
 from uavbatt.live.log import tell
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
-from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board
-from uavbatt.live.sender import Sender, in_order
+from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board, Report
+from uavbatt.live.sender import Sender
 from uavbatt.live.systemd import notify
 from uavbatt.mavlink import fields
 from uavbatt.mavlink.endpoint import Link
@@ -77,6 +78,7 @@ class Daemon:
         self._changes = 0  # of the vehicle that is followed
         self._recorder = Recorder(config.record) if config.record.folder else None
         self._sender = Sender(config, link, stations, key)
+        self._headline = Headline()
         self._status_s = self._state_s = self._watch_s = float("-inf")
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
@@ -98,8 +100,9 @@ class Daemon:
             self._take(frame, now_s)
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
-        self._sender.send(now_s, in_order(self.batteries.reports), self._reader)
-        self._housekeeping(now_s)
+        reports = self._headline.in_order(self.batteries.reports, now_s)
+        self._sender.send(now_s, reports, self._reader)
+        self._housekeeping(now_s, reports)
         return len(pieces)
 
     def close(self) -> None:
@@ -136,6 +139,7 @@ class Daemon:
             self.board.trend.forget()
         self.batteries.begin_vehicle()
         self._sender.begin_again()
+        self._headline = Headline()
         if self._recorder is not None and self._reader.followed is not None:
             self._recorder.begin_anew(self._reader.followed.words)
 
@@ -161,15 +165,15 @@ class Daemon:
         if self._recorder is not None:
             self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
 
-    def _housekeeping(self, now_s: float) -> None:
+    def _housekeeping(self, now_s: float, reports: Sequence[Report]) -> None:
         """Publish, flush, save, and tell the service manager."""
-        notes = [*self._link_notes(), *self.batteries.notes(now_s), *self._listener.notes()]
+        notes = [*self._link_notes(), *self.batteries.notes(now_s), *self._headline.notes, *self._listener.notes()]
         if self._recorder is not None and self._recorder.problem:
             notes.append(self._recorder.problem)
-        reports, trend = tuple(in_order(self.batteries.reports)), self.board.trend
+        trend = self.board.trend
         trend.look(now_s, reports)
         counts = {**self._listener.counts, **self._counts}
-        self.board = Board(reports, tuple(notes), counts, trend, self._link.problem, tuple(self._sender.said))
+        self.board = Board(tuple(reports), tuple(notes), counts, trend, self._link.problem, tuple(self._sender.said))
         if self._recorder is not None:
             self._recorder.flush(now_s)
         if now_s >= self._state_s:
@@ -180,7 +184,7 @@ class Daemon:
             notify("WATCHDOG=1")
         if now_s >= self._status_s:
             self._status_s = now_s + STATUS_PERIOD_S
-            notify(f"STATUS={self._words(now_s)}")
+            notify(f"STATUS={self._words(now_s, reports)}")
 
     def _link_notes(self) -> list[str]:
         """Links that are not open; each change is said once in the log, coming back as well."""
@@ -192,11 +196,11 @@ class Daemon:
         self._problems = problems
         return [*filter(None, problems.values())]
 
-    def _words(self, now_s: float) -> str:
+    def _words(self, now_s: float, reports: Sequence[Report]) -> str:
         """Return one line for `systemctl status`."""
-        if not self.batteries.reports:
+        if not reports:
             return self._link.problem or NOTHING_YET
-        shown = in_order(self.batteries.reports)[0].at(now_s)
+        shown = reports[0].at(now_s)
         if shown.remaining_s == shown.remaining_s:
             return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
-        return shown.reason if in_order(self.batteries.reports)[0].is_waiting else f"{shown.status}: {shown.reason}"
+        return shown.reason if reports[0].is_waiting else f"{shown.status}: {shown.reason}"

@@ -4,7 +4,7 @@ Alarms are sent by `announced`.
 
 Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery, where a route or home is known TURN_S [s] and
 HOME_SOC [0..1], seconds until the turn-back and charge after turning now; `_N` behind it for battery N. What is not
-known is NaN, never 0.
+known is NaN, never 0. Who is first may change in flight (`headline`): names that fall away then are NaN once.
 """
 
 from __future__ import annotations
@@ -22,23 +22,26 @@ class NamedFeed:
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
         self._next_s = -math.inf
+        self._names: dict[str, None] = {}  # that were sent last, in order
 
     def frames(self, now_s: float, reports: Sequence[Report], out: Outgoing) -> list[bytes]:
         """The frames that are due."""
         if now_s < self._next_s:
             return []
         self._next_s = now_s + self._period_s
-        made = []
+        values: dict[str, float] = {}
         for place, report in enumerate(reports):
             shown = report.at(now_s)
             tail = "" if place == 0 else f"_{report.instance}"
-            values = {
-                "REM_S": shown.remaining_s,
-                "REM_LO_S": shown.remaining_lo_s,
-                "REM_HI_S": shown.remaining_hi_s,
-                "SOC": shown.soc,
+            values |= {
+                f"REM_S{tail}": shown.remaining_s,
+                f"REM_LO_S{tail}": shown.remaining_lo_s,
+                f"REM_HI_S{tail}": shown.remaining_hi_s,
+                f"SOC{tail}": shown.soc,
             }
             if (route := report.route_at(now_s)) is not None:
-                values |= {"TURN_S": route.turn_back_s, "HOME_SOC": route.home_soc}
-            made += [out.named_value(name + tail, value, int(now_s * 1000)) for name, value in values.items()]
-        return made
+                values |= {f"TURN_S{tail}": route.turn_back_s, f"HOME_SOC{tail}": route.home_soc}
+        # A ground station keeps what it heard last: a name that nobody fills any more is unknown.
+        gone = dict.fromkeys((name for name in self._names if name not in values), math.nan)
+        self._names = dict.fromkeys(values)
+        return [out.named_value(name, value, int(now_s * 1000)) for name, value in (values | gone).items()]

@@ -7,7 +7,7 @@ Everything else goes to the ground-station endpoints only.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from uavbatt.live.announced import Announcer
 from uavbatt.live.battery_component import BatteryFeed
@@ -56,7 +56,7 @@ class Sender:
             if asks or reads or not isinstance(self._link, ProxyClient):
                 to_autopilot.append(own.heartbeat())
         if reader.is_found:
-            texts = self._announced(now_s, reports, reader.armed)
+            texts = self._announced(now_s, reports, reader)
             if "named" in kinds:
                 to_gcs += self._named.frames(now_s, reports, own)
                 to_gcs += [own.text(*text) for text in texts]
@@ -82,17 +82,18 @@ class Sender:
         self.requests.begin_again()
         self._mission = MissionRequest()
 
-    def _announced(self, now_s: float, reports: Sequence[Report], is_armed: bool | None) -> list[tuple[int, str]]:
+    def _announced(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> list[tuple[int, str]]:
         """Return the announcements that are due now."""
         if now_s < self._look_s:
             return []
         self._look_s = now_s + ANNOUNCE_PERIOD_S
+        is_airborne = reader.navigation.is_aloft(now_s)
         made: list[tuple[int, str]] = []
         for report in reports:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            made += announcer.texts(now_s, report, is_armed)
+            made += announcer.texts(now_s, report, reader.armed, is_airborne)
         self.said.extend((now_s, text) for _, text in made)
         return made
 
@@ -107,8 +108,3 @@ class Sender:
         if (system, component) not in self._outs:
             self._outs[system, component] = Outgoing(system, component, self._key)
         return self._outs[system, component]
-
-
-def in_order(reports: Mapping[int, Report]) -> list[Report]:
-    """The batteries, those with a current first: the first one speaks for the vehicle."""
-    return sorted(reports.values(), key=lambda r: (r.estimate.current_A != r.estimate.current_A, r.instance))

@@ -23,7 +23,7 @@ _TYPE_GCS = 6
 _MODE_FLAG_ARMED = 128
 _PACK_SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest behind it
 # MAV_PARAM_TYPE -> struct code: PX4 copies the integer's bytes into the float field.
-_INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
+INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +141,16 @@ def battery2(msg: Any) -> BatteryFields:
 def parameter(msg: Any, is_px4: bool) -> tuple[str, float]:
     """Name and value of PARAM_VALUE (22); PX4 sends integers as bit patterns, ArduPilot by value."""
     name = msg.param_id if isinstance(msg.param_id, str) else bytes(msg.param_id).decode("latin-1")
-    code = _INTEGER_CODES.get(msg.param_type) if is_px4 else None
+    code = INTEGER_CODES.get(msg.param_type) if is_px4 else None
     if code is None:
         return name.split("\0")[0], float(msg.param_value)
     raw = struct.pack("<f", msg.param_value)[: struct.calcsize(code)]
     return name.split("\0")[0], float(struct.unpack(code, raw)[0])
+
+
+def is_integer(msg: Any) -> bool:
+    """True if a PARAM_VALUE holds an integer, which PX4 and ArduPilot send in different ways."""
+    return msg.param_type in INTEGER_CODES
 
 
 def is_armed(heartbeat: Any) -> bool:

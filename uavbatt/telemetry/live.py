@@ -110,7 +110,7 @@ class LiveReader:
     @property
     def is_px4(self) -> bool:
         """Return True if the followed autopilot is PX4."""
-        return self.followed is not None and self.followed.is_px4
+        return self.followed is not None and self.followed.is_px4 is True
 
     @property
     def navigation(self) -> Navigation:
@@ -179,6 +179,7 @@ class LiveReader:
             return found
         for number, words in vehicle.senders.conflicts(self._now_s):
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
+        found += vehicle.voltages.notes
         for name, value in self.doubted.items():
             change = f"{name} changed in flight from {self.parameters[name]:g} to {value:g}"
             found.append(f"{change}: counts when it is heard again")

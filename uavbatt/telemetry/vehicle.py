@@ -6,8 +6,10 @@
     route and place: `NavigationListener`
 
 SYS_STATUS speaks for battery 0 (BATTERY2 for 1) only where no BATTERY_STATUS does: such rows are held for
-FALLBACK_AFTER_S and then released. The first row of a battery waits for its second: one damaged frame of 65 536 has a
-good checksum, and shall not make a battery that nobody has.
+FALLBACK_AFTER_S and then released; where battery 0 is the only one they count again when they have come for so long
+without its BATTERY_STATUS. The first row of a battery waits for its second: one damaged frame of 65 536 has a good
+checksum, and shall not make a battery that nobody has. PARAM_VALUE of an integer waits for the first heartbeat: PX4
+sends its bits, ArduPilot its value.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import Any, NamedTuple
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.pack_voltage import PackVoltages
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
@@ -32,6 +35,8 @@ from uavbatt.telemetry.route.settings import NAMES
 from uavbatt.telemetry.senders import Senders
 
 FALLBACK_AFTER_S = 5.0
+ALONE_AFTER_S = 5.05  # no multiple of a usual period: the replay sums the same steps in another order
+LONGEST_ALONE_S = 2.0  # that one SYS_STATUS stands for: in a gap of the link nothing speaks
 CONFIRMED_WITHIN_S = 60.0
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
@@ -63,9 +68,11 @@ class Vehicle:
         self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
         self.senders = Senders()
         self.parameters = HeardParameters()
+        self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
         self.battery_ids: set[int] = set()
-        self.is_px4 = False
+        self.is_px4: bool | None = None  # until the first heartbeat
+        self._unread: list[tuple[Any, bytes]] = []  # integers that were heard before it
         self.hardware = ""  # serial number of the autopilot
         self.packs: dict[int, fields.PackIdentity] = {}  # who the packs are by their own words
         self.speaks = False  # whether it has spoken of a battery twice
@@ -74,6 +81,8 @@ class Vehicle:
         self._held: list[LiveRow] = []
         self._unconfirmed: dict[int, LiveRow] = {}
         self._first_s: float | None = None
+        self._sys_status_s = -math.inf
+        self._alone_s = 0.0  # for which SYS_STATUS has come without a row of BATTERY_STATUS of battery 0
         self._spoke_s = -math.inf
 
     @property
@@ -137,6 +146,9 @@ class Vehicle:
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
             self.route.take(time_s, message_id, message)
             self.words[b"heartbeat"] = frame
+            unread, self._unread = self._unread, []
+            for said, of_frame in unread:
+                self._hear(said, of_frame)
             return self._released(time_s)
         if message_id == fields.PARAM_VALUE:
             self._hear(message, frame)
@@ -149,7 +161,8 @@ class Vehicle:
             return []
         assert battery is not None
         if message_id == fields.BATTERY_STATUS:
-            row = self._row(time_s, battery)
+            row = self._row(time_s, self._with_all_cells(battery, time_s))
+            self._alone_s = 0.0 if row is not None and row.instance == 0 else self._alone_s
             return [] if row is None else self._confirmed(row)
         return self._fallback(message_id, battery, time_s)
 
@@ -162,7 +175,10 @@ class Vehicle:
             self.words[b"home"] = frame
 
     def _hear(self, message: Any, frame: bytes) -> None:
-        name, value = fields.parameter(message, self.is_px4)
+        if self.is_px4 is None and fields.is_integer(message):
+            self._unread = [*self._unread[-MOST_PARAMETERS:], (message, frame)]
+            return
+        name, value = fields.parameter(message, self.is_px4 is True)
         if name not in self.parameters.known and len(self.parameters.known) >= MOST_PARAMETERS:
             return
         value = value if math.isfinite(value) else math.nan
@@ -181,12 +197,21 @@ class Vehicle:
             self._unconfirmed[row.instance] = row
             return []
         self.battery_ids.add(row.instance)
+        is_completed = first.sample.cell_voltages_V and not row.sample.cell_voltages_V
         self._held = [held for held in self._held if held.instance not in self.battery_ids and held.instance != 0]
-        return [first, row]
+        return [row] if is_completed else [first, row]  # the first one's sum lacks the same cells
 
     def _fallback(self, message_id: int, battery: fields.BatteryFields, time_s: float) -> list[LiveRow]:
         """A row of SYS_STATUS or BATTERY2, once it is clear that no BATTERY_STATUS speaks for it."""
-        if self.battery_ids if message_id == fields.SYS_STATUS else 1 in self.battery_ids:
+        is_sys_status = message_id == fields.SYS_STATUS
+        if is_sys_status:
+            self.voltages.hear(battery.voltage_V, time_s)
+            self._alone_s += min(time_s - self._sys_status_s, LONGEST_ALONE_S)
+            self._sys_status_s = time_s
+        if is_sys_status and self.battery_ids == {0} and self._alone_s > ALONE_AFTER_S:
+            row = self._row(time_s, battery)
+            return [] if row is None else [row]
+        if self.battery_ids if is_sys_status else 1 in self.battery_ids:
             return []
         if self._first_s is None:
             self._first_s = time_s
@@ -200,6 +225,11 @@ class Vehicle:
             return []
         released, self._held = self._held, []
         return released
+
+    def _with_all_cells(self, battery: fields.BatteryFields, time_s: float) -> fields.BatteryFields:
+        # ArduPilot tells its first battery in SYS_STATUS, PX4 the one that it thinks worst of.
+        is_of_sys_status = battery.id == 0 and not (self.is_px4 and self.battery_ids - {0})
+        return self.voltages.of(battery, time_s, self._log.armed, is_of_sys_status)
 
     def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:
         """The row, cleaned by the rules of the log readers; None when they drop it."""

@@ -2,8 +2,8 @@
 
 A tlog may hold several vehicles, gimbals, other ground stations and batteries that are components
 of their own; only the chosen autopilot speaks of the battery here. BATTERY_STATUS names batteries by id;
-SYS_STATUS counts only where that vehicle sent no BATTERY_STATUS at all, BATTERY2 (old) where none
-had the id 1.
+SYS_STATUS counts only where that vehicle sent no BATTERY_STATUS at all, or none for 5 s and of battery 0
+alone; BATTERY2 (old) where none had the id 1.
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest
 from uavbatt.telemetry.formats import tlog_payloads
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.recording import forecast_period_s, is_recording
+from uavbatt.telemetry.formats.tlog_cells import Heard, Row, with_all_cells
 from uavbatt.telemetry.formats.tlog_frames import FrameTable, frames
+from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
 from uavbatt.telemetry.formats.tlog_route import LAYOUTS, TlogClock, navigation
 from uavbatt.telemetry.identity import utc_s, version
 from uavbatt.telemetry.parameters import HeardParameters
+from uavbatt.telemetry.vehicle import ALONE_AFTER_S, LONGEST_ALONE_S
 
 _BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 _AUTOPILOT_COMPONENT = 1
@@ -129,16 +132,21 @@ def _beats(own: FrameTable) -> _Beats:
 def _add_parameters(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -> None:
     """The statements about parameters that count, as they count in flight: see `HeardParameters`."""
     place, heard = own.places(fields.PARAM_VALUE), HeardParameters()
-    # until a heartbeat says so it is no PX4, and not armed: nothing is read ahead
-    last = latest_before(place, beats.place).tolist()
-    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
-    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
     statements = own.at(place)
     payloads = statements.payloads(tlog_payloads.PARAM_VALUE.itemsize)
-    said = zip(tlog_payloads.parameters(payloads, is_px4), statements.sequence.tolist(), is_armed, strict=True)
-    for at_s, ((name, value), sequence, armed) in zip(time_s[place].tolist(), said, strict=True):
-        if heard.counts(name, finite_or_nan(value), sequence, armed):
-            log.add_parameter(at_s, name, value)
+    # Until a heartbeat says so it is no PX4, and not armed. An integer waits for the first one, as in flight.
+    if len(beats.place):
+        waits = (place < beats.place[0]) & tlog_payloads.are_integers(payloads)
+        place = np.where(waits, beats.place[0], place)
+    last = latest_before(place + 1, beats.place).tolist()
+    is_px4 = [k >= 0 and bool(beats.is_px4[k]) for k in last]
+    is_armed = [k >= 0 and bool(beats.armed[k]) for k in last]
+    said = [*tlog_payloads.parameters(payloads, is_px4)]
+    at_s, sequences = time_s[place].tolist(), statements.sequence.tolist()
+    for k in np.argsort(place, kind="stable").tolist():
+        name, value = said[k]
+        if heard.counts(name, finite_or_nan(value), sequences[k], is_armed[k]):
+            log.add_parameter(at_s[k], name, value)
 
 
 def _add_packs(own: FrameTable, log: LogBuilder) -> None:
@@ -154,14 +162,18 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
     """The rows of every battery message that counts, in order."""
     places, parts = [], []
     ids: list[int] = []
+    told = np.zeros(0, np.int64)
     for message_id, kind in tlog_payloads.KINDS.items():
         place = own.places(message_id)
         is_told = bool(ids) if message_id == fields.SYS_STATUS else message_id == fields.BATTERY2 and 1 in ids
+        if is_told and ids == [0]:
+            place, is_told = _alone(place, told, time_s), False
         if is_told or not len(place):
             continue
         said = kind.said(own.at(place).payloads(kind.layout.itemsize))
         if message_id == fields.BATTERY_STATUS:
-            ids = distinct(said.instance)
+            said = _completed(own, time_s, beats, place, said)
+            ids, told = distinct(said.instance), place[said.voltage_V > 0.0]
         places.append(place)
         parts.append(said)
     if not parts:
@@ -169,10 +181,37 @@ def _add_rows(own: FrameTable, time_s: Column, beats: _Beats, log: LogBuilder) -
     place = np.concatenate(places)
     order = np.argsort(place, kind="stable")
     place, said = place[order], tlog_payloads.together(parts).at(order)
-    last = latest_before(place, beats.place)
-    armed = np.append(beats.armed.astype(np.int8), UNKNOWN)[last]  # index -1, no heartbeat yet: the appended one
+    armed = _armed(beats, latest_before(place, beats.place))
     rows = Columns(
         time_s[place], said.voltage_V, said.current_A, said.temp_C, said.consumed_Ah, said.reported_soc,
-        armed.astype(np.int8), said.cells_V,
+        armed, said.cells_V,
     )  # fmt: skip
     add_rows(log, said.instance, rows)
+
+
+def _completed(
+    own: FrameTable, time_s: Column, beats: _Beats, place: NDArray[np.int64], said: BatteryMessages
+) -> BatteryMessages:
+    """Return what BATTERY_STATUS says, with the cells that are missing from its sums."""
+    heard, last = own.places(fields.SYS_STATUS), latest_before(place, beats.place)
+    if said.cells_V is None:
+        return said
+    kind = tlog_payloads.KINDS[fields.SYS_STATUS]
+    volts = kind.said(own.at(heard).payloads(kind.layout.itemsize)).voltage_V
+    row = Row(place, time_s[place], _armed(beats, last), np.append(beats.is_px4, False)[last])
+    return with_all_cells(said, row, Heard(heard, volts), time_s[heard])
+
+
+def _armed(beats: _Beats, last: NDArray[np.int64]) -> NDArray[np.int8]:
+    """Return whether the vehicle was armed by these heartbeats; UNKNOWN where there was none yet (index -1)."""
+    return np.append(beats.armed.astype(np.int8), UNKNOWN)[last].astype(np.int8)
+
+
+def _alone(place: NDArray[np.int64], told: NDArray[np.int64], time_s: Column) -> NDArray[np.int64]:
+    """Return the messages that come when the others have not told of the battery for a while, as in flight."""
+    steps_s = np.minimum(np.diff(time_s[place], prepend=-math.inf), LONGEST_ALONE_S)
+    alone_s = np.append(np.cumsum(steps_s), 0.0)  # index -1, none before: the appended one
+    last = latest_before(place, told)
+    since_s = alone_s[latest_before(told, place)[last]] if len(told) else alone_s[:-1]
+    is_alone: Mask = (last >= 0) & (alone_s[:-1] - since_s > ALONE_AFTER_S)
+    return place[is_alone]

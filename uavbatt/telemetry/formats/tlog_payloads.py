@@ -94,6 +94,11 @@ def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, f
         yield fields.parameter(_Parameter(text, value, kind), px4)
 
 
+def are_integers(payloads: Bytes) -> Mask:
+    """Say of every PARAM_VALUE whether it holds an integer."""
+    return np.isin(payloads.view(PARAM_VALUE)["type"][:, 0], list(fields.INTEGER_CODES))
+
+
 def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
     """Messages of several kinds one behind the other."""
     width = max(0 if p.cells_V is None else p.cells_V.shape[1] for p in parts)

@@ -1,0 +1,113 @@
+"""Several batteries: which of them speaks for the vehicle, and that one which gives nothing is said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from daemon_bench import Bench
+
+from uavbatt.live.announced import Announcer
+from uavbatt.live.headline import Headline
+from uavbatt.live.named import NamedFeed
+from uavbatt.live.report import Report
+from uavbatt.live.web import content
+from uavbatt.mavlink.outgoing import Outgoing
+from uavbatt.prediction.forecaster import NOT_FLYING
+from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
+from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+
+def report(instance: int, left_s: float, amps: float = 12.0, at_s: float = 0.0, flying_s: float = 0.0) -> Report:
+    estimate = Estimate(at_s, 0.5, 0.01, 15.0, amps, 25.0, 180.0, 0.0, 1.0, Status.OK, "")
+    remaining = Remaining(at_s, left_s, left_s, left_s, NAN, Status.OK, "", left_s)
+    return Report(instance, 1, 1, estimate, remaining, at_s, flying_since_s=flying_s)
+
+
+def numbers(headline: Headline, now_s: float, *reports: Report) -> list[int]:
+    return [r.instance for r in headline.in_order({r.instance: r for r in reports}, now_s)]
+
+
+def test_fresh_goes_before_stale_and_the_least_time_first() -> None:
+    assert numbers(Headline(), 5.0, report(0, 400.0), report(1, 500.0, at_s=4.0)) == [1, 0]
+    assert numbers(Headline(), 0.0, report(0, 400.0), report(1, 300.0)) == [1, 0]
+    assert numbers(Headline(), 0.0, report(0, NAN), report(1, 300.0)) == [1, 0]
+    assert numbers(Headline(), 0.0, report(0, 100.0, NAN), report(1, 300.0)) == [1, 0]
+
+
+def test_on_the_ground_the_number_decides() -> None:
+    assert numbers(Headline(), 0.0, report(1, NAN, 0.5, flying_s=NAN), report(0, NAN, 0.0, flying_s=NAN)) == [0, 1]
+
+
+def test_the_first_keeps_its_place_among_equals() -> None:
+    """Two packs in parallel end together: the names of the values do not change with every forecast."""
+    headline = Headline()
+    assert numbers(headline, 0.0, report(0, 400.0), report(1, 405.0)) == [0, 1]
+    assert numbers(headline, 1.0, report(0, 400.0), report(1, 380.0)) == [0, 1]
+    assert numbers(headline, 1.5, report(0, NAN), report(1, 380.0)) == [0, 1]  # a row without a number
+    assert numbers(headline, 1.6, report(0, 400.0), report(1, 380.0)) == [0, 1]
+    assert numbers(headline, 2.0, report(0, 400.0), report(1, 300.0)) == [0, 1]
+    assert numbers(headline, 3.0, report(0, 400.0), report(1, 300.0)) == [1, 0]
+    assert numbers(headline, 3.0, report(0, 290.0), report(1, 300.0)) == [1, 0]
+    both_stale = (report(0, 290.0), report(1, 300.0))
+    assert numbers(headline, 9.0, *both_stale) == [1, 0]
+
+
+def test_a_battery_that_gives_nothing_does_not_wait_for_take_off() -> None:
+    """In flight, at rest for so long that the forecaster thinks it on the ground."""
+    headline, announcer, heard = Headline(), Announcer(0, ()), []
+    for k in range(40):
+        one, other = report(0, 400.0, 0.0, float(k), NAN), report(1, 300.0, at_s=float(k))
+        resting = replace(other.remaining, remaining_s=NAN, status=Status.REFUSED, reason=NOT_FLYING)
+        found = headline.in_order({0: replace(one, remaining=resting), 1: other}, float(k))
+        heard += [text for _, text in announcer.texts(float(k), found[-1], True, is_airborne=True)] if k > 3 else []
+    assert not found[-1].is_waiting and "battery 1 carries the flight" in found[-1].at(39.0).reason
+    assert heard == ["Battery 0: gives nothing, another has the load"]
+
+
+def two(bench: Bench, seconds: float, amps: tuple[float, float], drawn_Ah: float = 0.0) -> None:
+    """Two packs in parallel, each with its own monitor; one that gives nothing rests."""
+    for k in range(int(5 * seconds)):
+        if k % 5 == 0:
+            bench.send(heartbeat(True))
+        drawn_Ah += 12.0 / 5.0 / 3600.0
+        for instance, current_A in enumerate(amps):
+            volts = 16.0 - 0.5 * drawn_Ah + (0.0 if current_A else 0.5) + 0.002 * (k % 3)
+            bench.send(battery_status(Sample(0.0, volts, current_A, 25.0, drawn_Ah, armed=True), instance))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+
+
+def test_a_battery_that_drops_out_is_no_headline_and_is_said_once() -> None:
+    bench = Bench()
+    two(bench, 30.0, (12.0, 12.0))
+    assert bench.daemon.board.reports[0].instance == 0 and not bench.daemon.board.notes
+    two(bench, 40.0, (0.0, 24.0), 0.1)
+    now = content(bench.daemon.board, bench.now_s)
+    assert [line["instance"] for line in now["batteries"]] == [1, 0]
+    assert "battery 0 gives nothing: battery 1 carries the flight" in now["notes"]
+    said = [m.text for m in bench.to_gcs() if m.get_type() == "STATUSTEXT"]
+    assert said.count("Battery 0: gives nothing, another has the load") == 1
+    assert bench.named()["REM_S"] == bench.named()["REM_S"] and "REM_S_0" in bench.named()
+    two(bench, 5.0, (12.0, 12.0), 0.2)
+    assert not [note for note in bench.daemon.board.notes if "gives nothing" in note]
+
+
+def test_an_id_that_changes_in_flight_takes_the_headline() -> None:
+    bench = Bench()
+    bench.fly(30.0)
+    for k in range(50):
+        drawn_Ah = 0.1 + k / 1500.0
+        bench.send(battery_status(Sample(0.0, 15.9 - 0.5 * drawn_Ah, 12.0, 25.0, drawn_Ah, armed=True), 1))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+    first = bench.daemon.board.reports[0]
+    assert first.instance == 1 and first.at(bench.now_s).status is not Status.STALE
+
+
+def test_a_name_that_falls_away_is_unknown_once() -> None:
+    feed, out = NamedFeed(1.0), Outgoing(1, 193)
+    one, other = report(0, 400.0), report(1, 300.0)
+    sent = [feed.frames(float(k), order, out) for k, order in enumerate(([one, other], [other, one], [other, one]))]
+    assert [len(frames) for frames in sent] == [8, 12, 8]
+    assert math.isfinite(replace(one, received_s=2.0).at(2.0).remaining_s)

@@ -1,0 +1,115 @@
+"""Order of the batteries: the first one speaks for the vehicle, on the page, in REM_S and for the service manager.
+
+Fresh before stale; in flight those that carry it before those that give nothing; then the one with the least time
+left, then by number. Two packs in parallel end within seconds of each other, so the first keeps its place until
+another has clearly less.
+
+A battery that gives nothing in flight while another carries it is said: what it holds is of no use to the aircraft.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from uavbatt.live.log import tell
+from uavbatt.live.report import STALE_AFTER_S, Report
+from uavbatt.prediction.forecaster import NOT_FLYING
+
+NOTHING_SHARE = 0.02  # of the current of the battery that gives most; what the electronics draw is more of a small one
+NOTHING_AFTER_S = 3.0  # one row without a current is none
+CHANGES_AFTER_S = 1.0  # one row without a number takes nobody's place
+KEEPS_SHARE, KEEPS_S = 0.9, 10.0  # the first keeps its place while no other has so much less
+GIVES_NOTHING = "gives nothing"  # in the warning of its estimate
+
+
+class Headline:
+    """The order of the batteries as it stands now; it remembers who was first, and since when one gives nothing."""
+
+    def __init__(self) -> None:
+        self._first: int | None = None
+        self._better: tuple[int, float] | None = None  # another that should be first, and since when [s]
+        self._nothing_since_s: dict[int, float] = {}
+        self._told: set[int] = set()
+        self.notes: list[str] = []
+
+    def in_order(self, reports: Mapping[int, Report], now_s: float) -> list[Report]:
+        """Return the batteries, the one that speaks for the vehicle first; `now_s` on the monotonic clock [s]."""
+        carrying = _carrying(reports, now_s)
+        idle = self._idle(reports, carrying, now_s)
+        self.notes = []
+        found = dict(reports)
+        if carrying is not None:
+            words = f"{GIVES_NOTHING}: battery {carrying.instance} carries the flight"
+            self.notes = [f"battery {instance} {words}" for instance in idle]
+            found |= {instance: _warned(reports[instance], words) for instance in idle}
+        self._tell(idle)
+        in_order = sorted(found.values(), key=lambda r: self._rank(r, carrying is not None, r.instance in idle, now_s))
+        self._lead(in_order, now_s)
+        return in_order
+
+    def _lead(self, in_order: list[Report], now_s: float) -> None:
+        """Put the one that was first back in front while another has not been better for long enough."""
+        first = next((report for report in in_order if report.instance == self._first), None)
+        if first is None or first is in_order[0] or first.age_s(now_s) > STALE_AFTER_S:
+            self._first = in_order[0].instance if in_order else None
+            self._better = None
+            return
+        better = in_order[0].instance
+        if self._better is None or self._better[0] != better:
+            self._better = (better, now_s)
+        if now_s - self._better[1] >= CHANGES_AFTER_S:
+            self._first = better
+            return
+        in_order.remove(first)
+        in_order.insert(0, first)
+
+    def _idle(self, reports: Mapping[int, Report], carrying: Report | None, now_s: float) -> list[int]:
+        """Take in which batteries give nothing now; return those that have not for a while."""
+        for instance, report in reports.items():
+            is_stale = report.age_s(now_s) > STALE_AFTER_S
+            if carrying is None or is_stale or not _gives_nothing(report, carrying):
+                self._nothing_since_s.pop(instance, None)
+            else:
+                self._nothing_since_s.setdefault(instance, now_s)
+        return sorted(i for i, since_s in self._nothing_since_s.items() if now_s - since_s >= NOTHING_AFTER_S)
+
+    def _tell(self, idle: Sequence[int]) -> None:
+        """Write it to the log, once for each battery."""
+        for instance, note in zip(idle, self.notes, strict=True):
+            if instance not in self._told:
+                self._told.add(instance)
+                tell(note)
+
+    def _rank(self, report: Report, is_flight: bool, is_idle: bool, now_s: float) -> tuple[bool, bool, float, int]:
+        """Return what puts a battery before another: the least comes first."""
+        is_stale, is_first = report.age_s(now_s) > STALE_AFTER_S, report.instance == self._first
+        is_unknown = math.isnan(report.estimate.current_A)
+        if is_stale:
+            return True, is_unknown, -math.inf if is_first else math.inf, report.instance
+        if not is_flight:  # on the ground nothing but the number tells one from another
+            return False, is_unknown, math.inf, report.instance
+        left_s = report.at(now_s).remaining_s
+        left_s = left_s if math.isfinite(left_s) else math.inf
+        if is_first:
+            left_s = min(KEEPS_SHARE * left_s, left_s - KEEPS_S)
+        return False, is_idle or is_unknown, left_s, report.instance
+
+
+def _carrying(reports: Mapping[int, Report], now_s: float) -> Report | None:
+    """Return the fresh battery that gives most of all in flight; None on the ground."""
+    fresh = [r for r in reports.values() if r.age_s(now_s) <= STALE_AFTER_S]
+    flying = [r for r in fresh if math.isfinite(r.flying_since_s) and math.isfinite(r.estimate.current_A)]
+    return max(flying, key=lambda report: report.estimate.current_A, default=None)
+
+
+def _gives_nothing(report: Report, carrying: Report) -> bool:
+    return report.estimate.current_A < NOTHING_SHARE * carrying.estimate.current_A
+
+
+def _warned(report: Report, words: str) -> Report:
+    """Return the report with these words as a warning, and as the reason where it would wait for a take-off."""
+    estimate = replace(report.estimate, warnings=(*report.estimate.warnings, words))
+    reason = words if report.remaining.reason == NOT_FLYING else report.remaining.reason
+    return replace(report, estimate=estimate, remaining=replace(report.remaining, reason=reason))

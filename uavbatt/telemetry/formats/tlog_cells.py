@@ -1,0 +1,82 @@
+"""Cells that are missing from the sum of BATTERY_STATUS in a telemetry log, row by row as in flight: `PackVoltages`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavbatt.mavlink import fields
+from uavbatt.telemetry.columns import UNKNOWN, Column, distinct, latest_before
+from uavbatt.telemetry.formats.chain import Mask
+from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
+from uavbatt.telemetry.pack_voltage import AGREE, HIGHEST_CELL_V, LOWEST_CELL_V, PackVoltages
+
+
+class Heard(NamedTuple):
+    """What is said in a log of some kind: the frames' places among the vehicle's, and a value of each."""
+
+    place: NDArray[np.int64]
+    value: Column
+
+
+class Row(NamedTuple):
+    """What must be known with each BATTERY_STATUS: its place, its time [s], armed or UNKNOWN, and whether it is PX4."""
+
+    place: NDArray[np.int64]
+    time_s: Column
+    armed: NDArray[np.int8]
+    is_px4: Mask
+
+
+def with_all_cells(said: BatteryMessages, row: Row, sys_status: Heard, sys_time_s: Column) -> BatteryMessages:
+    """Return the messages with the pack's voltage; without cells where those told are not all.
+
+    sys_status : the voltages [V] of SYS_STATUS, heard at `sys_time_s` [s].
+    """
+    if said.cells_V is None or _are_sound(said, row, sys_status):
+        return said
+    voltages, others = PackVoltages(), bool(set(distinct(said.instance)) - {0})
+    latest = latest_before(row.place, sys_status.place).tolist()
+    volts, cells_V = said.voltage_V.copy(), said.cells_V.copy()
+    armed, numbers = row.armed.tolist(), said.instance.tolist()
+    seen: dict[int, int] = {}  # rows of each battery
+    for k, (number, heard) in enumerate(zip(numbers, latest, strict=True)):
+        if heard >= 0:
+            voltages.hear(float(sys_status.value[heard]), float(sys_time_s[heard]))
+        told = said.cells_V[k]
+        battery = fields.BatteryFields(
+            number, float(said.voltage_V[k]), cell_voltages_V=tuple(told[np.isfinite(told)].tolist())
+        )
+        is_armed = None if armed[k] == UNKNOWN else bool(armed[k])
+        is_of_sys_status = number == 0 and not (row.is_px4[k] and others)
+        now = voltages.of(battery, float(row.time_s[k]), is_armed, is_of_sys_status)
+        seen[number] = seen.get(number, 0) + 1
+        if now is not battery:
+            volts[k], cells_V[k] = now.voltage_V, np.nan
+            if seen[number] == 2 and np.isfinite(cells_V[:k]).any():
+                _forget_first(said.instance, number, volts)
+    return said._replace(voltage_V=volts, cells_V=cells_V)
+
+
+def _forget_first(instance: NDArray[np.int64], number: int, volts: Column) -> None:
+    """Leave out a first row whose sum lacks the cells that the second was given: SYS_STATUS came between them."""
+    volts[int(np.flatnonzero(instance == number)[0])] = np.nan
+
+
+def _are_sound(said: BatteryMessages, row: Row, sys_status: Heard) -> bool:
+    """Return True if nothing can be missing: then no row needs to be looked at on its own."""
+    assert said.cells_V is not None
+    told = np.isfinite(said.cells_V)
+    counts = np.count_nonzero(told, axis=1)
+    if not np.all((said.cells_V[told] > LOWEST_CELL_V) & (said.cells_V[told] < HIGHEST_CELL_V)):
+        return False
+    for number in distinct(said.instance):
+        if len(distinct(counts[said.instance == number])) > 1:
+            return False
+    last = latest_before(row.place, sys_status.place)
+    is_compared = (said.instance == 0) & (counts > 1) & (last >= 0)
+    sums_V = said.voltage_V[is_compared]
+    difference = (sys_status.value[last[is_compared]] - sums_V) * counts[is_compared] / sums_V
+    return not np.any(np.abs(difference) > 1.0 - AGREE)

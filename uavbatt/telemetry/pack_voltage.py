@@ -1,0 +1,102 @@
+"""Voltage of a pack whose cells are told one by one, when some of them are missing from the sum.
+
+A sense wire that breaks in flight reads nothing, or nonsense, while the pack goes on as before; a sender with room for
+ten cells leaves out the rest. The sum is then too low by whole cells, which looks like a pack near its end. SYS_STATUS
+tells the voltage of the same pack from another sensor: it counts where it is fresh; else each missing cell is taken to
+be like the others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from uavbatt.mavlink.fields import BatteryFields
+
+FRESH_S = 2.0  # of SYS_STATUS
+WHOLE = 0.15  # of a cell: so near to a whole number of them is a difference that missing cells make
+AGREE = 0.3  # of a cell
+REPEATS = 3  # rows: between two messages the load may change by a cell's worth
+MOST_TOLD = 10  # cells in the array that every sender has: the rest may be left out
+LOWEST_CELL_V, HIGHEST_CELL_V = 1.0, 5.0  # outside nothing is a cell's voltage in flight
+ANOTHER_PACK_S = 5.0  # of silence on the ground
+
+
+class Cells(NamedTuple):
+    """The cells of one battery as they were told so far."""
+
+    most: int = 0  # cells that were told at once
+    time_s: float = math.nan
+    agreed: bool = False  # the sum has been what SYS_STATUS says
+    missing: int = 0  # by the difference to SYS_STATUS in the last row; negative: too many
+    repeats: int = 0  # rows with that difference
+
+
+class PackVoltages:
+    """The voltages of the packs of one vehicle; `of` corrects a row, `notes` says what is corrected now."""
+
+    def __init__(self) -> None:
+        self._cells: dict[int, Cells] = {}
+        self._sys_status_V = self._sys_status_s = math.nan
+        self._notes: dict[int, str] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """Return for each battery what is wrong with its cells, and what is done about it."""
+        return [f"battery {number}: {words}" for number, words in sorted(self._notes.items())]
+
+    def hear(self, voltage_V: float, time_s: float) -> None:
+        """Take the voltage [V] of SYS_STATUS."""
+        if voltage_V > 0.0:
+            self._sys_status_V, self._sys_status_s = voltage_V, time_s
+
+    def of(self, battery: BatteryFields, time_s: float, is_armed: bool | None, is_of_sys_status: bool) -> BatteryFields:
+        """Return the row of BATTERY_STATUS with the pack's voltage; without cells where those told are not all.
+
+        is_of_sys_status : SYS_STATUS speaks of the same battery.
+        """
+        before = self._cells.get(battery.id, Cells())
+        if is_armed is False and time_s - before.time_s > ANOTHER_PACK_S:
+            before = Cells()
+        told_V = battery.cell_voltages_V
+        if not told_V and before.most > 1 and battery.voltage_V < HIGHEST_CELL_V:
+            told_V = (battery.voltage_V,)  # the last one that is left is no pack
+        sound_V = [volts for volts in told_V if LOWEST_CELL_V < volts < HIGHEST_CELL_V]
+        if not sound_V:
+            return battery
+        mean_V = sum(sound_V) / len(sound_V)
+        is_fresh = is_of_sys_status and time_s - self._sys_status_s <= FRESH_S
+        pack_V = self._sys_status_V if is_fresh else math.nan
+        now = _after(before, time_s, len(told_V), (pack_V - battery.voltage_V) / mean_V)
+        self._cells[battery.id] = now
+        missing = now.most - len(told_V) or _missing_by_sum(now, has_nonsense=len(sound_V) < len(told_V))
+        if not missing:
+            self._notes.pop(battery.id, None)
+            return battery
+        source = "SYS_STATUS" if is_fresh else "the others"
+        what = f"{missing} of {now.most}" if now.most > len(told_V) else f"{abs(missing)}"
+        words = f"the voltages of {what} cells are missing or wrong"
+        self._notes[battery.id] = f"{words}: the pack's is taken from {source}"
+        every = now.most + (now.missing if _is_cut(now) else 0)
+        return replace(battery, voltage_V=pack_V if is_fresh else mean_V * every, cell_voltages_V=())
+
+
+def _after(before: Cells, time_s: float, told: int, difference: float) -> Cells:
+    """Return what is known after a row of `told` cells, whose sum lacks `difference` cells of SYS_STATUS (or NaN)."""
+    most = max(before.most, told)
+    if math.isnan(difference) or told < most:
+        return before._replace(most=most, time_s=time_s)
+    missing = round(difference) if abs(difference - round(difference)) <= WHOLE else 0
+    repeats = before.repeats + 1 if missing == before.missing else 1
+    return Cells(most, time_s, before.agreed or abs(difference) <= AGREE, missing, repeats)
+
+
+def _is_cut(now: Cells) -> bool:
+    """Return True if the sender had no room for all cells: they have been missing from the start."""
+    return now.most == MOST_TOLD and not now.agreed and now.missing > 0
+
+
+def _missing_by_sum(now: Cells, has_nonsense: bool) -> int:
+    """Return the cells that are missing by the difference to SYS_STATUS: it has come up, or the sender had no room."""
+    return now.missing if _is_cut(now) or (now.agreed and (has_nonsense or now.repeats >= REPEATS)) else 0
