@@ -41,10 +41,9 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     most = most_moments(table[0], state.time_s)
-    beliefs, in_force, times_s, ambients_C, shown, (current_A, block_A, block) = run(
+    beliefs, in_force, times_s, ambients_C, shown, (current_A, block_A, block, air) = run(
         as_numbers(pack),
-        state.ambient_C,
-        state.is_ambient_given,
+        state.air,
         table,
         most,
         state.time_s,
@@ -60,9 +59,8 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
             in_force.tolist(), times_s.tolist(), ambients_C.tolist(), shown.tolist(), strict=True
         )
     ]
-    last, open_block = rows[-1], Block(*block.tolist())
-    end = FilterState(moments[-1], last.time_s, current_A, block_A, open_block, last.ambient_C, state.is_ambient_given)
-    return rows, end
+    open_block = Block(*block.tolist())
+    return rows, FilterState(moments[-1], rows[-1].time_s, current_A, block_A, open_block, noise.Air(*air))
 
 
 @compiled
@@ -156,19 +154,19 @@ def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: A
 
 @compiled
 def close(
-    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, ambient_C: float
-) -> tuple[Array, float, float, float, float, float]:
+    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, air: noise.Air
+) -> tuple[Array, float, float, float, float, noise.Air]:
     """Take a block in, as `recursion._close`: changes every member in place.
 
     Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, the block's mean
-    current, and the ambient temperature after it, where nobody gave one.
+    current, and the air after it.
     """
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
     weight, members = np.exp(log_weight), log_weight.size
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
     for k in range(members):
-        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, ambient_C, dt_s)
+        mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, air.ambient_C, dt_s)
         step_A = mean_A - block_A
         mean, spread, innovation_V[k], variance_V2[k], nis, volts, off_K = update(
             pack, mean, spread, block[3] / block[0], mean_A, mean_C, step_A
@@ -179,8 +177,9 @@ def close(
     for i in range(block.size):
         block[i] = 0.0
     log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
-    later_C = noise.ambient_after(ambient_C, warmer_K, dt_s) if np.isfinite(warmer_K) else ambient_C
-    return log_weight, shown_V, shown_nis, expected_V, mean_A, later_C
+    if np.isfinite(warmer_K):
+        air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)
+    return log_weight, shown_V, shown_nis, expected_V, mean_A, air
 
 
 @compiled
@@ -201,8 +200,7 @@ def look(
 @compiled
 def run(
     pack: Pack,
-    ambient_C: float,
-    is_ambient_given: bool,
+    air: noise.Air,
     rows: Array,
     most: int,
     at_s: float,
@@ -218,7 +216,7 @@ def run(
     most : no more moments than this come of the rows, the given one included.
     Returns the moments (means [m, members, 9], covariances and ln of the weights, the given one first), which of them
     is in force after each row, time of the last row taken in and ambient temperature at each row, what each row shows
-    [n, 4] as `Innovation` has it, and where that ends: currents of the last row and block [A], the open block.
+    [n, 4] as `Innovation` has it, and where that ends: currents of the last row and block [A], the open block, the air.
     """
     n, last = rows.shape[1], 0
     means, covariances = np.empty((most, *x.shape)), np.empty((most, *P.shape))
@@ -228,15 +226,14 @@ def run(
     put_all(means[0], covariances[0], log_weights[0], x, P, log_weight)
     for k in range(n):
         time_s, voltage_V, metered_A, temp_C = rows[0, k], rows[1, k], rows[2, k], rows[3, k]
-        in_force[k], times_s[k], ambients_C[k] = last, at_s, ambient_C
+        in_force[k], times_s[k], ambients_C[k] = last, at_s, air.ambient_C
         dt_s = time_s - at_s
         if not (np.isfinite(voltage_V) and np.isfinite(metered_A)) or dt_s < 0.0:
             continue
         current_A = true_current(pack.installation, metered_A, voltage_V)
         if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
-            log_weight, _, _, _, block_A, later_C = close(pack, x, P, log_weight, block, block_A, ambient_C)
-            ambient_C = ambient_C if is_ambient_given else later_C
-            ambients_C[k] = ambient_C
+            log_weight, _, _, _, block_A, air = close(pack, x, P, log_weight, block, block_A, air)
+            ambients_C[k] = air.ambient_C
         block[0] += 1.0
         block[1] += dt_s
         block[2] += 0.5 * (before_A + current_A) * dt_s
@@ -249,14 +246,13 @@ def run(
         if block[1] < BLOCK_S:
             look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
             continue
-        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, later_C = close(
-            pack, x, P, log_weight, block, block_A, ambient_C
+        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air = close(
+            pack, x, P, log_weight, block, block_A, air
         )
-        ambient_C = ambient_C if is_ambient_given else later_C
-        ambients_C[k] = ambient_C
+        ambients_C[k] = air.ambient_C
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
         last += 1
         put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
         in_force[k] = last
     moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
-    return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block)
+    return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block, air)

@@ -19,6 +19,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X, mixed_covariance
 from uavbatt.estimation.block import Block, is_complete
 from uavbatt.estimation.kalman import Moments, filterpy_condition
+from uavbatt.estimation.noise import Air
 from uavbatt.estimation.recursion import (
     NOTHING,
     FilteredRow,
@@ -87,8 +88,8 @@ class SocFilter:
     def restore(self, belief: Belief, current_A: float = 0.0) -> None:
         """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A` [A]."""
         at = Moments(belief.means, belief.covariances, np.log(belief.weights))
-        is_given = math.isfinite(self._ambient_C)
-        self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), belief.ambient_C, is_given)
+        air = Air(belief.ambient_C, NAN if math.isfinite(self._ambient_C) else 0.0)
+        self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), air)
         self._last = Filtered(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
 
     def step(self, sample: Sample) -> Estimate:

@@ -36,9 +36,12 @@ CAPACITY_WALK_PER_S = 0.01**2 / 600.0
 LONGEST_GAP_S = 60.0
 OVERPOTENTIAL_WALK_V2PS = 0.0005**2
 CORE_WALK_K2PS = 0.02**2
+# Worn packs and missions of the simulators, whose air is their first temperature, reach 0.8 sds, one of 44 1.02; packs
+# that come 10 K warmer into the air reach 1.3 and more.
+AIR_OFF_SDS, AIR_TAU_S = 1.1, 30.0
 # The air moves by so much a second for each kelvin. With a quarter of it packs that come warm into the cold are still
 # given twice the time; with twice as much it swings by 15 K.
-AMBIENT_GAIN_PS, LONGEST_AMBIENT_STEP_S = 0.2, 10.0
+AIR_GAIN_PS, LONGEST_AIR_STEP_S = 0.2, 10.0
 
 VOLTAGE_SD_V = 0.004
 # Of what a reaction takes more than in the block before. The bend of its drop is a third of it; and in the first
@@ -136,14 +139,33 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     return q
 
 
-def ambient_after(ambient_C: float, warmer_K: float, dt_s: float) -> float:
-    """Return the ambient temperature [°C] that is believed after a block of `dt_s` [s], where nobody stated it.
+class Air(NamedTuple):
+    """The air around the pack: its temperature [°C], how far off it looks, and whether it is known to be off.
 
-    It begins as the pack's own first temperature, which of a pack that was kept warm is far off: such a pack cools, and
-    without this the filter blames its voltage. A pack that is `warmer_K` [K] than expected moves the air that way.
+    off_sds : by how much the pack is warmer than expected, in standard deviations, smoothed; NaN where somebody stated
+    the temperature of the air, which is then believed.
     """
-    moved_C = ambient_C + AMBIENT_GAIN_PS * min(dt_s, LONGEST_AMBIENT_STEP_S) * warmer_K
-    return min(max(moved_C, AMBIENT_C[0]), AMBIENT_C[1])
+
+    ambient_C: float
+    off_sds: float = 0.0
+    is_off: bool = False
+
+
+def air_after(air: Air, warmer_K: float, sd_K: float, dt_s: float) -> Air:
+    """Return the air after a block of `dt_s` [s] whose pack is `warmer_K` [K] than expected, known to `sd_K`.
+
+    The air begins as the pack's own first temperature. Of a pack that was kept warm this is far off: it cools, and the
+    filter would blame its voltage. So once the readings are off for half a minute, they move the air; before that they
+    tell how the pack heats itself, which is what a worn one shows.
+    """
+    step_s = min(dt_s, LONGEST_AIR_STEP_S)
+    keep = math.exp(-step_s / AIR_TAU_S)
+    off_sds = keep * air.off_sds + (1.0 - keep) * warmer_K / sd_K
+    is_off = air.is_off or abs(off_sds) > AIR_OFF_SDS
+    if not is_off:
+        return Air(air.ambient_C, off_sds, False)
+    ambient_C = air.ambient_C + AIR_GAIN_PS * step_s * warmer_K
+    return Air(min(max(ambient_C, AMBIENT_C[0]), AMBIENT_C[1]), off_sds, True)
 
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:

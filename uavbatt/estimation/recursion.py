@@ -25,7 +25,7 @@ from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
 from uavbatt.estimation.kalman import Condition, Moments, jacobian
-from uavbatt.records import Sample
+from uavbatt.records import NAN, Sample
 
 GATE = 16.0
 FULL_SOC_SD = 0.01
@@ -41,8 +41,7 @@ class FilterState(NamedTuple):
     current_A: float  # of the last row
     block_A: float  # mean of the last block
     block: Block  # the open one
-    ambient_C: float
-    is_ambient_given: bool  # else it follows what the pack's temperature shows
+    air: noise.Air
 
 
 class Innovation(NamedTuple):
@@ -97,12 +96,11 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     x[:, X.LOG_RESISTANCE] = members.log_resistance
     P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members)
     moments = Moments(x, P, np.log(members.weight))
-    is_given = math.isfinite(ambient_C)
-    ambient_C = ambient_C if is_given else temp_C
-    state = FilterState(moments, sample.time_s, current_A, current_A, Block(), ambient_C, is_given)
+    air = noise.Air(ambient_C, NAN) if math.isfinite(ambient_C) else noise.Air(temp_C)
+    state = FilterState(moments, sample.time_s, current_A, current_A, Block(), air)
     expected_V = float(moments.weight @ b.voltage(pack, x.T, current_A))
     shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, X.SOC]))
-    return state, FilteredRow(moments, sample.time_s, ambient_C, shown)
+    return state, FilteredRow(moments, sample.time_s, air.ambient_C, shown)
 
 
 def filter_window(
@@ -120,7 +118,7 @@ def filter_window(
         if isinstance(shown, Between):
             between.append((len(rows), shown))
             shown = NOTHING
-        rows.append(FilteredRow(state.moments, state.time_s, state.ambient_C, shown))
+        rows.append(FilteredRow(state.moments, state.time_s, state.air.ambient_C, shown))
     for (k, _), innovation in zip(between, _innovations(pack, [row for _, row in between]), strict=True):
         rows[k] = rows[k]._replace(innovation=innovation)
     return rows, state
@@ -175,13 +173,12 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     rate = float(c_rate(pack.installation, mean_A))
     process_Q = noise.process_variances(pack, at.x.T, rate, dt_s).T
-    x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.ambient_C, dt_s), at.x, at.P, process_Q)
+    x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.air.ambient_C, dt_s), at.x, at.P, process_Q)
     step_A = block.current_A - state.block_A
     moments, shown, warmer_K = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition)
-    ambient_C = state.ambient_C
-    if math.isfinite(warmer_K) and not state.is_ambient_given:
-        ambient_C = noise.ambient_after(ambient_C, warmer_K, dt_s)
-    return state._replace(moments=moments, block_A=block.current_A, block=Block(), ambient_C=ambient_C), shown
+    is_read = math.isfinite(warmer_K)
+    air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
+    return state._replace(moments=moments, block_A=block.current_A, block=Block(), air=air), shown
 
 
 def _update(
