@@ -225,6 +225,17 @@ def test_a_light_load_on_the_ground_speaks_against_no_capacity() -> None:
 FACTS = PackFacts(capacity_Ah=5.0, low_voltage_V=14.0, critical_voltage_V=13.2)
 
 
+def test_a_count_that_nobody_states_is_said_to_be_a_guess_where_another_fits() -> None:
+    """46 V at rest: 12 cells at 3.83 V or 11 at 4.18 V; a critical voltage of 42 V leaves no doubt."""
+    generic = battery_file.read_battery("lipo-generic")
+    for critical_V, doubt in ((NAN, "12 in series by the first voltage, 11 would fit as well"), (42.0, "")):
+        estimator = Estimator(generic, settings=EVERY_30_S)
+        estimator.update_facts(PackFacts(capacity_Ah=16.0, critical_voltage_V=critical_V))
+        estimate, _ = estimator.step(Sample(0.0, 46.0, 0.5, 25.0))
+        assert estimator.pack_size is not None and estimator.pack_size.cells == 12
+        assert (doubt in " ".join(estimate.warnings)) and ("would fit" in " ".join(estimate.warnings)) is bool(doubt)
+
+
 @pytest.mark.parametrize("cells", [99, 12, 6, 3, 1])
 def test_cells_of_the_vehicle_that_the_voltage_denies_are_left_out(cells: int) -> None:
     generic = battery_file.read_battery("lipo-generic")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from factories import generic_pack
 
 from uavbatt.battery.state_space import SIZE, Belief
-from uavbatt.estimation.monitor import MANY_OHMS, SMALL, Monitor
+from uavbatt.estimation.monitor import MANY_OHMS, SMALL, Innovations, Monitor
 from uavbatt.records import NAN, Estimate, Sample, Status
 
 BELIEF = Belief.gaussian(0.0, np.zeros(SIZE), 1e-4 * np.eye(SIZE), 20.0)
@@ -41,3 +43,20 @@ def test_far_less_than_stated_is_refused_until_it_is_known_by_how_much() -> None
 def test_the_ohms_of_a_far_smaller_pack_are_refused(ohms: float, refusal: str) -> None:
     """A poor pack has three times the ohms of a new one; ten times the capacity stated shows as six."""
     assert seen(Monitor(), 0.75, 0.28, ohms).refusal == refusal
+
+
+@pytest.mark.parametrize("row_s", [2.0, 10.0, 30.0])
+def test_a_misfit_of_a_minute_is_one_at_any_distance_of_the_rows(row_s: float) -> None:
+    """NIS of 8, where 2 are expected: too large within two minutes, whether a block lasts 2 s or 30 s."""
+    watch, high_s = Innovations(), []
+    for k in range(int(180.0 / row_s)):
+        watch = watch.after(k * row_s, 8.0)
+        high_s += [k * row_s] if math.isfinite(watch.high_since_s) else []
+    assert 30.0 <= high_s[0] <= 90.0
+
+
+def test_three_rows_that_are_far_off_are_no_misfit_of_a_minute() -> None:
+    watch = Innovations()
+    for k in range(60):
+        watch = watch.after(2.0 * k, 5000.0 if 20 <= k < 22 else 1.0)
+        assert math.isnan(watch.high_since_s)

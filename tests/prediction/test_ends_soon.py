@@ -1,0 +1,24 @@
+"""Where no time can be said in flight, the measured voltage still says that the end is near."""
+
+from __future__ import annotations
+
+from scoring.other_pack import CELLS, CUTOFF_V, Pack, flown, rested
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
+from uavbatt.log_replay.run import engine_for
+from uavbatt.prediction.pending import ENDS_SOON
+
+
+def test_a_capacity_that_cannot_be_takes_the_time_away_and_not_the_alarm() -> None:
+    """ArduPilot's own 3.3 Ah stands in the parameters of a 16 Ah pack: the charge drawn denies it."""
+    pack = Pack(capacity_Ah=16.0, size_Ah=16.0)
+    rows = [*rested(pack, 20, 0.0), *flown(pack, 20.0)]
+    options = PackOptions(cells=CELLS, capacity_Ah=3.3, cutoff_V=CUTOFF_V)
+    run = list(Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows))
+    end_s = rows[-1].time_s
+    last = [(estimate, remaining) for estimate, remaining in run if end_s - 60.0 < estimate.time_s < end_s - 20.0]
+    assert all(remaining.remaining_s != remaining.remaining_s for _, remaining in last)
+    said_s = [end_s - estimate.time_s for estimate, _ in run if ENDS_SOON in estimate.warnings]
+    assert said_s and 30.0 < max(said_s) < 400.0
