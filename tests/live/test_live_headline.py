@@ -65,6 +65,13 @@ def test_a_battery_that_gives_nothing_does_not_wait_for_take_off() -> None:
     assert heard == ["Battery 0: gives nothing, another has the load"]
 
 
+def test_a_battery_alone_that_is_charged_by_braking_motors_is_not_said_to_give_nothing() -> None:
+    headline = Headline()
+    for k in range(20):
+        (found,) = headline.in_order({0: report(0, 400.0, -10.0, float(k))}, float(k))
+        assert not headline.notes and not found.estimate.warnings
+
+
 def two(bench: Bench, seconds: float, amps: tuple[float, float], drawn_Ah: float = 0.0) -> None:
     """Two packs in parallel, each with its own monitor; one that gives nothing rests."""
     for k in range(int(5 * seconds)):

@@ -98,9 +98,9 @@ class Headline:
 
 
 def _carrying(reports: Mapping[int, Report], now_s: float) -> Report | None:
-    """Return the fresh battery that gives most of all in flight; None on the ground."""
+    """Return the fresh battery that gives most of all in flight; None on the ground, and where none gives anything."""
     fresh = [r for r in reports.values() if r.age_s(now_s) <= STALE_AFTER_S]
-    flying = [r for r in fresh if math.isfinite(r.flying_since_s) and math.isfinite(r.estimate.current_A)]
+    flying = [r for r in fresh if math.isfinite(r.flying_since_s) and r.estimate.current_A > 0.0]
     return max(flying, key=lambda report: report.estimate.current_A, default=None)
 
 
