@@ -70,7 +70,7 @@ def speaker(estimate: Estimate, remaining: Remaining) -> Estimate | Remaining:
 
 
 def line(estimate: Estimate, remaining: Remaining) -> Line:
-    """The output line of one row; its keys are `COLUMNS`, in that order.
+    """The output line of one row; its keys are `COLUMNS`, then those of a route where one is known.
 
     Status and reason are those of the `speaker`. A refused number is None whatever value its maker left in it; a
     refused estimate takes the forecast with it.

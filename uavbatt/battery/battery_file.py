@@ -88,7 +88,7 @@ def sealed(file: BatteryFile) -> BatteryFile:
 def write_battery(file: BatteryFile, path: Path) -> Path:
     """Seal and write the file, whole or not at all; returns the path.
 
-    Raises BadInput, and writes nothing, when `read` would refuse what is in it.
+    Raises BadInput, and writes nothing, when `read_battery` would refuse what is in it.
     """
     content = _without_none(msgspec.to_builtins(sealed(file)))
     _check_values(_decoded(tomli_w.dumps(content).encode(), str(path)), str(path))

@@ -1,14 +1,14 @@
 """The cell model: its parameters, its state, one step, one voltage.
 
-    soc'  = -c/3600                                      coulomb counting
-    R     = R0(soc) exp(E (1/T - 1/T_ref))               resistance at once [ohm·Ah]
+    soc'  = -c g (1 + g_c |c|)/3600                      coulomb counting
+    R     = r R0(soc) exp(E (1/T - 1/T_ref))             resistance at once [ohm·Ah]
     v_f'  = (c R k_f + OCV(soc) - OCV(soc - c h_s) - v_f)/tau_f    polarisation (seconds)
-    v_s'  = (c R k_s - v_s)/tau_s                        slow diffusion (minutes)
+    v_s'  = (c R k_s exp(E_s (1/T - 1/T_ref)) - v_s)/tau_s         slow diffusion (minutes)
     T'    = (c (OCV(soc) - V) - h (T - T_ambient))/C_th  self heating
-    V     = OCV(soc) - h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
+    V     = OCV(soc) - V_h (1 - exp(-(1 - soc)/0.03)) - v_f - v_s - c (R + R_t)
     R_t   = V_t/(|c| + c_t)                              charge transfer that has become sluggish
 
-h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
+V_h is the hysteresis: a pack is charged to full and then flown, so that its direction turned at soc = 1 and the charge
 drawn since is 1 - soc. That holds its memory without a state of its own; a pack charged in part is not told apart.
 h_s is the charge that the surface of the particles lacks per C of load, beside what the rest of the model has of it.
 k_f and k_s are the polarisations as multiples of R0: they grow with an empty or cold cell as R0 does. An effect

@@ -48,8 +48,6 @@ class Pack(NamedTuple):
         return self._replace(cutoff_V=self.cutoff_V + raised_V, low_V=self.low_V + raised_V)
 
 
-# The status widens the belief: what was not gated may be another battery than it says. (A generic file states
-# spreads that are wide by themselves; of a file that was let through nobody knows where its numbers come from.)
 # Voltage and current of a row are not read at the same instant: what counts is how far the current moved since the
 # row before (measured on flights with a row every 12 s: 14 mV, and 10 mohm times the change, of a pack of 90 mohm).
 ROW_SHARE = 0.12
@@ -85,6 +83,8 @@ RESTED_SHARE, UNKNOWN_MAKE_RESTED_SHARE = (1.0, 0.5), (0.5, 1.0)
 ALONE_SHARE = {"fitted": 0.4}
 # The discrepancy of a prior is that of its whole curve, whose knots state their own errors: this share is left.
 BESIDE_KNOTS = 0.45
+# The status widens the belief: what was not gated may be another battery than it says. (A generic file states
+# spreads that are wide by themselves; of a file that was let through nobody knows where its numbers come from.)
 WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 

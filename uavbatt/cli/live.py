@@ -100,7 +100,7 @@ def _check_places(config: Config) -> None:
 
 
 def _exec_live(config: Config) -> None:
-    """Go on as `live_process` in this very process: what reads a command line is not carried along in flight."""
+    """Replace this process by `live_process`, so that the command-line library does not stay in memory."""
     import msgspec
 
     os.environ[CONFIG_VARIABLE] = msgspec.json.encode(config).decode()

@@ -54,7 +54,7 @@ def projected(P: Array, H: Array) -> tuple[Array, Array]:
 
 @compiled
 def finite_difference_step(at: Array, x: Array, k: int) -> None:
-    """Make of point k - 1 of a central difference point k: up and down in each component in turn, `x` itself last."""
+    """Turn difference point k - 1 into point k in place: + and - for each component in turn, `x` itself last."""
     j = k // 2
     if k % 2:
         at[j] = x[j] - NUDGE[j]

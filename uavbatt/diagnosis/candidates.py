@@ -27,7 +27,7 @@ UNITS = {q.name: q.unit for q in QUANTITIES}
 ALWAYS = ("temperature_lag", "charge_transfer", "polarisation", "slow_diffusion", "temperature_resistance")
 PACKS_OWN = ("temperature_lag", "charge_transfer")  # how the sensor is mounted, how the pack has aged: news, if changed
 ONE_WAY = ("fade", "growth")  # packs age in one direction
-SLOWING = ("transfer_V",)  # and so do reactions, from where the file has them
+SLOWING = ("transfer_V",)  # reactions only get slower: never less than the file has
 NEEDS_TEMPERATURE = ("temperature_lag", "temperature_offset", "airflow_cooling", "self_heating")
 
 # What a sensor may drift along: the time since the record began, or the temperature that is measured.
@@ -97,7 +97,7 @@ class Candidate:
         return slice(first, first + self.sizes[k])
 
     def plus(self, other: Candidate) -> Candidate:
-        """Both together."""
+        """Return a candidate with the effects of both."""
         return Candidate(
             self.names + other.names,
             self.freed + other.freed,

@@ -37,7 +37,7 @@ class _Linearised(NamedTuple):
     stiffness: Array  # [C, R, P]
 
     def of(self, few: Rows) -> _Linearised:
-        """Those of some candidates."""
+        """Return the rows of some candidates."""
         return _Linearised(*(values[few] for values in self))
 
     def put(self, few: Rows, new: _Linearised) -> None:

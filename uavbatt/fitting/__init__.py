@@ -1,1 +1,1 @@
-"""Battery and vehicle files from bench tests and flights; the only place where an optimiser runs."""
+"""Battery and vehicle files are fitted here to bench tests and flights."""

@@ -84,7 +84,7 @@ class FlightRow:
 
 
 def row_of(plain: Mapping[str, Any]) -> FlightRow:
-    """The row of a dictionary that `Row.plain` made; keys that this version does not know are left out.
+    """The row of a dictionary that `FlightRow.plain` made; keys that this version does not know are left out.
 
     Raises ValueError when it is no row: a name is missing, a value is of another type or fits no table.
     """

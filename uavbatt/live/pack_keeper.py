@@ -52,7 +52,7 @@ class Kept:
 
 
 class PackKeeper:
-    """Rows of batteries in; their packs' priors out, and their flights into the ledger."""
+    """The keeper takes rows of batteries in, gives the priors of their packs, and saves their flights in the ledger."""
 
     def __init__(
         self,

@@ -173,7 +173,7 @@ class Trend:
 
 @dataclass(slots=True)
 class Board:
-    """The board that other threads may read: replaced whole, never changed in place."""
+    """The board that other threads may read: the loop replaces it whole, except `trend`, to which it appends."""
 
     reports: tuple[Report, ...] = ()
     notes: tuple[str, ...] = ()

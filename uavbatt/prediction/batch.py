@@ -37,7 +37,7 @@ class Question(NamedTuple):
     unresolved_s: float = 0.0  # how long is a step within which the power may change
     at_take_off: AtTakeOff | None = None  # what was expected then
     route: RouteAsked | None = None  # what else the forecast says, of the route and of the way home
-    ways: WaysAsked = WaysAsked()  # when that was asked; earlier than now: it counts down
+    ways: WaysAsked = WaysAsked()  # when they were asked last: if before `time_s`, it counts down
 
 
 Answers = Callable[[Sequence[Question]], list[EndTimes]]
@@ -51,7 +51,7 @@ def end_times(q: Question, enough: float = COUNTED) -> EndTimes:
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
-    """Simulate many forecasts of one pack side by side; returns the end of each sample, as `answer` gives it."""
+    """Simulate many forecasts of one pack side by side; returns the end of each sample, as `end_times` gives it."""
     found: list[EndTimes] = []
     for _, alike in groupby(questions, key=lambda q: (q.by_rows, q.reserve_soc)):
         queue = list(alike)
@@ -61,7 +61,10 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 
 
 def _together(few: list[Question]) -> list[EndTimes]:
-    """Side by side in a batch [questions, draws]; a shorter one goes on as it ended, unseen."""
+    """Simulate several questions in one batch [questions, draws].
+
+    A shorter one is padded with its last step, which does not count.
+    """
     if len(few) == 1:  # in flight: arrays of one dimension less
         return [end_times(few[0])]
     steps = max(q.dt_s.size for q in few)

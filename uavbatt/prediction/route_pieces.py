@@ -16,7 +16,7 @@ from uavbatt.prediction.flight_lessons import SHORT_LEG_S, Timing
 from uavbatt.prediction.route_legs import LegsTable, Phase, Point
 
 Column = NDArray[Any]
-CURVE = 1.5  # a leg that is so many times as long as the way between its ends comes from everywhere
+CURVE = 1.5  # a leg so many times longer than the straight line is a curve: the wind meets it from all sides
 
 
 class Pieces(NamedTuple):

@@ -49,7 +49,10 @@ def shown_share(short_s: float, long_s: float, memory_s: float) -> float:
 
 @cache
 def shown_shares() -> tuple[Array, Array]:
-    """Of manoeuvres, in the averages of WINDOW_TAU_S and of GUST_TAU_S; the same of gusts."""
+    """Return the share of its variance that a process shows in the averages over (WINDOW_TAU_S, GUST_TAU_S) [2].
+
+    Of manoeuvres, and of gusts.
+    """
     slow, fast = (
         np.array([shown_share(tau_s, MEAN_TAU_S, memory_s) for tau_s in (WINDOW_TAU_S, GUST_TAU_S)])
         for memory_s in (MANOEUVRE_MEMORY_S, GUST_MEMORY_S)

@@ -6,7 +6,7 @@ as little of its capacity. So the ends that were expected at take-off count amon
     end = share x (end as of take-off) + (1 - share) x (end as of now), rank by rank,    share = (1 - t/FORGOTTEN_S)²
 
 The end as of take-off is that of the same charge at the power which is flown, as soon as it has shown itself. It never
-comforts: the lower end stays that of the flight itself where that is the lower one.
+lengthens the lower end: that stays the one of the flight itself where this is lower.
 """
 
 from __future__ import annotations

@@ -24,8 +24,6 @@ from uavbatt.validation.gating.gate import Claim, Limits
 from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
 from uavbatt.validation.judging.corridor import Corridor
 
-# An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
-# ties the charge down again, so that half of it stays with the capacity.
 LOW_CELL_V = 3.5
 
 
@@ -93,6 +91,8 @@ def _unmetered(
     found = unmetered.fit_unmetered(mean_test(dataset, runs, ambient_C))
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     load = next(s for s in unmetered.LOAD_SLOTS if s.name == "c_rate")
+    # An unmetered load leaves ohm·Ah and charge open by as much as its C-rate: the prior's share, 1.5 of 8 C. The knee
+    # ties the charge down again, so that half of it stays with the capacity.
     unknown_rate = load.sd / load.prior
     names = [s.name for s in found.slots]
     i, j = names.index("c_rate"), names.index("r0_ohmAh")
