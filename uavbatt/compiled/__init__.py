@@ -3,7 +3,7 @@
     estimator = Estimator(battery, engine=compiled.engine())
 
 The commands whose work is long hand it in (`log_replay.run.engine_for`); the live process never does. Nothing else
-imports this package, so that it may be deleted. Loading compiled code takes half a second, making it once ten to twenty.
+imports this package, so that it may be deleted. Loading compiled code takes half a second, making it ten to twenty.
 """
 
 from __future__ import annotations
