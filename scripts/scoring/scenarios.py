@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 from scoring.live_flight import Extra, Flown, flown_live, heartbeat, parameter
-from scoring.other_pack import CUTOFF_V, FULL_AH, LIHV, Pack, flown, rested
+from scoring.other_pack import CUTOFF_V, FULL_AH, LIHV, Pack, Power, drawn, flown, rested
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.records import Sample
 
@@ -114,8 +114,34 @@ def wrong_vehicle() -> Scenario:
     return Scenario(part(), extras=frames)
 
 
+def warm_pack(pack_C: float, air_C: float) -> list[Sample]:
+    """A pack that was kept warm, in cold air."""
+    pack = Pack(air_C=air_C)
+    pack.temp_C = pack_C
+    return flight(pack)
+
+
+def twelve_cells() -> Scenario:
+    """A part-charged pack of 12 cells, which nobody states: it shows what a full one of 11 would."""
+    pack = Pack(soc=0.55, cells=12)
+    ground = rested(pack, GROUND_S, 0.0)
+    powers = (3.0 * watts for _, watts in zip(range(3600), Power().rows_W(3), strict=False))
+    air = drawn(pack, powers, float(GROUND_S), ground[-1].consumed_Ah, cutoff_V=3.0 * CUTOFF_V)
+    return Scenario([*ground, *air.rows], UNSTATED, {"BATT_CAPACITY": 5000.0})
+
+
+def payload_on_the_ground() -> list[Sample]:
+    """Half a C for ten minutes before the take-off, disarmed."""
+    pack = Pack()
+    ground = drawn(pack, [40.0] * 600, 0.0, armed=False).rows
+    return [*ground, *flown(pack, 600.0, drawn_Ah=ground[-1].consumed_Ah)]
+
+
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "nothing_wrong": lambda: Scenario(whole()),
+    "warm_pack_in_cold_air": lambda: Scenario(warm_pack(25.0, 0.0)),
+    "cells_unstated_12_part": twelve_cells,
+    "payload_on_the_ground": lambda: Scenario(payload_on_the_ground()),
     "nothing_wrong_from_60": lambda: Scenario(part()),
     "worn_80_percent": lambda: Scenario(flight(Pack(capacity_Ah=4.0))),
     "swap_nosilence_to_50": lambda: Scenario(another(Pack(), 30, 0.0, Pack(soc=0.5), restarts=False)),
@@ -152,6 +178,9 @@ SOUND = {
     "one_forged_param_midflight",
     "one_forged_crt_midflight",
     "low_volt_25",
+    "warm_pack_in_cold_air",
+    "cells_unstated_12_part",
+    "payload_on_the_ground",
 }
 
 
