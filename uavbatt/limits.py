@@ -123,9 +123,8 @@ def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_ra
     likely = COMMON_CELLS.get(cells, RARE) * (PART_CHARGED * is_usual + is_full + UNUSUALLY_CHARGED)
     for volts in endings_V:
         if volts > 0.0:
-            likely *= (
-                math.exp(-0.5 * ((volts / cells - STATED_ENDING_CELL_V) / STATED_ENDING_SD_V) ** 2) + UNUSUALLY_STATED
-            )
+            off_sds = (volts / cells - STATED_ENDING_CELL_V) / STATED_ENDING_SD_V
+            likely *= math.exp(-0.5 * off_sds**2) + UNUSUALLY_STATED
     return likely
 
 

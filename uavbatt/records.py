@@ -76,6 +76,14 @@ class PackFacts:
     critical_voltage_V: float = NAN
     sag_compensated: bool | None = None
 
+    @property
+    def endings_V(self) -> tuple[float, ...]:
+        """Critical voltage and low-voltage warning [V] by which cells may be counted; none where they are stated.
+
+        The vehicle has worked them out from its own count then.
+        """
+        return () if self.cells_series is not None else (self.critical_voltage_V, self.low_voltage_V)
+
 
 @dataclass(frozen=True, slots=True)
 class Identity:

@@ -8,7 +8,7 @@ import pytest
 from packs.made import flight
 
 from uavbatt.errors import BadInput
-from uavbatt.packs.exchange import exported, imported, text_of
+from uavbatt.packs.exchange import exported, read_pack, take_in, text_of
 from uavbatt.packs.ledger import Ledger
 
 FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k, cycles=30 + k) for k in range(3)]
@@ -25,14 +25,14 @@ def pack_file(tmp_path):
 
 def test_a_pack_arrives_as_it_left(tmp_path, pack_file):
     with Ledger(tmp_path / "first.sqlite") as first, Ledger(tmp_path / "second.sqlite") as second:
-        assert imported(second, pack_file) == "A"
+        assert take_in(second, read_pack(pack_file)) == "A"
         assert repr(second.pack("A")) == repr(first.pack("A"))
 
 
 def test_taking_a_pack_in_twice_counts_its_flights_once(tmp_path, pack_file):
     with Ledger(tmp_path / "second.sqlite") as ledger:
-        imported(ledger, pack_file)
-        imported(ledger, pack_file)
+        take_in(ledger, read_pack(pack_file))
+        take_in(ledger, read_pack(pack_file))
         assert ledger.pack("A").outlook.flights == len(FLIGHTS)
 
 
@@ -72,7 +72,7 @@ def test_a_file_that_is_no_pack_changes_nothing(tmp_path, pack_file, change, wor
     pack_file.write_text(json.dumps(change(json.loads(pack_file.read_text("utf-8")))), "utf-8")
     with Ledger(tmp_path / "second.sqlite") as ledger:
         with pytest.raises(BadInput, match=words):
-            imported(ledger, pack_file)
+            take_in(ledger, read_pack(pack_file))
         assert ledger.packs() == []
 
 

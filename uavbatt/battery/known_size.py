@@ -20,7 +20,8 @@ from uavbatt.records import NAN, PackFacts, Sample
 class KnownSize(NamedTuple):
     """A pack's size by the statements of caller and vehicle; `after` compares one more row with them.
 
-    size : None before the first voltage; stated_W : lowest and highest power [W] stated of this aircraft.
+    size : None before the first voltage; stated_W : lowest and highest power [W] stated of this aircraft; counts : of
+    cells that fit what was seen, the likeliest first, worked out when that or what the vehicle says has changed.
     """
 
     battery: BatteryFile
@@ -32,6 +33,7 @@ class KnownSize(NamedTuple):
     size: PackSize | None = None
     doubts: tuple[Doubt, ...] = ()
     first_A: float = NAN  # current at the first voltage [A]
+    counts: tuple[int, ...] = ()
 
     @property
     def refusal(self) -> str:
@@ -41,7 +43,7 @@ class KnownSize(NamedTuple):
     def with_facts(self, facts: PackFacts) -> KnownSize:
         """Return the size by what the vehicle says from now on."""
         known = self._replace(facts=facts)
-        return known._sized() if self.size is not None else known
+        return known._counted()._sized() if self.size is not None else known
 
     def after(self, raw: Sample, sample: Sample) -> KnownSize:
         """Return what is known after one more row, `raw` as it came and `sample` after cleaning."""
@@ -50,10 +52,10 @@ class KnownSize(NamedTuple):
             return self
         statements = self.statements.after(raw, sample, size)
         before, seen = self.statements.seen, statements.seen
-        known = self._replace(statements=statements, size=size)
-        if self.size is None:
-            known = known._replace(first_A=sample.current_A)
+        first_A = self.first_A if self.statements.rows else sample.current_A
+        known = self._replace(statements=statements, size=size, first_A=first_A)
         if seen is not before:
+            known = known._counted()
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
             if is_denied or (math.isnan(before.rested_V) and math.isfinite(seen.rested_V)):
                 known = known._sized()  # another count, or a cut-off that lies above the rested voltage
@@ -70,12 +72,17 @@ class KnownSize(NamedTuple):
 
     def anew(self) -> KnownSize:
         """Return the same size for a pack that has just been changed, so that no row of it was seen yet."""
-        return self._replace(statements=Statements())
+        return self._replace(statements=Statements(), counts=())
+
+    def _counted(self) -> KnownSize:
+        """Return what is known with the cells counted by what was seen."""
+        first_V = self.statements.seen.first_V
+        return self._replace(counts=self._counts(first_V) if math.isfinite(first_V) else ())
 
     def _sized(self) -> KnownSize:
-        """Return the size by what is known now; where nobody states the cells they are counted anew."""
-        seen, cells = self.statements.seen, self.size.cells if self.size is not None else 1
-        guessed = self._counts(seen.first_V)[0] if math.isfinite(seen.first_V) else cells
+        """Return the size by what is known now; where nobody states the cells, by the likeliest count."""
+        assert self.size is not None
+        guessed, seen = (*self.counts, self.size.cells)[0], self.statements.seen
         return self._replace(size=size_of_pack(self.battery, self.options, self.facts, guessed, seen=seen))
 
     def _counts(self, first_V: float) -> tuple[int, ...]:
@@ -83,17 +90,12 @@ class KnownSize(NamedTuple):
         facts, capacity_Ah = self.facts, self.options.capacity_Ah
         capacity_Ah = capacity_Ah if math.isfinite(capacity_Ah) else facts.capacity_Ah
         rate = self.first_A / capacity_Ah if math.isfinite(self.first_A) and capacity_Ah > 0.0 else 0.0
-        # A vehicle whose count is denied has worked its critical voltage out from it.
-        endings_V = () if facts.cells_series is not None else (facts.critical_voltage_V, facts.low_voltage_V)
-        return cells_from_voltage(first_V, self.battery.battery.cells_series, endings_V, rate)
+        return cells_from_voltage(first_V, self.battery.battery.cells_series, facts.endings_V, rate)
 
     def _of_count(self, size: PackSize) -> tuple[Doubt, ...]:
         """Return the doubt about a count that nobody states, where another one fits the first voltage as well."""
-        first_V = self.statements.seen.first_V
-        if size.cells_from != GUESSED_FROM or not math.isfinite(first_V):
-            return ()
-        others = [n for n in self._counts(first_V) if n != size.cells]
-        if not others:
+        others = [n for n in self.counts if n != size.cells]
+        if size.cells_from != GUESSED_FROM or not others:
             return ()
         words = f"nobody states the cells: {size.cells} in series by the first voltage, {others[0]} would fit as well"
         return (Doubt(words, False),)

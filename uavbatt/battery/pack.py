@@ -17,6 +17,8 @@ from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Parameters, State
 
+FULL_CELL_V = 4.0  # of a cell, in the mean of a gentle discharge: less
+
 
 class Installation(NamedTuple):
     """The pack's size and everything between its cells and the telemetry; neutral by default."""
@@ -40,6 +42,11 @@ class Installation(NamedTuple):
     def present_capacity_Ah(self) -> Number:
         """Capacity today [Ah]."""
         return self.capacity_Ah * (1.0 - self.fade)
+
+
+def most_energy_Wh(pack: Installation) -> Number:
+    """Return the energy of a full pack [Wh], rather too much: at FULL_CELL_V all the way."""
+    return pack.present_capacity_Ah * pack.cells * FULL_CELL_V
 
 
 def true_current(pack: Installation, current_A: Number, voltage_V: Number) -> Number:

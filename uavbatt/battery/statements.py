@@ -243,8 +243,7 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
     first_V = next((s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)), NAN)
     if math.isnan(first_V):
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    endings_V = (said.critical_voltage_V, said.low_voltage_V) if said.cells_series is None else ()
-    guess = cells_from_voltage(first_V, battery.battery.cells_series, endings_V)[0]
+    guess = cells_from_voltage(first_V, battery.battery.cells_series, said.endings_V)[0]
     try:
         seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
         return checked(battery, size_of_pack(battery, options, said, guess, seen=seen), seen)

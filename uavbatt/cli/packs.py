@@ -50,10 +50,10 @@ def packs(
 
 def _change(path: Path, forget: str, take_in: Path | None) -> None:
     """Forget a pack, take one in. What cannot be done is found before the ledger is opened, which makes one."""
-    from uavbatt.packs.exchange import read_pack
+    from uavbatt.packs import exchange
     from uavbatt.packs.ledger import Ledger
 
-    carried = read_pack(take_in) if take_in is not None else None
+    carried = exchange.read_pack(take_in) if take_in is not None else None
     if forget:
         with Ledger(path, only_read=True) as ledger:
             if ledger.pack(forget) is None:
@@ -62,8 +62,7 @@ def _change(path: Path, forget: str, take_in: Path | None) -> None:
         if forget and ledger.forget(forget):
             remark(f"{forget} is forgotten")
         if carried is not None:
-            ledger.save_all(carried.name, carried.flights)
-            remark(f"{carried.name} is taken in")
+            remark(f"{exchange.take_in(ledger, carried)} is taken in")
 
 
 def _export(ledger: Ledger, pack: str, path: Path) -> None:

@@ -19,7 +19,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X, mixed_covariance
 from uavbatt.estimation.block import Block, is_complete
 from uavbatt.estimation.kalman import Moments, filterpy_condition
-from uavbatt.estimation.noise import Air
+from uavbatt.estimation.noise import first_air
 from uavbatt.estimation.recursion import (
     NOTHING,
     FilteredRow,
@@ -88,7 +88,7 @@ class SocFilter:
     def restore(self, belief: Belief, current_A: float = 0.0) -> None:
         """Go on from a belief (a saved one, after a restart), at which the pack's current was `current_A` [A]."""
         at = Moments(belief.means, belief.covariances, np.log(belief.weights))
-        air = Air(belief.ambient_C, NAN if math.isfinite(self._ambient_C) else 0.0)
+        air = first_air(belief.ambient_C, is_stated=math.isfinite(self._ambient_C))
         self._state = FilterState(at, belief.time_s, current_A, current_A, Block(), air)
         self._last = Filtered(belief, summary(at, self.pack.empty_soc_sd), NOTHING)
 

@@ -151,6 +151,11 @@ class Air(NamedTuple):
     is_off: bool = False
 
 
+def first_air(ambient_C: float, is_stated: bool) -> Air:
+    """Return the air as it is stated [°C], or taken to be until the readings say otherwise."""
+    return Air(ambient_C, math.nan if is_stated else 0.0)
+
+
 def air_after(air: Air, warmer_K: float, sd_K: float, dt_s: float) -> Air:
     """Return the air after a block of `dt_s` [s] whose pack is `warmer_K` [K] than expected, known to `sd_K`.
 

@@ -25,7 +25,7 @@ from uavbatt.battery.state_space import SIZE, X
 from uavbatt.estimation import kalman, noise
 from uavbatt.estimation.block import BLOCK_S, Block, is_complete
 from uavbatt.estimation.kalman import Condition, Moments, jacobian
-from uavbatt.records import NAN, Sample
+from uavbatt.records import Sample
 
 GATE = 16.0
 FULL_SOC_SD = 0.01
@@ -96,7 +96,8 @@ def start(pack: Pack, sample: Sample, ambient_C: float, members: Capacities) -> 
     x[:, X.LOG_RESISTANCE] = members.log_resistance
     P = noise.start_covariances(pack, first.state, first.covariance, temp_sd_K, members)
     moments = Moments(x, P, np.log(members.weight))
-    air = noise.Air(ambient_C, NAN) if math.isfinite(ambient_C) else noise.Air(temp_C)
+    is_stated = math.isfinite(ambient_C)
+    air = noise.first_air(ambient_C if is_stated else temp_C, is_stated)
     state = FilterState(moments, sample.time_s, current_A, current_A, Block(), air)
     expected_V = float(moments.weight @ b.voltage(pack, x.T, current_A))
     shown = Innovation(sample.voltage_V - expected_V, math.nan, expected_V, float(moments.weight @ x[:, X.SOC]))

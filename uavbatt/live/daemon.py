@@ -23,7 +23,7 @@ from uavbatt.live.listener import HeardFrame, Listener
 from uavbatt.live.log import tell
 from uavbatt.live.proxy_client import ProxyClient
 from uavbatt.live.recorder import Recorder
-from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board, Report
+from uavbatt.live.report import NOTHING_YET, Board, Report
 from uavbatt.live.sender import Sender
 from uavbatt.live.systemd import notify
 from uavbatt.mavlink import fields
@@ -154,7 +154,7 @@ class Daemon:
     def _step(self, row: LiveRow, now_s: float) -> None:
         """Estimate one row, and tell the proxy, which must know it before the next frame."""
         before = self.batteries.reports.get(row.instance)
-        if before is not None and before.age_s(now_s) > STALE_AFTER_S:
+        if before is not None and before.is_stale(now_s):
             self._sender.requests.begin_again()
         report = self.batteries.step(row, now_s)
         self._counts["rows"] += 1

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from uavbatt.live.log import tell
-from uavbatt.live.report import STALE_AFTER_S, Report
+from uavbatt.live.report import Report
 from uavbatt.prediction.forecaster import NOT_FLYING
 
 NOTHING_SHARE = 0.02  # of the current of the battery that gives most; what the electronics draw is more of a small one
@@ -52,7 +52,7 @@ class Headline:
     def _lead(self, in_order: list[Report], now_s: float) -> None:
         """Put the one that was first back in front while another has not been better for long enough."""
         first = next((report for report in in_order if report.instance == self._first), None)
-        if first is None or first is in_order[0] or first.age_s(now_s) > STALE_AFTER_S:
+        if first is None or first is in_order[0] or first.is_stale(now_s):
             self._first = in_order[0].instance if in_order else None
             self._better = None
             return
@@ -68,8 +68,7 @@ class Headline:
     def _idle(self, reports: Mapping[int, Report], carrying: Report | None, now_s: float) -> list[int]:
         """Take in which batteries give nothing now; return those that have not for a while."""
         for instance, report in reports.items():
-            is_stale = report.age_s(now_s) > STALE_AFTER_S
-            if carrying is None or is_stale or not _gives_nothing(report, carrying):
+            if carrying is None or report.is_stale(now_s) or not _gives_nothing(report, carrying):
                 self._nothing_since_s.pop(instance, None)
             else:
                 self._nothing_since_s.setdefault(instance, now_s)
@@ -84,7 +83,7 @@ class Headline:
 
     def _rank(self, report: Report, is_flight: bool, is_idle: bool, now_s: float) -> tuple[bool, bool, float, int]:
         """Return what puts a battery before another: the least comes first."""
-        is_stale, is_first = report.age_s(now_s) > STALE_AFTER_S, report.instance == self._first
+        is_stale, is_first = report.is_stale(now_s), report.instance == self._first
         is_unknown = math.isnan(report.estimate.current_A)
         if is_stale:
             return True, is_unknown, -math.inf if is_first else math.inf, report.instance
@@ -99,7 +98,7 @@ class Headline:
 
 def _carrying(reports: Mapping[int, Report], now_s: float) -> Report | None:
     """Return the fresh battery that gives most of all in flight; None on the ground, and where none gives anything."""
-    fresh = [r for r in reports.values() if r.age_s(now_s) <= STALE_AFTER_S]
+    fresh = [r for r in reports.values() if not r.is_stale(now_s)]
     flying = [r for r in fresh if math.isfinite(r.flying_since_s) and r.estimate.current_A > 0.0]
     return max(flying, key=lambda report: report.estimate.current_A, default=None)
 

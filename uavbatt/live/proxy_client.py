@@ -161,9 +161,8 @@ class ProxyClient:
             self._next_s = now_s + 0.05  # it is on its way
             return
         if self._child is not None:
-            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
             self._child = None
-            self._next_s = now_s + self._pause_s
+            self._pause(now_s)
             return
         try:
             self._child = subprocess.Popen(
@@ -174,11 +173,15 @@ class ProxyClient:
             )
         except OSError as error:  # no memory, no descriptor: it may come right
             self.problem = f"the proxy does not start: {error.strerror}"
-            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
-            self._next_s = now_s + self._pause_s
+            self._pause(now_s)
             return
         self._next_s = now_s + 0.05
         os.nice(max(GENTLE - os.nice(0), 0))  # frames go before estimates
+
+    def _pause(self, now_s: float) -> None:
+        """Try again later, each time twice as much later."""
+        self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+        self._next_s = now_s + self._pause_s
 
     def _lost(self, now_s: float) -> None:
         self.close()

@@ -74,6 +74,10 @@ class Report:
         """Seconds since the row was received."""
         return max(now_s - self.received_s, 0.0)
 
+    def is_stale(self, now_s: float) -> bool:
+        """Return True if no row has come for so long that nothing is known any more."""
+        return self.age_s(now_s) > STALE_AFTER_S
+
     @property
     def is_waiting(self) -> bool:
         """Return True on the ground before a flight, where there is no number because there is no load yet."""
@@ -82,7 +86,7 @@ class Report:
     def at(self, now_s: float) -> Display:
         """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
         age_s = self.age_s(now_s)
-        if age_s > STALE_AFTER_S:
+        if self.is_stale(now_s):
             return Display(Status.STALE, f"no telemetry for {age_s:.0f} s", *(NAN,) * 6)
         said = speaker(self.estimate, self.remaining)
         refused = said.status is Status.REFUSED
@@ -105,7 +109,7 @@ class Report:
     def route_at(self, now_s: float) -> Route | None:
         """Return what is known of route and way home at `now_s`; nothing of it when the telemetry is stale."""
         route, age_s = self.remaining.route, self.age_s(now_s)
-        if route is None or age_s <= STALE_AFTER_S:
+        if route is None or not self.is_stale(now_s):
             return route and route.later(age_s)
         return Route(route.load, reason=f"no telemetry for {age_s:.0f} s")
 

@@ -27,7 +27,7 @@ from uavbatt import __version__
 from uavbatt.errors import MissingExtra, UsageError
 from uavbatt.live.config import HttpSection, address
 from uavbatt.live.log import tell
-from uavbatt.live.report import NOTHING_YET, STALE_AFTER_S, Board
+from uavbatt.live.report import NOTHING_YET, Board
 from uavbatt.records import Status
 
 EVENT_PERIOD_S = 0.25
@@ -165,7 +165,7 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
 
     async def health(request: Request) -> Response:
         reports = board().reports
-        fresh = any(report.age_s(clock_s()) <= STALE_AFTER_S for report in reports)
+        fresh = any(not report.is_stale(clock_s()) for report in reports)
         return PlainTextResponse("ok\n" if fresh else "stale\n", 200 if fresh else 503)
 
     page = PAGE.read_text(encoding="utf-8")

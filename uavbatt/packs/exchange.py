@@ -65,9 +65,8 @@ def read_pack(path: Path) -> CarriedPack:
     return CarriedPack(content.name, flights)
 
 
-def imported(ledger: Ledger, path: Path) -> str:
-    """Save the flights of a pack's file; flights that are there already count once. Returns the pack's name."""
-    pack = read_pack(path)
+def take_in(ledger: Ledger, pack: CarriedPack) -> str:
+    """Save the flights of a pack; flights that are there already count once. Returns the pack's name."""
     ledger.save_all(pack.name, pack.flights)
     return pack.name
 

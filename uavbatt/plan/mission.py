@@ -14,6 +14,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
+from uavbatt.battery.pack import most_energy_Wh
 from uavbatt.battery.powers import Powers
 from uavbatt.battery.remembered import PackHealth, with_reaction
 from uavbatt.battery.scaling import Pack
@@ -36,7 +37,6 @@ from uavbatt.records import Route
 STEPS = 400
 BEYOND = 2.0  # times the route: how long the hover at home is looked at
 MOST_HOVERS = 2.0  # a route is looked at for as long as so many hovers on this charge: it does not fit anyway
-FULL_CELL_V = 4.0
 LEVELS = (0.05, 0.5, 0.95)
 NOT_REACHED = 0.5  # a place before which more of the draws end has no charge to speak of
 FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/s
@@ -188,9 +188,7 @@ def _shown(charge: Iterable[float], ended: float) -> tuple[float, ...]:
 
 def _longest_hover_s(pack: Pack, powers: Powers) -> float:
     """How long a full pack would hover, rather too long."""
-    installation = pack.installation
-    energy_Wh = installation.present_capacity_Ah * installation.cells * FULL_CELL_V
-    return float(energy_Wh * 3600.0 / powers.hover_W)
+    return float(most_energy_Wh(pack.installation) * 3600.0 / powers.hover_W)
 
 
 def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:

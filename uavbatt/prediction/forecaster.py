@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import c_rate, true_current, true_power
+from uavbatt.battery.pack import c_rate, most_energy_Wh, true_current, true_power
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
@@ -242,11 +242,9 @@ class Forecaster:
         return Now(time_s, since_s, float(belief.mean[X.SOC]), flown.mean_W, flown.load, navigation)
 
     def _energy_Wh(self, belief: Belief) -> float:
-        """Return the energy that is left [Wh], rather too much: the charge believed plus two sds, at 4 V a cell."""
-        installation = self.pack.installation
+        """Return the energy that is left [Wh], rather too much: the charge believed plus two sds of it."""
         soc = max(float(belief.mean[X.SOC]), 0.0) + 2.0 * math.sqrt(belief.covariance[X.SOC, X.SOC]) + 0.01
-        capacity_Ah = installation.present_capacity_Ah * math.exp(float(belief.mean[X.LOG_CAPACITY]))
-        return float(soc * capacity_Ah * installation.cells * 4.0)
+        return float(soc * math.exp(float(belief.mean[X.LOG_CAPACITY])) * most_energy_Wh(self.pack.installation))
 
     def _remember(self, sample: Sample, navigation: Navigation) -> None:
         """Take the load and the place of one row into the memory; a row without voltage or current changes nothing."""

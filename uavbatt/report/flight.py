@@ -36,6 +36,7 @@ from uavbatt.report.page import (
     page,
     paragraph,
     section,
+    sentence,
     table,
 )
 from uavbatt.report.route_section import route_section
@@ -141,8 +142,7 @@ def _stretches(found: Sequence[Stretch]) -> Html:
 
 def _checkpoints(outcome: Outcome) -> Html:
     if outcome.reserve_soc > 0.0:
-        said = against_a_reserve(outcome.reserve_soc)
-        return paragraph(f"{said[:1].upper()}{said[1:]}.")
+        return paragraph(f"{sentence(against_a_reserve(outcome.reserve_soc))}.")
     if not outcome.checkpoints:
         return paragraph("The log does not show the end of flight, or it is too short before it: nothing to compare.")
     body = []

@@ -10,7 +10,7 @@ from uavbatt.log_replay.outcome import Checkpoint, Outcome
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.pending import ALARM, ALARM_S, TURN_BACK
 from uavbatt.records import ALARM_RISK, Status
-from uavbatt.report.page import duration, number
+from uavbatt.report.page import duration, number, sentence
 
 SD_90 = 1.64
 LAST_S, MUCH_LEFT_S = 60.0, 300.0
@@ -61,7 +61,7 @@ def _doubts(outcome: Outcome, steps: Sequence[ReplayedRow]) -> list[str]:
         return []
     said = next((s for s in steps if s.remaining.time_s >= outcome.landing.time_s), None)
     found = () if said is None else said.estimate.warnings
-    return [f"{w[:1].upper()}{w[1:]}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
+    return [f"{sentence(w)}." for w in found if not any(words in w for words in OTHERWISE_SAID)]
 
 
 def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
@@ -80,8 +80,7 @@ def _alarm(steps: Sequence[ReplayedRow]) -> list[str]:
 def _checked(outcome: Outcome, resolved: PackSize) -> str:
     """How good the forecasts were, where the log shows the end of flight."""
     if outcome.reserve_soc > 0.0:
-        said = against_a_reserve(outcome.reserve_soc)
-        return f"{said[:1].upper()}{said[1:]}."
+        return f"{sentence(against_a_reserve(outcome.reserve_soc))}."
     if outcome.checkpoints:
         return "; ".join(_error_words(c) for c in (*outcome.checkpoints[:1], *_late(outcome))) + "."
     if math.isfinite(outcome.end_of_flight_s):

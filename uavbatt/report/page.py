@@ -223,6 +223,11 @@ def _policy(script: str) -> str:
     return f"{POLICY}; script-src {allowed}" if allowed else POLICY
 
 
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
 def write_page(path: str | Path, html: str) -> None:
     """Write a page to `path` (`-`: standard output), whole or not at all. Raises BadInput when it cannot be written."""
     with atomic_write(path) as file:

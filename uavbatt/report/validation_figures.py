@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt.report import plot
-from uavbatt.report.page import Html, celsius, figure, number
+from uavbatt.report.page import Html, celsius, figure, number, sentence
 from uavbatt.report.validation_page import Array, Consistency
 from uavbatt.report.validation_tables import nearest, plain_reason
 from uavbatt.validation.gating.gate import Claim
@@ -56,8 +56,8 @@ def _over_instants(claim: Claim) -> Html:
     drawn = plot.panel(draw, alt, x="time from the start of the discharge (min)", y=f"model less tests ({unit})")
     return figure(
         drawn,
-        f"{_sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}",
-        _sentence(plain_reason(claim)) + ".",
+        f"{sentence(claim.claim)}, {celsius(claim.ambient_C)}: {claim.verdict}",
+        sentence(plain_reason(claim)) + ".",
     )
 
 
@@ -110,10 +110,6 @@ def _single(claims: Sequence[Claim]) -> Html:
         for c in claims
     )
     return figure(plot.drawing(draw, words, height), "Times, model less tests", words + ".")
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def mandel(levels: Sequence[Consistency], quantity: str) -> list[Html]:

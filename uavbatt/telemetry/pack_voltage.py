@@ -9,6 +9,7 @@ be like the others.
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -80,6 +81,14 @@ class PackVoltages:
         self._notes[battery.id] = f"{words}: the pack's is taken from {source}"
         every = now.most + (now.missing if _is_cut(now) else 0)
         return replace(battery, voltage_V=pack_V if is_fresh else mean_V * every, cell_voltages_V=())
+
+
+def is_in_sys_status(number: int, is_px4: bool, numbers: Set[int]) -> bool:
+    """Return True if SYS_STATUS speaks of battery `number`, of those that BATTERY_STATUS names.
+
+    ArduPilot tells its first battery there, PX4 the one that it thinks worst of.
+    """
+    return number == 0 and not (is_px4 and numbers - {0})
 
 
 def _after(before: Cells, time_s: float, told: int, difference: float) -> Cells:

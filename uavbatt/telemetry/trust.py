@@ -121,8 +121,7 @@ def _statements(facts: PackFacts, samples: Sequence[Sample]) -> Iterator[Finding
         spoken = f"{lowest_V / cells:.2f} .. {highest_V / cells:.2f} V per cell"
         yield _CARE, f"{spoken} with {cells} cells: is the count right?"
         cells = None
-    endings_V = (facts.critical_voltage_V, facts.low_voltage_V) if not facts.cells_series else ()
-    cells = cells or cells_from_voltage(samples[0].voltage_V, endings_V=endings_V)[0]
+    cells = cells or cells_from_voltage(samples[0].voltage_V, endings_V=facts.endings_V)[0]
     for doubt in (
         capacity_doubt(facts.capacity_Ah),
         ending_doubt("critical voltage ", facts.critical_voltage_V, cells),

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import LogBuilder
-from uavbatt.telemetry.pack_voltage import PackVoltages
+from uavbatt.telemetry.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
 from uavbatt.telemetry.route.messages import (
     HOME_POSITION,
@@ -227,8 +227,7 @@ class Vehicle:
         return released
 
     def _with_all_cells(self, battery: fields.BatteryFields, time_s: float) -> fields.BatteryFields:
-        # ArduPilot tells its first battery in SYS_STATUS, PX4 the one that it thinks worst of.
-        is_of_sys_status = battery.id == 0 and not (self.is_px4 and self.battery_ids - {0})
+        is_of_sys_status = is_in_sys_status(battery.id, self.is_px4 is True, self.battery_ids)
         return self.voltages.of(battery, time_s, self._log.armed, is_of_sys_status)
 
     def _row(self, time_s: float, battery: fields.BatteryFields) -> LiveRow | None:

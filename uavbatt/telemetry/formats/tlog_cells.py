@@ -11,18 +11,18 @@ from uavbatt.mavlink import fields
 from uavbatt.telemetry.columns import UNKNOWN, Column, distinct, latest_before
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
-from uavbatt.telemetry.pack_voltage import AGREE, HIGHEST_CELL_V, LOWEST_CELL_V, PackVoltages
+from uavbatt.telemetry.pack_voltage import AGREE, HIGHEST_CELL_V, LOWEST_CELL_V, PackVoltages, is_in_sys_status
 
 
 class Heard(NamedTuple):
-    """What is said in a log of some kind: the frames' places among the vehicle's, and a value of each."""
+    """The messages of one kind in a log: their places among the vehicle's frames, and one value of each."""
 
     place: NDArray[np.int64]
     value: Column
 
 
 class Row(NamedTuple):
-    """What must be known with each BATTERY_STATUS: its place, its time [s], armed or UNKNOWN, and whether it is PX4."""
+    """The messages BATTERY_STATUS of a log: place, time [s], vehicle armed (or UNKNOWN), sent by a PX4."""
 
     place: NDArray[np.int64]
     time_s: Column
@@ -37,7 +37,7 @@ def with_all_cells(said: BatteryMessages, row: Row, sys_status: Heard, sys_time_
     """
     if said.cells_V is None or _are_sound(said, row, sys_status):
         return said
-    voltages, others = PackVoltages(), bool(set(distinct(said.instance)) - {0})
+    voltages, ids = PackVoltages(), set(distinct(said.instance))
     latest = latest_before(row.place, sys_status.place).tolist()
     volts, cells_V = said.voltage_V.copy(), said.cells_V.copy()
     armed, numbers = row.armed.tolist(), said.instance.tolist()
@@ -50,8 +50,7 @@ def with_all_cells(said: BatteryMessages, row: Row, sys_status: Heard, sys_time_
             number, float(said.voltage_V[k]), cell_voltages_V=tuple(told[np.isfinite(told)].tolist())
         )
         is_armed = None if armed[k] == UNKNOWN else bool(armed[k])
-        is_of_sys_status = number == 0 and not (row.is_px4[k] and others)
-        now = voltages.of(battery, float(row.time_s[k]), is_armed, is_of_sys_status)
+        now = voltages.of(battery, float(row.time_s[k]), is_armed, is_in_sys_status(number, bool(row.is_px4[k]), ids))
         seen[number] = seen.get(number, 0) + 1
         if now is not battery:
             volts[k], cells_V[k] = now.voltage_V, np.nan
