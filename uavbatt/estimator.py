@@ -151,7 +151,7 @@ class Estimator:
         self._known = known
         if before is None or now is None or now is before:
             return
-        if (now.cells, now.capacity_Ah) != (before.cells, before.capacity_Ah):
+        if now.cell_kind != before.cell_kind:
             self._followed = None
         elif self._followed is not None:
             self._followed.filter.pack = self._followed.forecaster.pack = self._pack(now)
@@ -165,7 +165,7 @@ class Estimator:
         self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
     ) -> None:
         """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
-        self._known = self._known._replace(facts=facts, size=size)
+        self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
         if past is not None:
             self._cleaner = past.cleaner
         since_then = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # as after a silence of the telemetry
@@ -228,9 +228,10 @@ class Estimator:
                 swap = followed.swap.after(sample, row.innovation, row.belief, followed.filter.pack)
                 followed = followed._replace(swap=swap)
             if followed.swap.is_another:  # enough rows by now have shown another pack than the one believed in
+                self._known = self._known.anew()
                 followed = self._begun()
                 rows, since = followed.filter.run(clean[k:], filter_window), k
-                row, self._known = rows[0], self._known.anew()
+                row = rows[0]
             yield self._forecast_for(followed, sample, row, navigation_at(sample.time_s))
 
     def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:

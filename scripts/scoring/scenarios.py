@@ -141,6 +141,7 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "nothing_wrong": lambda: Scenario(whole()),
     "warm_pack_in_cold_air": lambda: Scenario(warm_pack(25.0, 0.0)),
     "cells_unstated_12_part": twelve_cells,
+    "healthy_lihv": lambda: Scenario(flight(Pack(make=LIHV))),
     "payload_on_the_ground": lambda: Scenario(payload_on_the_ground()),
     "nothing_wrong_from_60": lambda: Scenario(part()),
     "worn_80_percent": lambda: Scenario(flight(Pack(capacity_Ah=4.0))),
@@ -180,6 +181,7 @@ SOUND = {
     "low_volt_25",
     "warm_pack_in_cold_air",
     "cells_unstated_12_part",
+    "healthy_lihv",
     "payload_on_the_ground",
 }
 

@@ -146,6 +146,7 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "cells 0": of_battery("cells", value=0),
     "cells a text": of_battery("cells", value="4"),
     "cells of another pack": of_battery("cells", value=5),
+    "cells full at 40 V": of_battery("fullest_cell_V", value=40.0),
     "capacity 1e12": of_battery("capacity_Ah", value=1e12),
     "capacity of another pack": of_battery("capacity_Ah", value=50.0),
     "current 1e12": of_battery("current_A", value=1e12),

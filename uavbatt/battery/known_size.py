@@ -16,6 +16,8 @@ from uavbatt.battery.statements import PowerRange, Statements
 from uavbatt.limits import Doubt, Resting, Seen, cells_from_voltage
 from uavbatt.records import NAN, PackFacts, Sample
 
+SURE_ROWS = 2  # one alone may be damaged
+
 
 class KnownSize(NamedTuple):
     """A pack's size by the statements of caller and vehicle; `after` compares one more row with them.
@@ -34,6 +36,7 @@ class KnownSize(NamedTuple):
     doubts: tuple[Doubt, ...] = ()
     first_A: float = NAN  # current at the first voltage [A]
     counts: tuple[int, ...] = ()
+    rested_V: float = NAN  # before the first load, by so many rows that it is no damaged one [V of the pack]
 
     @property
     def refusal(self) -> str:
@@ -59,6 +62,8 @@ class KnownSize(NamedTuple):
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
             if is_denied or (math.isnan(before.rested_V) and math.isfinite(seen.rested_V)):
                 known = known._sized()  # another count, or a cut-off that lies above the rested voltage
+        if statements.rows == SURE_ROWS and math.isnan(known.rested_V):
+            known = known._replace(rested_V=seen.rested_V)._sized()  # the cells may be of another kind
         sized = known.size or size
         return known._replace(doubts=(*statements.doubts(sized, self.resting, self.stated_W), *known._of_count(sized)))
 
@@ -72,7 +77,7 @@ class KnownSize(NamedTuple):
 
     def anew(self) -> KnownSize:
         """Return the same size for a pack that has just been changed, so that no row of it was seen yet."""
-        return self._replace(statements=Statements(), counts=())
+        return self._replace(statements=Statements(), counts=(), rested_V=NAN)
 
     def _counted(self) -> KnownSize:
         """Return what is known with the cells counted by what was seen."""
@@ -83,7 +88,8 @@ class KnownSize(NamedTuple):
         """Return the size by what is known now; where nobody states the cells, by the likeliest count."""
         assert self.size is not None
         guessed, seen = (*self.counts, self.size.cells)[0], self.statements.seen
-        return self._replace(size=size_of_pack(self.battery, self.options, self.facts, guessed, seen=seen))
+        size = size_of_pack(self.battery, self.options, self.facts, guessed, seen=seen, rested_V=self.rested_V)
+        return self._replace(size=size)
 
     def _counts(self, first_V: float) -> tuple[int, ...]:
         """Return the counts of cells that fit the first voltage [V] and what the vehicle says, the likeliest first."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.effects import EFFECTS
 from uavbatt.battery.equations import Number
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V, ocv_of_fuller
 from uavbatt.battery.model import SOC_GRID, Parameters
 from uavbatt.battery.pack import Installation
 
@@ -145,9 +146,10 @@ def dense_resistance(knots_soc: Array, values: Array) -> Array:
     return np.exp(monotone_cubic(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1]), knots_soc, np.log(values)))
 
 
-def cell_parameters(file: BatteryFile) -> Parameters:
-    """The cell of the file with its effects on."""
+def cell_parameters(file: BatteryFile, fullest_V: float = ORDINARY_FULL_V) -> Parameters:
+    """The cell of the file with its effects on; `fullest_V` as in `pack_of`."""
     table = file.parameters
+    ocv_soc = np.array(table.ocv_soc)
     fields = {
         name: value
         for entry in file.effects
@@ -155,7 +157,7 @@ def cell_parameters(file: BatteryFile) -> Parameters:
         for name, value in entry.parameters.items()
     }
     return Parameters(
-        ocv_V=dense(np.array(table.ocv_soc), np.array(table.ocv_V)),
+        ocv_V=dense(ocv_soc, ocv_of_fuller(ocv_soc, np.array(table.ocv_V), fullest_V)),
         r0_ohmAh=dense_resistance(np.array(table.resistance_soc), np.array(table.resistance_ohmAh)),
         **fields,
     )
@@ -172,8 +174,13 @@ def installation_of(file: BatteryFile, cells: int, capacity_Ah: float) -> Instal
     return Installation(cells=cells, capacity_Ah=capacity_Ah, **fields)
 
 
-def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, low_V: float) -> Pack:
-    """The file scaled to `cells` in series of `capacity_Ah`, with the voltages that end the flight [V]."""
+def pack_of(
+    file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, low_V: float, fullest_V: float = ORDINARY_FULL_V
+) -> Pack:
+    """The file scaled to `cells` in series of `capacity_Ah`, with the voltages that end the flight [V].
+
+    fullest_V : at which a full cell rests [V]; above ORDINARY_FULL_V it is another kind of cell (`high_voltage`).
+    """
     installation = installation_of(file, cells, capacity_Ah)
     widening = WIDENING[file.status]
     left = file.discrepancy
@@ -182,7 +189,7 @@ def pack_of(file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, 
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
     return Pack(
-        cell=cell_parameters(file),
+        cell=cell_parameters(file, fullest_V),
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,

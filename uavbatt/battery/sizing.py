@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
@@ -73,6 +74,12 @@ class PackSize:
     uncertified: str = ""  # what of this pack the battery file's certificate does not cover
     notices: tuple[str, ...] = ()  # what of it is odd, and what was not believed
     refusal: str = ""  # why there can be no number for it
+    fullest_cell_V: float = ORDINARY_FULL_V  # more for cells that charge higher (`high_voltage`)
+
+    @property
+    def cell_kind(self) -> tuple[int, float, float]:
+        """Return cells, capacity [Ah] and fullest voltage of a cell [V]: another one of them is another battery."""
+        return self.cells, self.capacity_Ah, self.fullest_cell_V
 
     @property
     def words(self) -> str:
@@ -90,11 +97,13 @@ def size_of_pack(
     guessed_cells: int,
     guessed_from: str = GUESSED_FROM,
     seen: Seen = Seen(),
+    rested_V: float = NAN,
 ) -> PackSize:
     """Size a pack: by the caller's statement, else the vehicle's, else the guess (cells) or the battery file.
 
     guessed_cells, guessed_from : the count that fits the voltage, and in words whose it is; seen : the voltages [V]
-    that the statements are held against. Raises UsageError when nobody states the capacity.
+    that the statements are held against; rested_V : of the pack before its first load [V], if the cells are to be told
+    by it from ordinary ones (`high_voltage`). Raises UsageError when nobody states the capacity.
     """
     typed = battery.battery
     guess = (guessed_cells, guessed_from)
@@ -127,6 +136,7 @@ def size_of_pack(
         ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
         ending_doubt("low-voltage warning at ", given.low_V, cells),
     ]
+    fullest_V = fullest_cell_V(rested_V, cells) if battery.status == "generic" else ORDINARY_FULL_V
     return PackSize(
         battery=typed.name,
         status=battery.status,
@@ -139,8 +149,15 @@ def size_of_pack(
         low_V=float(low_V),
         low_from=low_from,
         uncertified=_uncertified(battery, cells, float(capacity_Ah)),
-        notices=(*cells_notices, *notices, *_oddities(doubts), *_scaled_far(battery, cells, capacity_Ah)),
+        notices=(
+            *cells_notices,
+            *notices,
+            *_oddities(doubts),
+            *_scaled_far(battery, cells, capacity_Ah),
+            *_fuller(fullest_V),
+        ),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
+        fullest_cell_V=fullest_V,
     )
 
 
@@ -151,7 +168,7 @@ def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:
 
 def sized(battery: BatteryFile, size: PackSize) -> Pack:
     """Return the battery file scaled to a pack of this size."""
-    return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V)
+    return pack_of(battery, size.cells, size.capacity_Ah, size.cutoff_V, size.low_V, size.fullest_cell_V)
 
 
 def checked(battery: BatteryFile, pack: PackSize, seen: Seen) -> PackSize:
@@ -234,6 +251,12 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
         return ()
     size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
     return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
+
+
+def _fuller(fullest_V: float) -> tuple[str, ...]:
+    """A remark where the cells are taken for ones that charge higher than others."""
+    is_fuller = fullest_V > ORDINARY_FULL_V
+    return (f"a cell rests at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",) if is_fuller else ()
 
 
 def _uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:

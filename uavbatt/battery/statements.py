@@ -246,7 +246,8 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
     guess = cells_from_voltage(first_V, battery.battery.cells_series, said.endings_V)[0]
     try:
         seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
-        return checked(battery, size_of_pack(battery, options, said, guess, seen=seen), seen)
+        size = size_of_pack(battery, options, said, guess, seen=seen, rested_V=seen.rested_V)
+        return checked(battery, size, seen)
     except UsageError as error:
         raise UsageError(f"{flight.source}: {error}") from None
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavbatt.battery.effects import EFFECTS
+from uavbatt.battery.high_voltage import ocv_of_fuller
 from uavbatt.battery.model import Array, Parameters
 from uavbatt.battery.scaling import dense, dense_resistance
 
@@ -20,10 +21,6 @@ from uavbatt.battery.scaling import dense, dense_resistance
 OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
-
-# A cell that rests above this charges to 4.35 V: an ordinary one whose charge goes on where the others stop.
-ORDINARY_FULL_V = 4.25
-SLOPE_AT_FULL_V = 1.0  # per unit of charge
 
 OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
 DISORDER_SD_V = 0.003
@@ -50,15 +47,8 @@ class Slot:
 
 
 def ocv_knots(fullest_V: float) -> Array:
-    """OCV [V] at OCV_SOC of cells that have rested at `fullest_V` [V] and no higher.
-
-    Above ORDINARY_FULL_V the ordinary curve is stretched, OCV(soc · (1 + more)), so that a full cell rests there.
-    """
-    if not fullest_V > ORDINARY_FULL_V:
-        return OCV_V
-    soc = OCV_SOC * (1.0 + (fullest_V - OCV_V[-1]) / SLOPE_AT_FULL_V)
-    beyond = np.maximum(soc - 1.0, 0.0)
-    return np.asarray(np.interp(soc, OCV_SOC, OCV_V) + SLOPE_AT_FULL_V * beyond)
+    """OCV [V] at OCV_SOC of cells that have rested at `fullest_V` [V] and no higher."""
+    return ocv_of_fuller(OCV_SOC, OCV_V, fullest_V)
 
 
 def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.nan) -> tuple[Slot, ...]:

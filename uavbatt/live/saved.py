@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.sections import HIGHEST_CELL_V, Capacity, Cells
 from uavbatt.battery.state_space import SIZE, X, mixed_covariance
@@ -24,6 +25,7 @@ from uavbatt.records import PackFacts
 Column = Annotated[list[float], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 Square = Annotated[list[Column], msgspec.Meta(min_length=SIZE, max_length=SIZE)]
 Weight = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
+FullestCell = Annotated[float, msgspec.Meta(ge=ORDINARY_FULL_V, le=HIGHEST_CELL_V)]
 MOST_MEMBERS = 64
 
 # Lowest and highest mean of each component, and lowest and highest standard deviation. No battery is known better than
@@ -63,6 +65,7 @@ class SavedBattery:
     consumed_Ah: float
     current_A: float
     past: Past
+    fullest_cell_V: FullestCell = ORDINARY_FULL_V
 
 
 def implausible(was: SavedBattery) -> str:

@@ -106,6 +106,7 @@ class TrackedBattery:
             consumed_Ah=last.consumed_Ah,
             current_A=last.current_A,
             past=past.moved(-belief.time_s),
+            fullest_cell_V=resolved.fullest_cell_V,
         )
 
     def _resume(self, was: SavedBattery, sample: Sample, gap_s: float) -> str:
@@ -115,7 +116,8 @@ class TrackedBattery:
         try:
             if why_not := implausible(was):
                 return f"the saved state holds {why_not}"
-            pack = size_of_pack(self._battery, self._options, was.facts, was.cells, seen=Seen(sample.voltage_V))
+            seen, rested_V = Seen(sample.voltage_V), was.cells * was.fullest_cell_V
+            pack = size_of_pack(self._battery, self._options, was.facts, was.cells, seen=seen, rested_V=rested_V)
             if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
                 return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
             at_s = sample.time_s - gap_s - was.since_row_s

@@ -1,0 +1,92 @@
+"""Cells that charge to 4.35 V fly with the generic battery: the rested voltage tells them from ordinary ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+from daemon_bench import Bench
+from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, LIHV, Pack, rested
+from scoring.scenarios import STATED, another, flight
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
+from uavbatt.live.config import StateSection
+from uavbatt.log_replay.run import engine_for
+from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.records import Estimate, Remaining, Sample, Status
+
+TAKEN_FOR = "taken for LiHV"
+
+
+def estimator(period_s: float = 10.0) -> Estimator:
+    settings = ForecastSettings(forecast_period_s=period_s)
+    return Estimator(battery_file.read_battery("lipo-generic"), STATED, settings, engine_for(is_long=True))
+
+
+@cache
+def rows(soc: float, air_C: float, capacity_Ah: float = FULL_AH) -> tuple[Sample, ...]:
+    return tuple(flight(Pack(capacity_Ah, soc, make=LIHV, air_C=air_C)))
+
+
+@cache
+def run(soc: float, air_C: float, capacity_Ah: float = FULL_AH) -> list[tuple[Estimate, Remaining]]:
+    return list(estimator().run(rows(soc, air_C, capacity_Ah)))
+
+
+@pytest.mark.parametrize(("soc", "air_C"), [(1.0, 25.0), (1.0, 5.0), (0.97, 25.0)])
+def test_a_healthy_pack_has_a_number_from_take_off_on(soc: float, air_C: float) -> None:
+    """It was refused for two minutes as a pack of a fifth of its capacity, and alarmed at half time."""
+    end_s = rows(soc, air_C)[-1].time_s
+    said = [pair for pair in run(soc, air_C) if 30.0 < pair[0].time_s < end_s - 5.0]
+    assert all(remaining.status is not Status.REFUSED for _, remaining in said)
+    assert not [w for estimate, _ in said for w in estimate.warnings if "holds less" in w]
+    alarm_s = next(r.time_s for _, r in said if r.remaining_alarm_s <= 120.0)
+    assert 45.0 <= end_s - alarm_s <= 300.0
+    assert all(TAKEN_FOR in " ".join(estimate.warnings) for estimate, _ in said)
+
+
+def test_a_worn_pack_is_still_seen() -> None:
+    end_s = rows(1.0, 25.0, 4.0)[-1].time_s
+    late = [r for _, r in run(1.0, 25.0, 4.0) if end_s - 300.0 < r.time_s < end_s - 5.0]
+    assert max(r.remaining_lo_s - (end_s - r.time_s) for r in late) < 25.0
+    assert end_s - next(r.time_s for r in late if r.remaining_alarm_s <= 120.0) >= 45.0
+
+
+@pytest.mark.parametrize("first_V", [17.4, 4.0])
+def test_one_damaged_first_row_makes_no_other_cells(first_V: float) -> None:
+    sound = rested(Pack(), 20, 0.0)
+    judge = estimator()
+    for sample in [replace(sound[0], voltage_V=first_V), *sound[1:]]:
+        judge.step(sample)
+    assert judge.pack_size is not None and judge.pack_size.fullest_cell_V == ORDINARY_FULL_V
+
+
+@pytest.mark.parametrize(("first", "second"), [("lihv", "lipo"), ("lipo", "lihv")])
+def test_the_next_pack_may_be_of_other_cells(first: str, second: str) -> None:
+    """A swap in a silence: the kind of the cells is told anew."""
+    packs = {"lihv": Pack(make=LIHV), "lipo": Pack()}
+    judge = estimator()
+    for sample in another(packs[first], 300, 60.0, packs[second])[:-300]:
+        judge.step(sample)
+    assert judge.pack_size is not None
+    assert (judge.pack_size.fullest_cell_V > ORDINARY_FULL_V) is (second == "lihv")
+
+
+def test_it_is_still_known_after_a_restart_in_the_air(tmp_path: Path) -> None:
+    """The voltage under load no longer tells it: the saved state does."""
+    state = StateSection(file=str(tmp_path / "state.json"))
+    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
+    before = Bench(options, state=state)
+    before.play(rows(1.0, 25.0)[:300])
+    charge = before.daemon.board.reports[0].estimate.soc
+    before.daemon.close()
+    after = Bench(options, start_s=before.now_s + 1.0, state=state)
+    after.play(rows(1.0, 25.0)[302:330])
+    report = after.daemon.board.reports[0]
+    assert report.estimate.soc == pytest.approx(charge - 0.035, abs=0.02)
+    assert any(TAKEN_FOR in warning for warning in report.estimate.warnings)
