@@ -23,7 +23,10 @@ SIDE_BY_SIDE = 16  # more do not fit the cache
 
 
 class Question(NamedTuple):
-    """One forecast to simulate: samples of the belief under their powers; see `time_to_end.time_to_end`."""
+    """It holds one forecast to simulate: samples of the belief under their powers (`time_to_end.time_to_end`).
+
+    Shapes: x [9, draws], power_W [steps, draws], dt_s [steps].
+    """
 
     time_s: float
     horizon_s: float
@@ -44,14 +47,14 @@ Answers = Callable[[Sequence[Question]], list[EndTimes]]
 
 
 def end_times(q: Question, enough: float = COUNTED) -> EndTimes:
-    """Simulate one forecast; returns the end of each sample, none later than those of a share `enough` of them."""
+    """Simulate one forecast and return when each sample ends [s]; `enough` is that of `time_to_end.counted`."""
     drawn = sampling.wander(q.dt_s.size, q.by_rows)
     ends = time_to_end(q.pack, q.x, q.power_W, q.ambient_C, q.dt_s, q.reserve_soc, drawn, q.by_rows, enough=enough)
     return counted(ends, enough)
 
 
 def answers(questions: Sequence[Question]) -> list[EndTimes]:
-    """Simulate many forecasts of one pack side by side; returns the end of each sample, as `end_times` gives it."""
+    """Simulate many forecasts of one pack side by side and return the ends of each, as `end_times` gives them."""
     found: list[EndTimes] = []
     for _, alike in groupby(questions, key=lambda q: (q.by_rows, q.reserve_soc)):
         queue = list(alike)

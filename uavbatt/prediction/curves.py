@@ -22,7 +22,7 @@ def curve_tables(pack: Pack) -> Array:
 
 
 def looked_up(tables: Array, soc: Array) -> Array:
-    """Return the values of `curve_tables` at a charge [batch], as [curve, batch]."""
+    """Return the values of the curves in `tables` (`curve_tables`) at a charge [batch], as [curve, batch]."""
     position = (soc - (LOWEST_SOC - GRID_STEP)) / GRID_STEP
     index = eq.segment(position, tables.shape[2])
     found = np.asarray(tables.take(index, axis=2))

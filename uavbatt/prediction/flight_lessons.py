@@ -33,7 +33,10 @@ LEAST_FLOWN_S = 20.0
 
 
 class Timing(NamedTuple):
-    """The belief about stretch s and speeding e: precision matrix (ss, se, ee) and its product with the means."""
+    """It holds the belief about stretch s and speeding e.
+
+    ss, se, ee : their precision matrix; s, e : its product with their means.
+    """
 
     ss: float = 1.0 / STRETCH_SD**2
     se: float = 0.0
@@ -42,7 +45,7 @@ class Timing(NamedTuple):
     e: float = SPEEDING / SPEEDING_SD**2
 
     def after(self, flown_s: float, planned_s: float, speed_ms: float) -> Timing:
-        """The knowledge after a leg of `planned_s` [s] and `speed_ms` [m/s] took `flown_s` [s]."""
+        """Return the belief after a leg of `planned_s` [s] and a top speed of `speed_ms` [m/s] took `flown_s` [s]."""
         weight = 1.0 / (LEG_NOISE_S**2 + (LEG_NOISE * planned_s) ** 2)
         return Timing(
             self.ss + weight * planned_s**2,
@@ -54,20 +57,20 @@ class Timing(NamedTuple):
 
     @property
     def factors(self) -> tuple[float, float]:
-        """The means of s and e, neither so small that time would run backwards."""
+        """Return the means of s [-] and e [s per m/s], neither so small that time would run backwards."""
         det = self.ss * self.ee - self.se**2
         stretch, speeding = (self.ee * self.s - self.se * self.e) / det, (self.ss * self.e - self.se * self.s) / det
         return min(max(stretch, 0.5), 2.0), min(max(speeding, -0.5), 2.0)
 
     def sd(self, planned_s: Array, speed_ms: Array) -> Array:
-        """Standard deviation of the time of such legs that s and e leave [s]."""
+        """Return the sd [s] that the doubt about s and e gives the time of legs of these planned times and speeds."""
         det = self.ss * self.ee - self.se**2
         variance = self.ee * planned_s**2 - 2.0 * self.se * planned_s * speed_ms + self.ss * speed_ms**2
         return np.asarray(np.sqrt(np.maximum(variance / det, 0.0)))
 
 
 class FlightLessons(NamedTuple):
-    """The knowledge of this flight that no message repeats: timing, power level, wind. It outlives a restart."""
+    """It holds what this flight has taught and no message repeats: timing, power level, wind. It outlives a restart."""
 
     short: Timing = Timing()
     long: Timing = Timing()
@@ -78,12 +81,15 @@ class FlightLessons(NamedTuple):
 
     @property
     def is_possible(self) -> bool:
-        """True if a flight can have taught this: a saved file may hold anything."""
+        """Return True if a flight can have taught this: a saved file may hold anything."""
         timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
         return timed and self.level_s >= 0.0 and self.level_sum_s >= 0.0
 
     def timed(self, behind: Sequence[Leg], flown_s: float) -> FlightLessons:
-        """The lessons of legs of one kind that took `flown_s` [s] together; a pause does not count."""
+        """Return the lessons after the legs `behind` took `flown_s` [s] together.
+
+        The planned waits do not count. Take-offs, unusual times, and short legs mixed with long ones teach nothing.
+        """
         flown_s -= sum(leg.hold_s for leg in behind)
         planned_s, speeds_ms = sum(leg.moving_s for leg in behind), sum(leg.fastest_ms for leg in behind)
         usual_s = STRETCH * planned_s + SPEEDING * speeds_ms
@@ -97,7 +103,10 @@ class FlightLessons(NamedTuple):
         return self
 
     def blown(self, wind: Wind | None, row_s: float) -> FlightLessons:
-        """The lessons with the wind, as the autopilot estimates it, averaged over a minute."""
+        """Return the lessons with the wind, as the autopilot estimates it, averaged over a minute.
+
+        row_s : time since the row before [s]; a wind of None changes nothing.
+        """
         if wind is None:
             return self
         if not math.isfinite(self.wind_north_ms):
@@ -109,26 +118,26 @@ class FlightLessons(NamedTuple):
         )
 
     def powered(self, ratio: float, told_s: float) -> FlightLessons:
-        """The lessons after `told_s` [s] at this ratio of flown over modelled power."""
+        """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power."""
         return self._replace(level_s=self.level_s + told_s, level_sum_s=self.level_sum_s + told_s * ratio)
 
     def timing(self, leg: Leg) -> Timing:
-        """Return what is known of the timing of such a leg."""
+        """Return the belief about the timing of such a leg: short and long legs have one each."""
         return self.short if leg.moving_s < SHORT_LEG_S else self.long
 
     def expected_s(self, leg: Leg) -> float:
-        """Return how long such a leg and the wait at its end take by what is known [s]."""
+        """Return how long such a leg and the wait at its end are expected to take [s]."""
         stretch, speeding = self.timing(leg).factors
         return stretch * leg.moving_s + speeding * leg.fastest_ms + leg.hold_s
 
     @property
     def wind(self) -> tuple[float, float]:
-        """The velocity of the air north and east [m/s]; still where nobody measures it."""
+        """Return the velocity of the air north and east [m/s]; still air where nobody measures it."""
         known = math.isfinite(self.wind_north_ms)
         return (self.wind_north_ms, self.wind_east_ms) if known else (0.0, 0.0)
 
     def level(self, powers: Powers) -> tuple[float, float]:
-        """The flight's power over that of `powers`, and its sd: the prior and what was flown so far.
+        """Return the ratio of the flight's power to that of `powers`, and its sd: the prior and what was flown so far.
 
         Of an aircraft that nobody knows it is NaN until enough was flown.
         """

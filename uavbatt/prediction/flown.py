@@ -19,7 +19,7 @@ SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
 
 
 class Flown(NamedTuple):
-    """The past at `time_s` [s], NaN before the first row; a value, replaced by `after`.
+    """It holds the past of a flight at `time_s` [s], NaN before the first row; it is a value, replaced by `after`.
 
     rate_c : smoothed C-rate; loaded_s : last row under a load that carries the aircraft; flying_since_s : NaN on the
     ground; took_off_s : begin of the flight whose energy `flown_J` [J] was drawn in `flown_s` [s]; row_s : usual
@@ -40,7 +40,7 @@ class Flown(NamedTuple):
 
     @property
     def mean_W(self) -> float:
-        """Mean power of the flight [W], that of the last rows before there is any; at least 1 W."""
+        """Return the mean power of the flight [W], before there is any that of the last rows; at least 1 W."""
         return max(1.0, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool = False) -> Flown:
@@ -61,7 +61,7 @@ class Flown(NamedTuple):
         return now._spooled_up(power_W) if is_early else now
 
     def moved(self, shift_s: float) -> Flown:
-        """Return the same past on a clock that shows `shift_s` more."""
+        """Return the same past on a clock that shows `shift_s` [s] more."""
         return self._replace(
             load=self.load._replace(time_s=self.load.time_s + shift_s),
             flying_since_s=self.flying_since_s + shift_s,

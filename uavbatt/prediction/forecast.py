@@ -16,7 +16,11 @@ LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
 
 
 class Forecast(NamedTuple):
-    """One forecast, at the time it was made [s]."""
+    """It holds the quantiles of one forecast's simulated ends, in seconds from `time_s`, when it was made.
+
+    lo_s, hi_s : 5 % and 95 % point; low_warning_s : until the low-voltage warning, NaN where the pack has none;
+    alarm_s : the point at ALARM_RISK, by which alarms go; ends_s : all ends.
+    """
 
     time_s: float
     median_s: float
@@ -28,7 +32,7 @@ class Forecast(NamedTuple):
     route: Route | None = None
 
     def counted_down(self, time_s: float, estimate: Estimate) -> Remaining:
-        """Return what is left at a later time [s], with the words of the estimate there."""
+        """Return the remaining time at a later time [s], with status and reason of the estimate there."""
         age_s = time_s - self.time_s
         return Remaining(  # what is not known, NaN, stays so: it is the first of the two
             time_s=time_s,
@@ -57,7 +61,7 @@ class Forecast(NamedTuple):
 
 
 def quantile(ordered: Array, level: float) -> float:
-    """Quantile of values in ascending order, linear between them, as numpy's: which sorts anew each time."""
+    """Return the quantile of values in ascending order, linear between them, as numpy's: which sorts anew each time."""
     position = level * (ordered.size - 1)
     below = int(position)
     above = min(below + 1, ordered.size - 1)

@@ -47,7 +47,7 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 @dataclass(frozen=True, slots=True)
 class ForecastSettings:
-    """The operator asks this of forecasts. Raises UsageError when a number cannot be.
+    """It holds what the operator asks of forecasts. Raises UsageError for a number that cannot be.
 
     load : how the load to come is known; reserve_soc : state of charge that ends the flight, 0..1;
     forecast_period_s : seconds between two forecasts.
@@ -64,20 +64,20 @@ class ForecastSettings:
 
 
 class Memory(NamedTuple):
-    """The past as a forecaster knows it, as a value: saved with the belief, so that a restart goes on."""
+    """It holds the past as a forecaster needs it, as a value: saved with the belief, so that a restart goes on."""
 
     flown: Flown
     route: FlightLessons
     at_take_off: AtTakeOff | None = None
 
     def moved(self, shift_s: float) -> Memory:
-        """The same past on a clock that shows `shift_s` more."""
+        """Return the same past on a clock that shows `shift_s` [s] more."""
         expected = self.at_take_off and self.at_take_off.moved(shift_s)
         return self._replace(flown=self.flown.moved(shift_s), at_take_off=expected)
 
 
 class Forecaster:
-    """Turns estimates into remaining time; one instance follows one flight."""
+    """A forecaster turns estimates into remaining time; one instance follows one flight."""
 
     def __init__(self, pack: Pack, settings: ForecastSettings | None = None) -> None:
         self.pack = pack
@@ -98,7 +98,7 @@ class Forecaster:
 
     @property
     def memory(self) -> Memory:
-        """The past as far as forecasts need it."""
+        """Return the past as far as forecasts need it."""
         return Memory(self._flown, self._progress.lessons, self._at_take_off)
 
     def recall(self, memory: Memory) -> None:
@@ -109,16 +109,17 @@ class Forecaster:
     def step(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
     ) -> Remaining:
-        """Remaining time after `sample`; refused on the ground and while the estimate is refused."""
+        """Return the remaining time after `sample`; refused on the ground and while the estimate is refused."""
         refusal, question = self.update(sample, estimate, belief, navigation)
         return self.finish(sample, estimate, refusal, question and (question, end_times(question)))
 
     def update(
         self, sample: Sample, estimate: Estimate, belief: Belief | None, navigation: Navigation = NOWHERE
     ) -> tuple[str, Question | None]:
-        """Take a sample into the memory; returns why there can be no forecast, the forecast to simulate, or neither.
+        """Take a sample into the memory; return why there can be no forecast, and the forecast to simulate, if any.
 
-        belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come.
+        belief : after the sample; navigation : where the aircraft is and what it will fly, for the load to come. The
+        reason is empty where there can be a forecast; the forecast is None between two of them.
         It uses no simulated forecast, so that a replay can take many rows in and simulate their forecasts at once.
         """
         self._remember(sample, navigation)
@@ -156,7 +157,7 @@ class Forecaster:
         return self._last.counted_down(sample.time_s, estimate)
 
     def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
-        """The forecast to simulate from the belief and the load to come; None when no end is in sight."""
+        """Return the forecast to simulate from the belief and the load to come; None when no end is in sight."""
         known = route_forecast.to_come(self.settings.load, self._progress, navigation, time_s)
         load, now = known.load, self._now(belief, time_s, navigation)
         typical_s = max(self._energy_Wh(belief) * 3600.0 / load.typical_W(now), 1.0)
@@ -199,7 +200,10 @@ class Forecaster:
         return question._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:
-        """Return the endurance if it took off now, with the load as it is known on the ground; no memory changes."""
+        """Return the forecast of a take-off now, with the load as it is known on the ground; no memory changes.
+
+        None when no end is in sight.
+        """
         return self._before_any_flight().forecast(belief, time_s)
 
     def _before_any_flight(self) -> Forecaster:
@@ -218,7 +222,7 @@ class Forecaster:
         return AtTakeOff(take_off_s, power_W, *(tuple(times_s.tolist()) for times_s in ends))
 
     def forecast(self, belief: Belief, time_s: float) -> Forecast | None:
-        """A fresh forecast; None when no end is in sight."""
+        """Simulate and return a fresh forecast; None when no end is in sight."""
         question = self.question(belief, time_s)
         return None if question is None else self._forecast(question, end_times(question))
 

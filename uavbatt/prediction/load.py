@@ -27,9 +27,9 @@ SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
 
 
 class Scenarios(NamedTuple):
-    """Loads that may come: true pack power [W], [steps, scenarios], from now on, and the weight of each scenario.
+    """They are the loads that may come: true pack power [W], [steps, scenarios], from now on, each with a weight.
 
-    `dt_s` [steps] are the lengths of the steps. A step's power is that of the instant at which it begins, where its
+    `dt_s` [steps] are the lengths of the steps [s]. A step's power is that of the instant at which it begins, where its
     voltage is judged: the mean over `stretches_s` around it.
     """
 
@@ -39,7 +39,7 @@ class Scenarios(NamedTuple):
 
 
 class Now(NamedTuple):
-    """The state of the flight: log time, time since take-off [s], charge, mean power since take-off [W], and place."""
+    """It says where a flight stands: log time, time since take-off [s], charge, mean power so far [W], and place."""
 
     time_s: float
     since_take_off_s: float
@@ -50,19 +50,19 @@ class Now(NamedTuple):
 
 
 class Load(Protocol):
-    """Something that knows the load to come."""
+    """A load knows what power the flight will ask until its end."""
 
     def typical_W(self, now: Now) -> float:
-        """A middling power, to size the simulation."""
+        """Return a middling power [W], to size the simulation."""
         ...
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """The loads that may come from now on, in `steps` steps of `dt_s` [s]."""
+        """Return the loads that may come from now on, in `steps` steps of `dt_s` [s]."""
         ...
 
 
 class RecentLoad(NamedTuple):
-    """Exponentially weighted memory of the power [W]; a value, replaced by `after`."""
+    """It remembers the power [W] in exponentially weighted means; it is a value, replaced by `after`."""
 
     time_s: float = math.nan
     mean_W: float = math.nan
@@ -72,7 +72,7 @@ class RecentLoad(NamedTuple):
     gust_variance: float = PRIOR_GUST**2  # of five seconds / mean
 
     def after(self, time_s: float, power_W: float) -> RecentLoad:
-        """The memory with one more row; rows must come in order of time."""
+        """Return the memory with one more row; rows must come in order of time."""
         if not math.isfinite(self.time_s):
             return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
         dt_s = max(time_s - self.time_s, 0.0)
@@ -87,12 +87,12 @@ class RecentLoad(NamedTuple):
 
     @property
     def swings(self) -> Swings:
-        """Gusts and manoeuvres by what the averages have shown of them."""
+        """Return the gusts and manoeuvres by what the averages have shown of them."""
         return swings_shown(self.variance, self.gust_variance)
 
 
 def equal_levels(spread: float, count: int) -> Array:
-    """`count` equally likely factors, log-normal around 1: the middles of equal shares of probability."""
+    """Return `count` equally likely factors, log-normal around 1: the middles of equal shares of probability."""
     return np.exp(spread * _middles(count))
 
 
@@ -104,17 +104,17 @@ def _middles(count: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ConstantLoad:
-    """One power until the end, log-normal around `power_W` with relative sd `spread`."""
+    """The power stays the same until the end, log-normal around `power_W` [W] with relative sd `spread`."""
 
     power_W: float
     spread: float
 
     def typical_W(self, now: Now) -> float:
-        """The power itself."""
+        """Return the power itself [W]."""
         return self.power_W
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Equally likely powers, the same at every step."""
+        """Return equally likely powers, each the same at every step."""
         return constant(self.power_W, self.spread, dt_s, steps)
 
 
@@ -123,11 +123,11 @@ class RecentMean:
     """The flight goes on as in its last minutes."""
 
     def typical_W(self, now: Now) -> float:
-        """Mean of about the last minute."""
+        """Return the mean power of about the last minute [W], at least 1 W."""
         return max(now.recent.mean_W, 1.0)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """The recent mean, wandering as it has."""
+        """Return powers around the recent mean, with swings as the flight has shown them."""
         swings = now.recent.swings
         return swinging(constant(self.typical_W(now), swings.mean_sd, dt_s, steps), swings)
 
@@ -144,16 +144,16 @@ def stretches_s(dt_s: Array) -> Array:
 
 
 def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenarios:
-    """Constant powers, log-normal around `power_W` [W]."""
+    """Return constant powers, log-normal around `power_W` [W] with relative sd `spread`, over `steps` of `dt_s` [s]."""
     levels_W = power_W * equal_levels(spread, SCENARIOS)
     weight = np.full(SCENARIOS, 1.0 / SCENARIOS)
     return Scenarios(np.broadcast_to(levels_W, (steps, SCENARIOS)), weight, np.full(steps, dt_s))
 
 
 def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
-    """The scenarios with gusts and manoeuvres of their own on them; their mean power stays.
+    """Return the scenarios with gusts and manoeuvres of their own on them; their mean power stays.
 
-    No larger ones than a flight can repeat again and again until its end.
+    The swings are no larger than a flight can repeat again and again until its end.
     """
     rough = swung(scenarios.dt_s, scenarios.power_W.shape[1], swings)
     return Scenarios(scenarios.power_W * rough, scenarios.weight, scenarios.dt_s)
@@ -161,19 +161,20 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
 
 @dataclass(frozen=True, slots=True)
 class LoggedLoad:
-    """The flight's own later power, read from its log: replay only, it tests the battery alone."""
+    """It gives the flight's own later power [W], read from its log: replay only, it tests the battery alone."""
 
     time_s: Array
     power_W: Array
 
     def typical_W(self, now: Now) -> float:
-        """Mean power of the rows."""
+        """Return the mean power of the rows [W], at least 1 W."""
         return max(float(np.mean(self.power_W)), 1.0)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """The one scenario that came true; beyond the log, the mean of its last minute.
+        """Return the one scenario that came true; beyond the log, the mean of its last minute.
 
-        Means around the instants that are judged, or, when the log's rows are slow, its own rows.
+        Its powers are means around the instants that are judged, or, when the log's rows are slow, those of its own
+        rows.
         """
         last_W = float(np.mean(self.power_W[self.time_s >= self.time_s[-1] - 60.0]))
         if float(np.median(np.diff(self.time_s))) > SLOW_ROW_S:

@@ -36,7 +36,7 @@ PRIOR_SPREAD = 0.06
 
 @dataclass(frozen=True, slots=True)
 class LearnedLoad:
-    """A library of past flights on one time grid from take-off: power [W] and charge, [flights, grid]."""
+    """It holds past flights on one time grid from take-off: power [W] and charge, [flights, grid]."""
 
     power_W: Array
     soc: Array
@@ -45,11 +45,11 @@ class LearnedLoad:
     powers: Powers = UNKNOWN  # for where a route says what is flown
 
     def typical_W(self, now: Now) -> float:
-        """Median of the flights' mean powers."""
+        """Return the median of the flights' mean powers [W]."""
         return float(np.median(self.mean_W[:, -1]))
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Every flight of the library from where it stood as this one stands, at three levels of power."""
+        """Return every flight of the library from where it stood as this one stands, at three levels of power."""
         grid_s = GRID_S * np.arange(self.power_W.shape[1])
         ahead_s = dt_s * np.arange(steps)
         flights = self.power_W.shape[0]
@@ -67,7 +67,7 @@ class LearnedLoad:
 
 
 def learned_load(file: VehicleFile) -> LearnedLoad:
-    """The library of a vehicle file, ready to be resampled."""
+    """Return the flights of a vehicle file on one time grid, each flown on after its landing as other flights were."""
     grid_s = np.arange(0.0, LENGTH_S, GRID_S)
     raw = [(np.array(t.time_s), np.array(t.power_W), np.minimum.accumulate(np.array(t.soc))) for t in file.traces]
     power_W, soc = np.empty((len(raw), grid_s.size)), np.empty((len(raw), grid_s.size))
@@ -101,7 +101,7 @@ def _stitched(
 
 
 def stated_power(load: Load) -> tuple[float, float] | None:
-    """Lowest and highest power [W] over a minute that the caller states of the aircraft; None when he states none."""
+    """Return the lowest and highest power [W] over a minute that a load states; None for one that states none."""
     if isinstance(load, ConstantLoad):
         return load.power_W, load.power_W
     if not isinstance(load, LearnedLoad):
@@ -117,16 +117,16 @@ def stated_power(load: Load) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, slots=True)
 class UnknownAircraft:
-    """The packaged prior: as recently, with a surge that may come, and a wide spread."""
+    """It expects of an aircraft that nobody knows: power as recently, a surge that may come, and a wide spread."""
 
     powers: Powers = UNKNOWN
 
     def typical_W(self, now: Now) -> float:
-        """Mean of the flight so far and of its last minute."""
+        """Return the middle between the mean powers of the flight so far and of its last minute [W], at least 1 W."""
         return max(0.5 * (now.flight_W + now.recent.mean_W), 1.0)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Levels x surge factors x where in the rest of the flight the surge begins."""
+        """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
         swings = now.recent.swings
         spread = float(np.hypot(PRIOR_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
         levels = self.typical_W(now) * equal_levels(spread, LEVELS)

@@ -27,7 +27,7 @@ LONGEST_STEP_S = 2.0 * STEP_S  # where only the charge is asked, not the sag of 
 
 
 class Going(NamedTuple):
-    """Draws of a pack on their way: the cell, its installation, its state, the model's error [V] of each."""
+    """It holds draws of a pack on their way: cell, installation, state, and the model's error [V] of each."""
 
     pack: Pack
     ambient_C: float
@@ -38,12 +38,12 @@ class Going(NamedTuple):
     tables: Array  # `curves.curve_tables`
 
     def of(self, which: NDArray[Any] | slice) -> Going:
-        """Return some of several beginnings [beginnings, draws] that go on side by side."""
+        """Return the draws of some of several beginnings [beginnings, draws] that go on side by side."""
         return self._replace(state=State(*(column[which] for column in self.state)), bias_V=self.bias_V[which])
 
 
 class Source(NamedTuple):
-    """The voltage source that a load meets in each cell now, as `model.source` has it.
+    """It is the voltage source that a load meets in each cell now, as `model.source` has it.
 
     emf_V holds the model's error as well; drift_sd_V is how fast that error changes at this charge.
     """
@@ -54,19 +54,19 @@ class Source(NamedTuple):
 
 
 def begun(pack: Pack, x: Array, ambient_C: float) -> Going:
-    """Return the belief columns x [9, draws] before their way."""
+    """Return the draws at the start of their way, from the belief columns x [9, draws]."""
     return Going(pack, ambient_C, *unpack(pack, x), x[X.BIAS], curve_tables(pack))
 
 
 def source(going: Going) -> Source:
-    """Return the draws as a load meets them."""
+    """Return the voltage source that a load meets in each draw now."""
     charged_V, new_ohmAh, drift_sd_V = looked_up(going.tables, going.state.soc)
     emf_V, r_ohmAh = model.source_from(going.cell, going.state, charged_V, new_ohmAh)
     return Source(emf_V + going.bias_V, r_ohmAh, drift_sd_V)
 
 
 def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> Going:
-    """Return the draws, which are `at` now, after `dt_s` [s] of `power_W` [W]; `normals` kick the model's error."""
+    """Return the draws after `dt_s` [s] of `power_W` [W]; `at` is their source now, `normals` kick the model error."""
     cell, state, pack, under = going.cell, going.state, going.pack, _under(going, at, power_W)
     later = model.step_cell(cell, state, under, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
     doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (dt_s / SECONDS_PER_HOUR))
@@ -75,13 +75,13 @@ def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normal
 
 
 def edges_through(times_s: Array) -> Array:
-    """Return times from now, 0, through all of these [s, ascending] that are at most LONGEST_STEP_S apart."""
+    """Return times from now, 0, through all of these [s, ascending], with gaps of at most LONGEST_STEP_S."""
     parts = [np.linspace(a, b, 1 + math.ceil((b - a) / LONGEST_STEP_S)) for a, b in pairwise([0.0, *times_s])]
     return np.unique(np.concatenate(parts))
 
 
 def flown_on(going: Going, power_W: Array, dt_s: Array, edges_s: Array) -> Going:
-    """Return the draws at these times [edges, draws], the first is now, under a power in steps of `dt_s` [steps]."""
+    """Return the draws at `edges_s` [edges, draws], the first is now, under a power in steps of `dt_s` [steps]."""
     ends_s = np.concatenate([[0.0], np.cumsum(dt_s)])
     drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
     passed, lengths_s = [going], np.diff(edges_s)
@@ -94,7 +94,7 @@ def flown_on(going: Going, power_W: Array, dt_s: Array, edges_s: Array) -> Going
 
 
 def charge_at(passed: Going, edges_s: Array, at_s: Array) -> Array:
-    """Return the charge of each draw at its own time [draws], of draws at edges [edges, draws] (`flown_on`)."""
+    """Return the charge of each draw at its own time [draws], from the draws at edges [edges, draws] (`flown_on`)."""
     soc = np.asarray(passed.state.soc)
     own = (np.interp(own_s, edges_s, column) for own_s, column in zip(at_s, soc.T, strict=True))
     return np.asarray(np.maximum(np.fromiter(own, float, at_s.size), 0.0))
@@ -108,7 +108,7 @@ def _between(values: Array, edges_s: Array, at_s: Array) -> Array:
 
 
 def above_cutoff_V(going: Going, at: Source, power_W: Array) -> Array:
-    """Return by how much the metered voltage of the pack is above its cut-off under a power [W]."""
+    """Return how far the metered voltage of the pack is above its cut-off under a power [W]; negative below it."""
     installation, under = going.installation, _under(going, at, power_W)
     series_ohmAh = series_resistance(installation, at.r_ohmAh)
     cell_V = model.voltage_under(at.emf_V, series_ohmAh, under)

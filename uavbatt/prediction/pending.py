@@ -23,7 +23,7 @@ TURN_BACK = "turn back now: later the way home may be longer than the charge las
 
 
 class Pending(NamedTuple):
-    """One row taken in: its estimate, and what is still to be worked out for its remaining time."""
+    """It is one row taken in: its estimate is known, its remaining time may wait for a forecast to be simulated."""
 
     sample: Sample
     estimate: Estimate
@@ -33,7 +33,7 @@ class Pending(NamedTuple):
     voltage_left_s: float = math.inf  # until the measured voltage itself is at the cut-off
 
     def finish(self, ends: EndTimes | None) -> tuple[Estimate, Remaining]:
-        """The estimate and the remaining time; `ends` answers the question, if there is one."""
+        """Return the estimate and the remaining time; `ends` answers the question, if there is one."""
         sample, found = self.sample, self.estimate
         if self.forecaster is None:
             return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, self.refusal)
@@ -56,7 +56,7 @@ class Pending(NamedTuple):
 
 
 def finished(coming: Iterable[Pending], answers: Answers) -> Iterator[tuple[Estimate, Remaining]]:
-    """The estimate and the remaining time of each row, in order; `answers` simulates some forecasts side by side."""
+    """Yield the estimate and the remaining time of each row, in order; `answers` simulates forecasts side by side."""
     waiting: list[Pending] = []
     questions = 0
     for pending in coming:

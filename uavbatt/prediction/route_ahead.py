@@ -25,7 +25,7 @@ FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
 
 
 class Ahead(NamedTuple):
-    """The pieces to come in order; `begin` is where the aircraft is now."""
+    """It holds the pieces to come in order; `begin` is where the aircraft is now."""
 
     begin: Point
     pieces: Pieces
@@ -33,12 +33,12 @@ class Ahead(NamedTuple):
 
     @property
     def touchdown_s(self) -> float:
-        """Seconds until touchdown; NaN where it waits without end."""
+        """Return the seconds until touchdown; NaN where the aircraft waits without end."""
         return float(self.pieces.length_s.sum()) if self.lands else NAN
 
     @property
     def timing_sd(self) -> float:
-        """Relative standard deviation of all these times together."""
+        """Return the relative standard deviation of the time of all pieces together."""
         total_s, sd_s = float(self.pieces.length_s.sum()), float(self.pieces.length_sd_s.sum())
         return math.hypot(LEAST_TIMING_SD, sd_s / total_s if total_s > 0.0 else 0.0)
 
@@ -51,7 +51,7 @@ class Ahead(NamedTuple):
 
 
 def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
-    """Return what the autopilot will fly from here, or why nobody knows it."""
+    """Return the way that the autopilot will fly from here, or the reason why nobody knows it."""
     if navigation.mode in (Mode.RETURN, Mode.RETURN_BY_TRACK):
         return home_now(progress, navigation, time_s)
     if navigation.mode is not Mode.MISSION:
@@ -78,13 +78,13 @@ def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | 
 
 
 def way_of(progress: Progress) -> Way:
-    """Return how legs will be flown, by those flown so far."""
+    """Return the timing and the wind by which legs will be flown, from those flown so far."""
     known = progress.lessons
     return Way(known.short, known.long, known.wind)
 
 
 def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
-    """Return the way home from where the aircraft is, or why it is not known."""
+    """Return the way home from where the aircraft is, or the reason why it is not known."""
     if navigation.home is None:
         return "home is not known"
     here = here_at(time_s, navigation)

@@ -40,7 +40,7 @@ UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft
 
 
 class ToCome(NamedTuple):
-    """The load that is expected, by route where one is known, and what is known of the ways."""
+    """It holds the load that is expected, by route where one is known, and what is known of route and way home."""
 
     load: Load
     name: str
@@ -51,7 +51,7 @@ class ToCome(NamedTuple):
 
 
 class RouteAsked(NamedTuple):
-    """The knowledge of one forecast about route and home before the ends of its draws are simulated."""
+    """It holds what one forecast knows of route and way home before the ends of its draws are simulated."""
 
     load: str
     reason: str
@@ -61,13 +61,13 @@ class RouteAsked(NamedTuple):
 
 
 class WaysAsked(NamedTuple):
-    """The last time [s] that the ways were asked about, and what was known of them then."""
+    """It holds the time [s] at which route and way home were asked about last, and what was known of them then."""
 
     time_s: float = math.nan
     about: tuple[object, ...] = ()
 
     def is_due(self, now: WaysAsked, typical_s: float) -> bool:
-        """Return True if it is time to ask again, `typical_s` [s] before the end; at once if more is known now."""
+        """Return True if it is time to ask again, `typical_s` [s] before the end; at once if something new is known."""
         period_s = min(max(WAYS_SHARE * typical_s, SHORTEST_WAYS_S), LONGEST_WAYS_S)
         return now.about != self.about or not 0.0 <= now.time_s - self.time_s < period_s
 
@@ -78,7 +78,7 @@ def powers_of(load: Load) -> Powers:
 
 
 def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: float) -> ToCome:
-    """Return the load to come: the route's where it is known and nobody has stated another one."""
+    """Return the load to come: the route's where the route is known and nobody has stated another load."""
     name, powers = NAMES.get(type(load), "learned"), powers_of(load)
     level, level_sd = progress.lessons.level(powers)
     route: Ahead | str = ahead(progress, navigation, time_s)
@@ -96,13 +96,13 @@ def to_come(load: Load, progress: Progress, navigation: Navigation, time_s: floa
 
 
 def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAsked:
-    """Return what is known of the ways at a time [s]."""
+    """Return what is known of route and way home at a time [s]."""
     told = (known.name, known.reason, known.home_reason)
     return WaysAsked(time_s, (*told, navigation.mode, navigation.mission, navigation.home))
 
 
 class Flying(NamedTuple):
-    """The simulated flights of a forecast: draws of the belief, their power [steps, draws], the scenario of each.
+    """It holds the simulated flights of a forecast: draws of the belief, power [steps, draws], scenario of each draw.
 
     reserve_soc : the charge at which they end, too
     """
@@ -117,7 +117,7 @@ class Flying(NamedTuple):
 
 
 def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
-    """Return the charge at both touchdowns, and what comes of turning at instants of the flight.
+    """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws fly on once: through the instants of turning to the last touchdown.
     """
@@ -150,7 +150,7 @@ def _reason(known: ToCome) -> str:
 
 
 def route_answer(asked: RouteAsked, end_s: Array) -> Route:
-    """Return what is known of the ways, with the simulated ends of the flight [draws]."""
+    """Return what a forecast says of route, way home and turn-back, by the simulated ends of the flight [draws]."""
     said = Route(asked.load, reason=asked.reason)
     if asked.route_s is not None and asked.route_soc is not None:
         lo, middle, hi = map(float, np.quantile(asked.route_soc, (0.05, 0.5, 0.95)))

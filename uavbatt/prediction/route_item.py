@@ -19,7 +19,7 @@ NEARING_MS = 1.0  # towards the centre: who nears it is not on the circle yet
 
 
 def item_end(legs: Sequence[Leg], at: int) -> int:
-    """Return the index after the last leg of the item that leg `at` belongs to; repeated at once, they are one."""
+    """Return the index after the last leg of the item of leg `at`; items repeated at once count as one."""
     end = at + 1
     while end < len(legs) and legs[end].seq == legs[at].seq:
         end += 1
@@ -27,7 +27,7 @@ def item_end(legs: Sequence[Leg], at: int) -> int:
 
 
 def is_there(leg: Leg, here: Point) -> bool:
-    """Return True where the aircraft waits at the leg's end, if the leg has a wait."""
+    """Return True if the aircraft is at the leg's end; False for a landing or a circle, which have no wait there."""
     if leg.phase is Phase.LANDING or leg.circle_m > 0.0:
         return False
     if leg.phase is Phase.HOME and leg.run_m > 0.0:

@@ -12,7 +12,7 @@ from uavbatt.battery.model import Array
 
 
 class Phase(IntEnum):
-    """A leg belongs to one of these."""
+    """A leg belongs to one of these phases of a flight."""
 
     TAKE_OFF = 0
     ROUTE = 1
@@ -21,7 +21,7 @@ class Phase(IntEnum):
 
 
 class Point(NamedTuple):
-    """A place in metres north and east of home and above it."""
+    """A point lies these metres north and east of home and above it."""
 
     north_m: float
     east_m: float
@@ -29,7 +29,7 @@ class Point(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """A straight way from one point to another with its speed limits, and the wait at its end."""
+    """A leg is a straight way from one point to another with its speed limits, and the wait at its end."""
 
     seq: int  # of the mission item; -1 on the way home
     phase: Phase
@@ -44,25 +44,25 @@ class Leg(NamedTuple):
 
     @property
     def rise_m(self) -> float:
-        """Height gained, negative in a descent [m]."""
+        """Return the height gained, negative in a descent [m]."""
         return self.end.height_m - self.begin.height_m
 
     @property
     def moving_s(self) -> float:
-        """Time of the movement at the planned speeds [s]."""
+        """Return the time of the movement at the planned speeds [s]."""
         rise_m = self.rise_m
         vertical_s = rise_m / self.climb_ms if rise_m > 0.0 else -rise_m / self.descent_ms
         return max(self.run_m / self.speed_ms, vertical_s)
 
     @property
     def fastest_ms(self) -> float:
-        """The speed that has to be gained and lost again: the horizontal or the vertical one [m/s]."""
+        """Return the speed that has to be gained and lost again: the larger of horizontal and vertical speed [m/s]."""
         moving_s = self.moving_s
         return max(self.run_m, abs(self.rise_m)) / moving_s if moving_s > 0.0 else 0.0
 
 
 class LegsTable(NamedTuple):
-    """Legs as columns [legs], with the properties of `Leg`."""
+    """It holds legs as columns [legs], with the properties of `Leg`."""
 
     seq: Array
     phase: Array
@@ -76,11 +76,11 @@ class LegsTable(NamedTuple):
     fastest_ms: Array
 
     def of(self, which: slice) -> LegsTable:
-        """Return those legs alone."""
+        """Return only the legs `which`."""
         return LegsTable(*(column[which] for column in self))
 
     def followed_by(self, later: LegsTable) -> LegsTable:
-        """Return these legs and then those."""
+        """Return these legs and then those of `later`."""
         return LegsTable(*map(np.concatenate, zip(self, later, strict=True)))
 
 

@@ -22,7 +22,7 @@ GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
 
 @dataclass(frozen=True, slots=True)
 class RouteLoad:
-    """The pieces to come, flown with these powers at a level that is known to `level_sd`; then a hover at home."""
+    """The aircraft flies the pieces to come with these powers, at a level known to `level_sd`, then hovers at home."""
 
     ahead: Ahead
     powers: Powers
@@ -30,7 +30,7 @@ class RouteLoad:
     level_sd: float
 
     def typical_W(self, now: Now) -> float:
-        """Mean power of the pieces to come."""
+        """Return the mean power of the pieces to come [W], that of a hover where none is left; at least 1 W."""
         lengths_s = self.ahead.pieces.length_s
         if not lengths_s.sum() > 0.0:
             return max(self.level * self.powers.hover_W, LOWEST_POWER_W)
@@ -38,24 +38,24 @@ class RouteLoad:
 
     @property
     def piece_W(self) -> Array:
-        """The middle power of each piece [W]."""
+        """Return the middle power of each piece [W]."""
         return self.level * power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms))
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""
+        """Return equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""
         return self.scenarios_over(np.full(steps, dt_s))
 
     def scenarios_over(self, dt_s: Array) -> Scenarios:
-        """The same over steps of `dt_s` [steps]."""
+        """Return the same as `scenarios` over steps of `dt_s` [steps]."""
         return swinging(self.steady(dt_s), self.noise)
 
     @property
     def noise(self) -> Swings:
-        """Return what the power does from row to row within a leg."""
+        """Return the swings of the power from row to row within a leg."""
         return Swings(0.0, self.powers.row_sd)
 
     def steady(self, dt_s: Array) -> Scenarios:
-        """The scenarios over steps of `dt_s` [steps] without the noise of rows."""
+        """Return the scenarios over steps of `dt_s` [steps] without the noise of rows."""
         levels, fast, stretch = factors(self)
         watts = np.append(self.piece_W, self.level * self.powers.hover_W)[:, None] * levels
         watts *= np.append(farness(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
@@ -66,25 +66,25 @@ class RouteLoad:
 
 
 def factors(load: RouteLoad) -> Array:
-    """Return the factors of level, fast flight and time, [3, SCENARIOS], around 1."""
+    """Return the factors on level, fast flight and time, [3, SCENARIOS], around 1."""
     sds = np.array([load.level_sd / load.level, load.powers.fast_sd, load.ahead.timing_sd])
     return np.asarray(np.exp(sds[:, None] * _normals()))
 
 
 def piece_terms(pieces: Pieces, induced_ms: float) -> Array:
-    """Return the terms of the powers for each piece."""
+    """Return the terms of the power (`powers.terms`) for each piece."""
     return terms(pieces.airspeed_ms, pieces.climb_ms, pieces.taking_off, pieces.landing, induced_ms)
 
 
 def roughness(load: RouteLoad, wind_ms: float) -> Array:
-    """Return the relative sd of the power within each piece: the rows' own, and gusts where the airspeed weighs."""
+    """Return the relative sd of the power within each piece: of the rows, and of gusts where airspeed changes it."""
     pieces = load.ahead.pieces
     faster = replace(load, ahead=load.ahead._replace(pieces=pieces._replace(airspeed_ms=pieces.airspeed_ms + 1.0)))
     return np.hypot(load.powers.row_sd, (faster.piece_W / load.piece_W - 1.0) * GUSTS * wind_ms)
 
 
 def farness(pieces: Pieces) -> Array:
-    """Return how much each piece is fast flight or climb, 0..1."""
+    """Return how much each piece counts as fast flight or climb, 0..1."""
     fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
     return np.maximum(fast, np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0))
 

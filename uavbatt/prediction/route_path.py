@@ -28,7 +28,7 @@ ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a l
 
 @dataclass(frozen=True)
 class Path:
-    """The legs of a mission from its first item to touchdown, or why there are none."""
+    """It holds the legs of a mission from its first item to touchdown, or the reason why there are none."""
 
     legs: tuple[Leg, ...] = ()
     reason: str = ""
@@ -36,7 +36,7 @@ class Path:
 
     @cached_property
     def table(self) -> LegsTable:
-        """The legs as columns."""
+        """Return the legs as columns."""
         return legs_table(self.legs)
 
 
@@ -47,7 +47,7 @@ class _Speeds(NamedTuple):
 
 
 def local(home: Home, lat_deg: float, lon_deg: float, height_m: float) -> Point:
-    """Return the place in metres around home."""
+    """Return a place as a point in metres around home."""
     east_deg = math.remainder(lon_deg - home.lon_deg, 360.0)  # the short way round, across 180° as well
     east_m = east_deg * METRES_PER_DEGREE * math.cos(math.radians(home.lat_deg))
     return Point((lat_deg - home.lat_deg) * METRES_PER_DEGREE, east_m, height_m)
@@ -59,12 +59,12 @@ def place(home: Home, position: Position) -> Point:
 
 
 def finite_or(value: float, otherwise: float) -> float:
-    """Return a positive finite parameter, or what stands in for it."""
+    """Return `value` if it is finite and positive, else `otherwise`."""
     return value if math.isfinite(value) and value > 0.0 else otherwise
 
 
 def return_reason(mission: Mission | None, settings: ReturnSettings) -> str:
-    """Return why the way home is not known, by the vehicle or by what came with its mission; empty when it is."""
+    """Return why the way home is not known, as vehicle or mission tell it; empty when it is known."""
     return settings.return_reason or (mission.return_reason if mission is not None else "")
 
 
@@ -92,7 +92,7 @@ def _return_height_m(begin: Point, run_m: float, settings: ReturnSettings) -> fl
 
 
 def landing(above: Point, settings: ReturnSettings, seq: int) -> tuple[Leg, ...]:
-    """Return the legs straight down from a point, the last metres slowly."""
+    """Return the legs straight down from a point to the ground, the last metres slowly."""
     speeds = _speeds(settings)
     slow_m = min(finite_or(settings.land_slow_below_m, SLOW_BELOW_M), max(above.height_m, 0.0))
     low, ground = above._replace(height_m=slow_m), above._replace(height_m=0.0)
@@ -112,7 +112,10 @@ def _speeds(settings: ReturnSettings) -> _Speeds:
 
 
 def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
-    """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included."""
+    """Return the whole way of a mission in the order in which it is flown, jumps and speed changes included.
+
+    Where it is not known the path has no legs but a reason.
+    """
     if mission.reason:
         return Path(reason=mission.reason)
     at, speeds, legs = Point(0.0, 0.0, 0.0), _speeds(settings), list[Leg]()

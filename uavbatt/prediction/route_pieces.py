@@ -20,7 +20,7 @@ CURVE = 1.5  # a leg so many times longer than the straight line is a curve: the
 
 
 class Pieces(NamedTuple):
-    """Pieces in order, each field [pieces]."""
+    """It holds the pieces of a way in order, each field [pieces]."""
 
     length_s: Array
     airspeed_ms: Array
@@ -37,7 +37,7 @@ class Pieces(NamedTuple):
         return np.cumsum(self.length_s)
 
     def of(self, which: Column | slice) -> Pieces:
-        """Return those pieces alone."""
+        """Return only the pieces `which`."""
         return Pieces(*(column[which] for column in self))
 
 
@@ -47,25 +47,25 @@ def joined(*several: Pieces) -> Pieces:
 
 
 def waiting(at: Point, length_s: float) -> Pieces:
-    """Return one piece that stays where it is."""
+    """Return one piece of `length_s` [s] in which the aircraft stays where it is."""
     none, no = np.zeros(1), np.zeros(1, bool)
     return Pieces(np.array([length_s]), none, none, no, no, np.array([-1.0]), np.array([at]), none)
 
 
 class Way(NamedTuple):
-    """The means that turn legs into pieces: the timing of short and long legs, and the velocity of the air [m/s]."""
+    """It turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s]."""
 
     short: Timing = Timing()
     long: Timing = Timing()
     wind: tuple[float, float] = (0.0, 0.0)
 
     def pieces(self, leg: LegsTable) -> Pieces:
-        """The pieces of these legs in order."""
+        """Return the pieces of these legs in order."""
         found, _ = self.pieces_with_leg(leg)
         return found
 
     def pieces_with_leg(self, leg: LegsTable) -> tuple[Pieces, Column]:
-        """The pieces of these legs in order, and the index of the leg of each."""
+        """Return the pieces of these legs in order, and the index of the leg of each."""
         moving_s, sd_s = self._moving_s(leg)
         with np.errstate(invalid="ignore", divide="ignore"):
             climb_ms = np.where(moving_s > 0.0, leg.rise_m / moving_s, 0.0)

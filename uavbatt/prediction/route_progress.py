@@ -22,7 +22,7 @@ TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 
 
 class Movement(NamedTuple):
-    """The aircraft's movement at one row."""
+    """It says how the aircraft moves at one row."""
 
     airspeed_ms: float
     climb_ms: float
@@ -31,7 +31,7 @@ class Movement(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """The memory of the route; a value, replaced by `after`."""
+    """It remembers how far the aircraft is on its route; it is a value, replaced by `after`."""
 
     known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
     path: Path = Path()
@@ -47,7 +47,7 @@ class Progress(NamedTuple):
     def after(
         self, time_s: float, navigation: Navigation, power_W: float = NAN, powers: Powers | None = None
     ) -> Progress:
-        """The memory with one more row at `time_s` [s] that drew `power_W` [W]."""
+        """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.blown(navigation.wind, row_s))
@@ -83,17 +83,17 @@ class Progress(NamedTuple):
 
     @property
     def is_on_path(self) -> bool:
-        """True if a leg is known that is flown."""
+        """Return True if it is known which leg is flown."""
         return 0 <= self.at < len(self.path.legs)
 
     @property
     def item(self) -> slice:
-        """The legs of the item that is flown to."""
+        """Return the range of the legs of the item that is flown to."""
         return slice(self.at, item_end(self.path.legs, self.at))
 
     @property
     def leg(self) -> Leg:
-        """The leg that is flown, where the place tells which."""
+        """Return the leg that is flown: the first of its item that is not over."""
         return self.path.legs[self.at + self.behind]
 
     def _followed(self, time_s: float, navigation: Navigation) -> Progress:
@@ -130,7 +130,7 @@ class Progress(NamedTuple):
         return legs[-1]
 
     def flown(self, time_s: float, navigation: Navigation) -> Movement | None:
-        """Return how the aircraft flies now: by its position, else by the plan of its leg; None where neither tells."""
+        """Return how the aircraft moves now, by its position, else by the plan of its leg; None where neither tells."""
         position = navigation.position
         if position is not None and time_s - position.time_s <= STALE_POSITION_S and math.isfinite(position.up_ms):
             if not position.height_m > AIRBORNE_M:
@@ -170,7 +170,7 @@ def _leg_of(way: Path, current: int | None, at: int) -> int | None:
 
 
 def here_at(time_s: float, navigation: Navigation) -> Point | None:
-    """Return where the aircraft is; None where nobody says it or has not for a while."""
+    """Return where the aircraft is, in metres around home; None where nobody says it or has not for a while."""
     position, home = navigation.position, navigation.home
     if position is None or home is None or time_s - position.time_s > STALE_POSITION_S:
         return None

@@ -22,7 +22,7 @@ _SEED = 5725
 
 @cache
 def normals() -> Array:
-    """[9, DRAWS] standard normals with mean 0 and covariance 1, exactly."""
+    """Return standard normals [9, DRAWS] with mean 0 and covariance 1, exactly."""
     half = np.random.default_rng(_SEED).standard_normal((SIZE, DRAWS // 2))
     raw = np.concatenate([half, -half], axis=1)
     root = np.linalg.cholesky(raw @ raw.T / DRAWS)
@@ -30,7 +30,7 @@ def normals() -> Array:
 
 
 def wander(steps: int, by_rows: bool = False) -> Normals:
-    """Standard normals [steps, DRAWS] of the model's wandering error and, `by_rows`, of the rows' noise.
+    """Return standard normals [steps, DRAWS] of the model's wandering error and, `by_rows`, of the rows' noise.
 
     Beyond LONGEST steps they come again from the first on. A forecast with fewer holds fewer in memory: in flight 256
     do for an hour.
@@ -39,7 +39,7 @@ def wander(steps: int, by_rows: bool = False) -> Normals:
 
 
 def wander_home(steps: int) -> Array:
-    """Standard normals [steps, DRAWS] of the model's wandering error on a way home: others than on the way out."""
+    """Return standard normals [steps, DRAWS] of the model's error on a way home: others than on the way out."""
     return _kept(0, steps, backwards=True)
 
 
@@ -50,7 +50,7 @@ def _kept(process: int, steps: int, backwards: bool = False) -> Array:
 
 
 def held(steps: int) -> int:
-    """Return for how many steps normals are held where `steps` are asked: the next power of two, at most LONGEST."""
+    """Return for how many steps normals are kept where `steps` are asked: the next power of two, at most LONGEST."""
     return min(max(FEWEST, 1 << (steps - 1).bit_length()), LONGEST)
 
 
@@ -63,21 +63,21 @@ def _drawn(process: int, steps: int, backwards: bool) -> Array:
 
 @cache
 def shuffled(count: int) -> Array:
-    """[DRAWS] positions 0..1 that spread draws evenly over load scenarios, unrelated to the battery's draws."""
+    """Return positions 0..1 [DRAWS] that spread draws evenly over load scenarios, unrelated to the battery's draws."""
     return np.random.default_rng(_SEED + 2 + count).permutation((np.arange(DRAWS) + 0.5) / DRAWS)
 
 
 @cache
 def within_step() -> Array:
-    """[DRAWS] places -0.5..0.5 that spread draws over a step: no simulation tells when within it a load comes."""
+    """Return places -0.5..0.5 [DRAWS] that spread draws over a step: no simulation tells when in it a load comes."""
     return shuffled(DRAWS) - 0.5
 
 
 def samples(belief: Belief) -> Array:
-    """Columns [9, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
+    """Return columns [9, DRAWS] of the belief, shared out to its members by their weights; soc kept within 0..1.02.
 
-    By the symmetric root of the covariance, which moves when the covariance does and not with the signs that a
-    decomposition happens to give its vectors.
+    They are made with the symmetric root of the covariance, which moves when the covariance does and not with the signs
+    that a decomposition happens to give its vectors.
     """
     member = _shared_out(belief.weights)
     used, place = np.unique(member, return_inverse=True)
@@ -95,5 +95,5 @@ def _shared_out(weights: Array) -> Array:
 
 
 def assigned(weight: Array) -> Array:
-    """Index of the load scenario of each draw, in proportion to the weights."""
+    """Return the index of the load scenario of each draw [DRAWS], in proportion to the weights."""
     return np.asarray(np.searchsorted(np.cumsum(weight / weight.sum()), shuffled(weight.size) - 1e-12))

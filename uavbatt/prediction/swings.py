@@ -24,21 +24,24 @@ STEPS_IN_BLOCK = 32
 
 
 class Swings(NamedTuple):
-    """Relative sd of the power's two wandering parts around its mean, as they are and not as an average shows them."""
+    """It holds the relative sd of the power's two wandering parts: their own, not what an average shows of it."""
 
     manoeuvres: float
     gusts: float
 
     @property
     def mean_sd(self) -> float:
-        """Relative sd of the mean of a coming flight around that of the last minute, at least 3 %."""
+        """Return the relative sd of the mean of a coming flight around that of the last minute, at least 3 %."""
         left = MANOEUVRE_MEMORY_S / (MANOEUVRE_MEMORY_S + MEAN_TAU_S)
         return math.hypot(SMALLEST_SPREAD, min(self.manoeuvres, 1.0) * math.sqrt(left))
 
 
 def shown_share(short_s: float, long_s: float, memory_s: float) -> float:
-    """Share of its variance that a process of this memory (Ornstein-Uhlenbeck) shows as one exponential average
-    around a longer one: var(a) + var(b) - 2 cov(a, b)."""
+    """Return the share of its variance that a process shows as one exponential average around a longer one.
+
+    The process is an Ornstein-Uhlenbeck process of this memory [s]; var(a) + var(b) - 2 cov(a, b) for averages over a
+    and b [s].
+    """
 
     def shared(a_s: float, b_s: float) -> float:
         """cov/σ² = (1/(1/a + 1/m) + 1/(1/b + 1/m))/(a + b)."""
@@ -49,9 +52,9 @@ def shown_share(short_s: float, long_s: float, memory_s: float) -> float:
 
 @cache
 def shown_shares() -> tuple[Array, Array]:
-    """Return the share of its variance that a process shows in the averages over (WINDOW_TAU_S, GUST_TAU_S) [2].
+    """Return the shares of variance that averages over (WINDOW_TAU_S, GUST_TAU_S) [2] show of each process.
 
-    Of manoeuvres, and of gusts.
+    The processes are manoeuvres, and gusts.
     """
     slow, fast = (
         np.array([shown_share(tau_s, MEAN_TAU_S, memory_s) for tau_s in (WINDOW_TAU_S, GUST_TAU_S)])
@@ -61,7 +64,7 @@ def shown_shares() -> tuple[Array, Array]:
 
 
 def swings_shown(variance: float, gust_variance: float) -> Swings:
-    """The two processes of whose variances two averages have shown parts: least squares, none negative.
+    """Return the manoeuvres and gusts that two averages have shown parts of: least squares, none negative.
 
     variance, gust_variance : of the averages over WINDOW_TAU_S and GUST_TAU_S, relative to the mean.
     """
@@ -75,7 +78,7 @@ def swings_shown(variance: float, gust_variance: float) -> Swings:
 
 
 def swung(dt_s: Array, count: int, swings: Swings) -> Array:
-    """Return what `count` scenarios have of gusts and manoeuvres as factors of mean 1, [steps, count]."""
+    """Return gusts and manoeuvres of `count` scenarios as factors on the power, of mean 1, [steps, count]."""
     manoeuvres = min(swings.manoeuvres, LARGEST_MANOEUVRES)
     gusts = min(swings.gusts, math.sqrt(LARGEST_SWING**2 - manoeuvres**2))
     exponent, processes = np.zeros((dt_s.size, count)), ((manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))

@@ -43,17 +43,17 @@ TYPICAL_SPREAD = 0.4  # of the logarithm: nine of ten multirotors are within a f
 
 @dataclass(frozen=True, slots=True)
 class FromTakeOff:
-    """Past flights flown again from their take-off, each as it was, at levels around it."""
+    """Past flights are flown again from their take-off, each as it was, at levels around it."""
 
     library: LearnedLoad
 
     def typical_W(self, now: Now) -> float:
-        """Median of the flights' mean powers, or less where one began so gently that the horizon would cut it off."""
+        """Return the median of the flights' mean powers [W], or less where the horizon would cut off a gentle one."""
         begun = self.library.mean_W[:, int(SETTLED_S / GRID_S) :]
         return float(min(np.median(self.library.mean_W[:, -1]), 1.5 * begun.min()))
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Every flight from its first second, whatever the charge: the pack may start part-used.
+        """Return every past flight from its first second, whatever the charge: the pack may start part-used.
 
         However many there are, nobody has seen the payload and the wind of this one.
         """
@@ -83,9 +83,9 @@ def before_take_off(load: Load, pack: Pack) -> Load:
 
 
 class AtTakeOff(NamedTuple):
-    """The end of the flight as it was expected at take-off: ends and low-voltage warnings of draws [s since then].
+    """It holds what was expected at take-off: ends and low-voltage warnings of draws [s since then].
 
-    A value of plain numbers: it is saved with the memory of the forecaster.
+    It is a value of plain numbers, saved with the memory of the forecaster.
     """
 
     take_off_s: float
@@ -95,15 +95,15 @@ class AtTakeOff(NamedTuple):
 
     @property
     def is_possible(self) -> bool:
-        """True if a forecast can have given this: a saved file may hold anything."""
+        """Return True if a forecast can have given this: a saved file may hold anything."""
         return self.power_W > 0.0 and all(_is_forecast(ends) for ends in (self.end_s, self.low_s))
 
     def moved(self, shift_s: float) -> AtTakeOff:
-        """Return the same expectation on a clock that shows `shift_s` more."""
+        """Return the same expectation on a clock that shows `shift_s` [s] more."""
         return self._replace(take_off_s=self.take_off_s + shift_s)
 
     def at_power(self, time_s: float, flight_W: float) -> AtTakeOff:
-        """Return the same charge at the mean power that the flight has shown so far [W], as far as it is believed."""
+        """Return the ends of the same charge at the mean power flown so far [W], as far as that power is believed."""
         trust = 1.0 - math.exp(-max(time_s - self.take_off_s, 0.0) / SHOWN_TAU_S)
         longer = min(max(self.power_W / flight_W, 1.0 / MOST_CHANGE), MOST_CHANGE) ** trust
         return self._replace(
@@ -111,7 +111,7 @@ class AtTakeOff(NamedTuple):
         )
 
     def share(self, time_s: float) -> float:
-        """Return how much it still counts, 0 to 1: the flight itself tells more and more."""
+        """Return how much the expectation still counts, 0 to 1: the flight itself tells more and more."""
         return max(1.0 - (time_s - self.take_off_s) / FORGOTTEN_S, 0.0) ** 2
 
     def joined(self, time_s: float, fresh: EndTimes) -> EndTimes:

@@ -40,14 +40,14 @@ COUNTED = 0.96
 
 
 class EndTimes(NamedTuple):
-    """Seconds until the end of flight and until the low-voltage warning, per column; inf = beyond the horizon."""
+    """It holds the seconds until end of flight and low-voltage warning, per column; inf is beyond the horizon."""
 
     end_s: Array
     low_s: Array
 
 
 class Normals(NamedTuple):
-    """Standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
+    """It holds standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
 
     bias: Array
     row: Array
@@ -65,7 +65,7 @@ def time_to_end(
     own_steps: Number = np.inf,
     enough: float = 1.0,
 ) -> EndTimes:
-    """Run belief columns x [9, batch] under true pack power `power_W` [steps, batch], steps of `dt_s` [steps].
+    """Return the ends of belief columns x [9, batch] under true power `power_W` [steps, batch] in steps `dt_s` [steps].
 
     The end is the first of: metered voltage below pack.cutoff_V, soc below `reserve_soc`. With `by_rows` the steps
     are the telemetry's rows, between which the power goes straight, and the median of three judges. Without `wander`
@@ -114,7 +114,10 @@ def time_to_end(
 
 
 def counted(ends: EndTimes, enough: float = COUNTED) -> EndTimes:
-    """The ends [draws], none later than the last of a share `enough` of them, however many are known."""
+    """Return the ends [draws] [s], the latest moved to the last one within a share `enough` of them.
+
+    So the result is the same however many of the latest are known.
+    """
     last = math.ceil(enough * ends.end_s.shape[-1]) - 1
     latest = np.partition(ends, last, axis=-1)[..., last : last + 1]
     return EndTimes(*np.minimum(ends, latest))

@@ -34,7 +34,7 @@ ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is 
 
 
 class Turning(NamedTuple):
-    """Draws that turn at instants `look_s` [s], where they are `at_turn` [looks, draws], having flown along `flown`.
+    """It holds draws that turn at instants `look_s` [s], being `at_turn` [looks, draws] after flying along `flown`.
 
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
     reserve_soc : the charge at which a flight ends, as it does at the cut-off
@@ -51,12 +51,12 @@ class Turning(NamedTuple):
 
     @property
     def now(self) -> Turning:
-        """The first instant alone."""
+        """Return only the first instant, in which the aircraft turns now."""
         return self._replace(at_turn=self.at_turn.of(slice(1)), look_s=self.look_s[:1])
 
 
 class TurnBack(NamedTuple):
-    """The results of turning at some instants: how far above cut-off and reserve each draw stayed on its way home."""
+    """It says how far above cut-off and reserve each draw stayed on its way home, after turning at some instants."""
 
     look_s: Array  # [looks] from now
     above_V: Array  # [looks, draws]
@@ -64,7 +64,7 @@ class TurnBack(NamedTuple):
 
 
 class Homewards(NamedTuple):
-    """The ways home in steps, all of one number: lengths [s], middle powers [W], shares of fast flight."""
+    """It holds ways home in equally many steps each: lengths [s], middle powers [W], shares of fast flight (0..1)."""
 
     length_s: Array  # [steps, looks]
     power_W: Array
@@ -73,18 +73,18 @@ class Homewards(NamedTuple):
     turn_W: Array  # [looks] while it turns and speeds up; a hover where it is over home
 
     def drawn_W(self, k: int, looks: Column, scenarios: Array) -> Array:
-        """The power of step `k` on the ways of these looks [looks, draws]; `scenarios` as in `_flown_home`."""
+        """Return the power of step `k` on the ways of these looks [looks, draws]; `scenarios` as in `_flown_home`."""
         levels, fast, _ = scenarios
         return np.asarray(self.power_W[k, looks][:, None] * levels * (1.0 + self.far[k, looks][:, None] * (fast - 1.0)))
 
 
 def looks(longest_s: float) -> Array:
-    """Return the instants within `longest_s` [s] at which it is asked what comes of turning."""
+    """Return the instants within `longest_s` [s] at which a turn home is simulated."""
     return np.asarray(longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED)
 
 
 def turned(asked: Turning) -> TurnBack:
-    """Return what comes of turning."""
+    """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
     home = _homewards(asked.flown, asked.look_s, asked.load, asked.way, asked.settings)
     return _flown_home(asked.at_turn, asked.look_s, home, factors(asked.load)[:, asked.scenario], asked.reserve_soc)
 
@@ -176,7 +176,7 @@ def _in_steps(pieces: Pieces, look_of: Column) -> tuple[Pieces, Column]:
 
 
 def turn_back_times(asked: TurnBack, end_s: Array) -> Array:
-    """Return the turn-back of each draw [s], whose flight would end at `end_s`; 0 where it is too late already."""
+    """Return the last time at which each draw can turn back [s], which ends at `end_s`; 0 if it is too late already."""
     alive = asked.look_s[:, None] <= end_s
     return last_crossing(asked.look_s, np.where(alive, asked.above_V, -np.abs(asked.above_V)))
 

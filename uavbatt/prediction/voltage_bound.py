@@ -43,7 +43,7 @@ NO_END = "no end in sight: the charge believed and the load do not fit"
 
 
 class FallBin(NamedTuple):
-    """Means over one bin: its begin [s], voltage [V], current [A], lagging overpotential of the pack [V], rows."""
+    """It holds means over one bin: begin [s], voltage [V], current [A], lagging overpotential of the pack [V], rows."""
 
     begin_s: float
     voltage_V: float
@@ -52,7 +52,7 @@ class FallBin(NamedTuple):
     rows: int = 1
 
     def with_row(self, voltage_V: float, current_A: float) -> FallBin:
-        """The bin with one more row in its means."""
+        """Return the bin with one more row in its means."""
         share = 1.0 / (self.rows + 1)
         volts = self.voltage_V + share * (voltage_V - self.voltage_V)
         amps = self.current_A + share * (current_A - self.current_A)
@@ -63,12 +63,12 @@ NO_BIN = FallBin(NAN, NAN, NAN, NAN)
 
 
 class Fall(NamedTuple):
-    """The last minute in bins, the open one last."""
+    """It holds the last minute in bins, the open one last."""
 
     bins: tuple[FallBin, ...] = ()
 
     def with_bin(self, time_s: float, voltage_V: float, current_A: float, lag_V: float) -> Fall:
-        """The window with a row that begins a bin; after a clock that fell back there is no other."""
+        """Return the window with a row that begins a bin; after a clock that fell back there is no other bin."""
         before = self.bins if self.bins and time_s >= self.bins[-1].begin_s else ()
         first = next((k for k, row in enumerate(before) if time_s - row.begin_s <= max(WINDOWS_S)), len(before))
         return Fall((*before[first:], FallBin(time_s, voltage_V, current_A, lag_V)))
@@ -132,7 +132,7 @@ def _crossing_s(height_V: float, slope: float, bend: float) -> float:
 
 
 class VoltageBound(NamedTuple):
-    """The fall of the voltage and the ends that it has shown; a value that is replaced at each row.
+    """It holds the fall of the voltage and the ends that it has shown; it is a value, replaced at each row.
 
     One look may be chance: the bound is the latest end of the last SURE_LOOKS looks.
     """
@@ -141,7 +141,7 @@ class VoltageBound(NamedTuple):
     ends_s: tuple[float, ...] = (math.inf,) * SURE_LOOKS
 
     def after(self, sample: Sample, belief: Belief | None, pack: Pack, below_V: float) -> VoltageBound:
-        """The value after one more sample and the belief that it led to.
+        """Return the value after one more sample and the belief that it led to.
 
         below_V : how far the weakest cell, whose cut-off ends the flight, is below the mean of the cells [V].
         """
