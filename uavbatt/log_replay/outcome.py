@@ -21,7 +21,7 @@ CHECKPOINTS_S = (360.0, 240.0, 120.0, 60.0)
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """The forecast at one instant before the end that the log shows.
+    """A checkpoint compares the forecast at one instant with the end that the log shows.
 
     Attributes:
         label: the instant in words.
@@ -39,18 +39,18 @@ class Checkpoint:
 
     @property
     def error_s(self) -> float:
-        """Forecast less truth [s]: positive is optimistic, NaN if the forecast was refused."""
+        """Return forecast less truth [s]: positive is optimistic, NaN if the forecast was refused."""
         return self.remaining_s - self.before_end_s
 
     @property
     def inside(self) -> bool:
-        """True if the truth lies in the 90 % interval."""
+        """Return True if the truth lies in the 90 % interval."""
         return self.lo_s <= self.before_end_s <= self.hi_s
 
 
 @dataclass(frozen=True, slots=True)
 class Landing:
-    """The forecast at the last row in the air: how much longer the aircraft could have flown.
+    """It tells how much longer the aircraft could have flown, by the forecast at the last row in the air.
 
     time_s [s] is the row's; the forecasts [s] are NaN where none was given there. is_cut: the log ends in the air.
     """
@@ -66,7 +66,7 @@ class Landing:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A replayed flight in figures; NaN is unknown.
+    """It describes a replayed flight in figures; NaN is unknown.
 
     Attributes:
         rows: rows of the battery.

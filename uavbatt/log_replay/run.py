@@ -25,14 +25,14 @@ MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1
 
 @dataclass(frozen=True, slots=True)
 class ReplayedRow:
-    """One output line: the estimate and the forecast after one row."""
+    """A row of the log gives one output line: the estimate and the forecast after it."""
 
     estimate: Estimate
     remaining: Remaining
 
 
 def engine_for(*, is_long: bool) -> Engine:
-    """The engine for a work: compiled where that is long enough to repay it and the extra `fast` is installed."""
+    """Return the engine for a work: compiled where it is long enough to repay that and the extra `fast` is there."""
     if not is_long:
         return PLAIN
     try:
@@ -58,7 +58,7 @@ def estimator_for(
 
 
 def size_of_replayed(estimator: Estimator, flight: Flight) -> PackSize:
-    """Return cells, capacity and cut-off that a replay ran with. Raises UsageError where no row had a voltage."""
+    """Return cells, capacity [Ah] and cut-off [V] that a replay ran with; UsageError where no row had a voltage."""
     if estimator.pack_size is None:
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
     return estimator.pack_size
@@ -71,7 +71,7 @@ def recorded_period_s(flight: Flight) -> float:
 
 
 def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
-    """Return the flight with the mission of a file in the place of whatever the log says of one."""
+    """Return the flight with the mission of a file instead of what the log says of one."""
     return replace(
         flight,
         navigation=tuple(
@@ -82,7 +82,7 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
 
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
-    """Run the rows of a flight through an estimator; nothing of row k depends on a later row."""
+    """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row."""
     for facts, samples in _stretches(flight):
         estimator.update_facts(facts)
         for estimate, remaining in estimator.run(samples, flight.navigation_at):
@@ -97,22 +97,22 @@ def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
 
 
 class WaySaid(NamedTuple):
-    """The forecasts of a replay about a route or the way home, each with its time [s]."""
+    """It holds the forecasts of a replay about a route or the way home, each with its time [s]."""
 
     rows: list[tuple[float, Route]]
 
     @property
     def turn_back_now_s(self) -> float:
-        """When "turn back now" was said first [s]; NaN where it was not."""
+        """Return when "turn back now" was said first [s]; NaN where it was not."""
         return next((time_s for time_s, route in self.rows if route.turn_back_lo_s <= 0.0), NAN)
 
     @property
     def why_no_route(self) -> str:
-        """The most frequent reason why the route was not the load to come; empty if there is none."""
+        """Return the most frequent reason why the route was not the load to come; empty if there is none."""
         reasons = Counter(route.reason for _, route in self.rows if route.load != "route" and route.reason)
         return reasons.most_common(1)[0][0] if reasons else ""
 
 
 def way_said(run: Iterable[ReplayedRow]) -> WaySaid:
-    """Return the forecasts of a replay about the way; empty where neither a mission nor a home was known."""
+    """Return the forecasts of a replay about route and way home; empty where neither mission nor home was known."""
     return WaySaid([(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None])

@@ -36,7 +36,7 @@ HEADROOM, SETTLED = 1.6, 0.8  # the axis holds so much more than what so many of
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A replayed flight: iterate over it for a `ReplayedRow` each, or take `rows` or `to_frame()` for a table.
+    """A replay holds a flight with its estimates: iterate for a `ReplayedRow` each, or take `rows` or `to_frame()`.
 
     flight: the log as it was read.
     pack: cells, capacity [Ah], cut-off [V] and where each came from.
@@ -96,7 +96,7 @@ class Replay:
 
     @property
     def rows(self) -> list[output.Line]:
-        """The lines that `uavbatt replay --jsonl` writes, one a step; None is what is not known."""
+        """Return the lines that `uavbatt replay --jsonl` writes, one a step; None is what is not known."""
         return [output.line(step.estimate, step.remaining) for step in self.steps]
 
     def to_frame(self) -> DataFrame:

@@ -38,7 +38,10 @@ VALID_WITHIN_K = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """Seconds in the air at one ambient temperature; NaN with the reason in `remark` when there is no answer."""
+    """It gives the seconds in the air at one ambient temperature; NaN with the reason in `remark` if they are unknown.
+
+    lo_s, hi_s : 5 % and 95 % point; to_low_s : until the low-voltage warning, NaN where the pack has none.
+    """
 
     ambient_C: float
     median_s: float
@@ -50,7 +53,7 @@ class Endurance:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One plan: the pack, the load, and the endurance at the planned temperature, as a table and as a finer curve."""
+    """A plan holds the pack, the load, and the endurance at the planned temperature, as table and as finer curve."""
 
     resolved: PackSize
     load: str
@@ -62,9 +65,9 @@ class Plan:
 
 
 def resolve(battery: BatteryFile, options: PackOptions, like: Flight | None = None) -> PackSize:
-    """The pack's size from the options, else from the past flight, else from the battery file.
+    """Return the pack's size from the options, else from the past flight `like`, else from the battery file.
 
-    Raises UsageError when nobody states the cells or the capacity.
+    Raises UsageError when nobody states the cells or the capacity, and for statements that the past flight contradicts.
     """
     if like is not None:
         check_statements(battery, options, like)
@@ -87,7 +90,10 @@ def make_plan(
     reserve_soc: float = 0.0,
     remembered: PackHealth | None = None,
 ) -> Plan:
-    """The whole plan for a load and its name, of a pack that was met before if `remembered` tells it."""
+    """Return the whole plan for a load and its name, of a pack that was met before if `remembered` tells it.
+
+    Raises UsageError for a power that the pack cannot give.
+    """
 
     def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
         return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc, remembered) for t in ambients_C)
@@ -120,7 +126,7 @@ def endurance(
     reserve_soc: float = 0.0,
     remembered: PackHealth | None = None,
 ) -> Endurance:
-    """Time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
+    """Return the time from take-off to the end of flight, the pack rested and as warm as the air [°C]."""
     pack = with_reaction(sized(battery, resolved), remembered)
     forecaster = Forecaster(pack, ForecastSettings(load, max(reserve_soc, EMPTY_SOC)))
     found = forecaster.forecast(rested(pack, start_soc, ambient_C, remembered), 0.0)
@@ -143,9 +149,9 @@ def _why_no_flight(pack: Pack, start_soc: float, reserve_soc: float, ambient_C: 
 
 
 def rested(pack: Pack, start_soc: float, ambient_C: float, remembered: PackHealth | None = None) -> Belief:
-    """The belief about a pack before take-off: its stated charge, the temperature of the air, the file's spreads.
+    """Return the belief about a pack before take-off: its stated charge, the air temperature, the file's spreads.
 
-    Of a pack that was met before, its remembered health instead of the spreads.
+    For a pack that was met before, its remembered health takes the place of the spreads.
     """
     state, members = model.rested(start_soc, ambient_C), prior_of(pack, remembered)
     means = np.zeros((members.log_scale.size, SIZE))

@@ -44,7 +44,7 @@ FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A mission to be flown from home with these powers in this wind."""
+    """It holds a mission to be flown from home with these powers in this wind."""
 
     mission: Mission
     home: Home
@@ -65,7 +65,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class LegEnd:
-    """The end of a leg: place, time [s from take-off], and the charge then; NaN where most flights end before."""
+    """It tells where and when a leg ends [s from take-off], and the charge then; NaN where most flights end before."""
 
     item: int  # -1 on the way home
     end_s: float
@@ -77,7 +77,7 @@ class LegEnd:
 
 @dataclass(frozen=True, slots=True)
 class RouteFit:
-    """The mission at one ambient temperature; `spare_s` is the hover left at home after touchdown.
+    """It tells whether the mission fits at one ambient temperature; `spare_s` is the hover left after touchdown [s].
 
     The charge at touchdown is NaN where most flights end before it.
     """
@@ -96,14 +96,14 @@ class RouteFit:
 
     @property
     def no_way_home(self) -> str:
-        """Words for a battery with which no turn, however early, leads home with 95 %; empty for another."""
+        """Return a warning if no turn, however early, leads home with 95 % on this battery; empty otherwise."""
         is_hopeless = self.route.turn_back_lo_s <= 0.0
         return "However early it turns, it is not home with 95 %: do not take off" if is_hopeless else ""
 
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A plan of a mission: what was asked and what came of it."""
+    """A plan of a mission holds the question that was asked and the answers to it."""
 
     resolved: PackSize
     planned: Planned
@@ -124,7 +124,10 @@ def make_route_plan(
     reserve_soc: float = 0.0,
     remembered: PackHealth | None = None,
 ) -> MissionPlan:
-    """Return the whole plan, of a pack that was met before if `remembered` tells it."""
+    """Return the whole plan of a mission, with a pack that was met before if `remembered` tells it.
+
+    Raises UsageError for a mission that is not understood or has no end.
+    """
     ahead, way = planned.ahead()
     pack = with_reaction(sized(battery, resolved), remembered)
 
