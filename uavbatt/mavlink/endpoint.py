@@ -19,7 +19,7 @@ Chunk = tuple[bytes, object]  # bytes, and who sent them
 
 
 class Endpoint(NamedTuple):
-    """An endpoint string, taken apart."""
+    """It is an endpoint string, taken apart."""
 
     kind: str  # udpin | udpout | tcp | tcpin | serial
     host: str  # or the device
@@ -28,16 +28,16 @@ class Endpoint(NamedTuple):
 
 
 class Link(Protocol):
-    """The loops' view of an endpoint."""
+    """An open endpoint gives the loops these to work with."""
 
     is_stream: bool
     problem: str  # why it is not open, in words; empty while it is
 
     def filenos(self) -> Iterator[int]:
-        """Descriptors to wait on."""
+        """Yield the descriptors to wait on."""
 
     def read(self, now_s: float) -> list[Chunk]:
-        """All that has come in."""
+        """Return all that has come in, each chunk with its sender; `now_s` is a monotonic clock [s]."""
 
     def write(self, data: bytes, now_s: float) -> None:
         """Send without waiting; what cannot be sent is lost."""
@@ -47,7 +47,7 @@ class Link(Protocol):
 
 
 def parse(text: str) -> Endpoint:
-    """An endpoint string; UsageError says what was expected."""
+    """Return an endpoint string taken apart. Raises UsageError that says what was expected."""
     forms = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or DEVICE,BAUD"
     expected = f"endpoint `{text}`: expected {forms}"
     kind, _, rest = text.partition(":")

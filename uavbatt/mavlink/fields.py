@@ -28,7 +28,7 @@ INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 
 @dataclass(frozen=True, slots=True)
 class BatteryFields:
-    """One battery message in SI; NaN where the sender did not know."""
+    """It holds one battery message in SI; NaN where the sender did not know."""
 
     id: int
     voltage_V: float
@@ -41,7 +41,7 @@ class BatteryFields:
 
 @dataclass(frozen=True, slots=True)
 class PackIdentity:
-    """The identity of one pack: its serial, empty where it has none, and its own count of cycles."""
+    """It identifies one pack by its serial, empty where it has none, and its own count of cycles."""
 
     id: int
     serial: str = ""
@@ -56,8 +56,9 @@ _NO_SERIALS = ("", "0", "-1", "65535")
 
 
 def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
-    """Return who a pack is, of a payload of SMART_BATTERY_INFO or BATTERY_INFO (a work in progress that no dialect
-    holds).
+    """Return serial and cycles of a pack from a payload of SMART_BATTERY_INFO or BATTERY_INFO.
+
+    BATTERY_INFO is a work in progress that no dialect holds.
     """
     at, cycles_at, first, last = _IDENTITY_AT[message_id]
     whole = payload.ljust(IDENTITY_LENGTH[message_id], b"\0")
@@ -67,18 +68,18 @@ def pack_identity(message_id: int, payload: bytes) -> PackIdentity:
 
 
 def known_serial(text: str) -> str:
-    """A pack's serial, empty where it is one of the values that say that there is none."""
+    """Return a pack's serial, empty where it is one of the values that say that there is none."""
     shown = "".join(letter for letter in text.strip() if letter.isprintable())
     return "" if shown in _NO_SERIALS else shown
 
 
 def hardware(uid: int) -> str:
-    """Serial number of the flight controller from the `uid` of AUTOPILOT_VERSION; empty when it tells none."""
+    """Return the flight controller's serial number from the `uid` of AUTOPILOT_VERSION; empty when it tells none."""
     return f"{uid:016x}" if uid else ""
 
 
 def pack_voltage_V(voltages_mV: Sequence[int], ext_mV: Sequence[int] = ()) -> tuple[float, tuple[float, ...]]:
-    """Pack voltage [V] and cell voltages [V] from the two voltage arrays of BATTERY_STATUS [mV].
+    """Return pack voltage [V] and cell voltages [V] from the two voltage arrays of BATTERY_STATUS [mV].
 
     One entry is the whole pack, several are cells, unless the first is 65534 (a pack too high for
     one field). Zeros are fillers of careless senders: a cell at 0 V does not fly.
@@ -94,17 +95,17 @@ def pack_voltage_V(voltages_mV: Sequence[int], ext_mV: Sequence[int] = ()) -> tu
 
 
 def current_A(centiamps: int) -> float:
-    """Current [A]; -1 is unknown (a true -0.01 A cannot be told from it), 32767 is a saturated field."""
+    """Return a current [A]; -1 is unknown (a true -0.01 A cannot be told from it), 32767 is a saturated field: NaN."""
     return math.nan if centiamps in (-1, 32767) else centiamps / 100
 
 
 def soc(percent: int) -> float:
-    """State of charge as the autopilot reports it, 0..1; anything outside 0..100 % is unknown."""
+    """Return the state of charge that the autopilot reports, 0..1; NaN for anything outside 0..100 %."""
     return percent / 100 if 0 <= percent <= 100 else math.nan
 
 
 def battery_status(msg: Any) -> BatteryFields:
-    """BATTERY_STATUS (147)."""
+    """Return the fields of BATTERY_STATUS (147)."""
     voltage_V, cells_V = pack_voltage_V(msg.voltages, getattr(msg, "voltages_ext", ()))
     return BatteryFields(
         id=msg.id,
@@ -118,7 +119,7 @@ def battery_status(msg: Any) -> BatteryFields:
 
 
 def sys_status(msg: Any) -> BatteryFields:
-    """SYS_STATUS (1): the fallback, ambiguous on a vehicle with several batteries."""
+    """Return the fields of SYS_STATUS (1): the fallback, ambiguous on a vehicle with several batteries."""
     known = msg.voltage_battery not in (0, 65535)
     return BatteryFields(
         id=0,
@@ -129,7 +130,7 @@ def sys_status(msg: Any) -> BatteryFields:
 
 
 def battery2(msg: Any) -> BatteryFields:
-    """BATTERY2 (181, retired): the second battery of old ArduPilot logs, instance 1."""
+    """Return the fields of BATTERY2 (181, retired): the second battery of old ArduPilot logs, instance 1."""
     known = msg.voltage not in (0, 65535)
     return BatteryFields(
         id=1,
@@ -139,7 +140,7 @@ def battery2(msg: Any) -> BatteryFields:
 
 
 def parameter(msg: Any, is_px4: bool) -> tuple[str, float]:
-    """Name and value of PARAM_VALUE (22); PX4 sends integers as bit patterns, ArduPilot by value."""
+    """Return name and value of PARAM_VALUE (22); PX4 sends integers as bit patterns, ArduPilot by value."""
     name = msg.param_id if isinstance(msg.param_id, str) else bytes(msg.param_id).decode("latin-1")
     code = INTEGER_CODES.get(msg.param_type) if is_px4 else None
     if code is None:
@@ -149,15 +150,15 @@ def parameter(msg: Any, is_px4: bool) -> tuple[str, float]:
 
 
 def is_integer(msg: Any) -> bool:
-    """True if a PARAM_VALUE holds an integer, which PX4 and ArduPilot send in different ways."""
+    """Return True if a PARAM_VALUE holds an integer, which PX4 and ArduPilot send in different ways."""
     return msg.param_type in INTEGER_CODES
 
 
 def is_armed(heartbeat: Any) -> bool:
-    """The armed bit of HEARTBEAT.base_mode."""
+    """Return True if the armed bit of HEARTBEAT.base_mode is set."""
     return bool(heartbeat.base_mode & _MODE_FLAG_ARMED)
 
 
 def is_autopilot(heartbeat: Any) -> bool:
-    """True for the heartbeat of a flight controller, not of a ground station or a payload."""
+    """Return True for the heartbeat of a flight controller, not of a ground station or a payload."""
     return bool(heartbeat.autopilot != _AUTOPILOT_INVALID and heartbeat.type != _TYPE_GCS)

@@ -36,7 +36,7 @@ _TABLE = _crc_table()
 
 
 def crc16(data: bytes, extra: int) -> int:
-    """CRC-16/MCRF4XX of `data` and the message's CRC_EXTRA."""
+    """Return the CRC-16/MCRF4XX of `data` and the message's CRC_EXTRA."""
     crc = 0xFFFF
     for byte in data:
         crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]
@@ -52,7 +52,7 @@ class Header(NamedTuple):
 
 
 def frame_length(data: bytes, start: int) -> int:
-    """Length of the frame whose first byte is at `start`; 0: no frame starts here; -1: too few bytes to tell."""
+    """Return the length of the frame whose first byte is at `start`; 0: none starts here; -1: too few bytes to tell."""
     mark = data[start]
     if mark not in (V1, V2):
         return 0
@@ -64,7 +64,7 @@ def frame_length(data: bytes, start: int) -> int:
 
 
 def header(frame: bytes) -> Header:
-    """Sender and message id of a whole frame."""
+    """Return sender and message id of a whole frame."""
     if frame[0] == V1:
         return Header(frame[3], frame[4], frame[5])
     return Header(frame[5], frame[6], frame[7] | frame[8] << 8 | frame[9] << 16)
@@ -77,7 +77,7 @@ def _next_mark(data: bytes, position: int) -> int:
 
 
 def pieces(data: bytes, start: int = 0) -> Iterator[tuple[int, int, bool]]:
-    """(from, to, is a whole frame) over all of `data`; the last piece may be a frame cut short."""
+    """Yield (from, to, is a whole frame) over all of `data`; the last piece may be a frame cut short."""
     garbage_from, position = start, start
     while position < len(data):
         length = frame_length(data, position)
@@ -96,7 +96,7 @@ def pieces(data: bytes, start: int = 0) -> Iterator[tuple[int, int, bool]]:
 
 
 def sequence(frame: bytes) -> int:
-    """The sender's running number of a whole frame, 0..255."""
+    """Return the sender's running number of a whole frame, 0..255."""
     return frame[2] if frame[0] == V1 else frame[4]
 
 
@@ -106,7 +106,7 @@ def is_signed(frame: bytes) -> bool:
 
 
 class BatteryStatusParts(NamedTuple):
-    """The parts of a BATTERY_STATUS that a rewriter needs."""
+    """It holds the parts of a BATTERY_STATUS that a rewriter needs."""
 
     id: int
     percent: int
@@ -114,7 +114,7 @@ class BatteryStatusParts(NamedTuple):
 
 
 def battery_of(frame: bytes) -> BatteryStatusParts | None:
-    """The battery of an unsigned v2 BATTERY_STATUS with a good checksum; None for any other frame."""
+    """Return the battery of an unsigned v2 BATTERY_STATUS with a good checksum; None for any other frame."""
     if len(frame) < V2_OVERHEAD or frame[0] != V2 or frame[2] != 0 or frame[7:10] != b"\x93\x00\x00":
         return None
     end = V2_HEADER + frame[1]
@@ -126,7 +126,7 @@ def battery_of(frame: bytes) -> BatteryStatusParts | None:
 
 
 def with_battery(frame: bytes, time_remaining_s: int, percent: int | None = None) -> bytes:
-    """The same BATTERY_STATUS frame (see `battery_of`) with another time [s] and, if given, percent."""
+    """Return the same BATTERY_STATUS frame (see `battery_of`) with another time [s] and, if given, percent."""
     payload = bytearray(frame[V2_HEADER : V2_HEADER + frame[1]].ljust(TIME_END, b"\0"))
     struct.pack_into("<i", payload, TIME_AT, time_remaining_s)
     if percent is not None:
@@ -137,7 +137,7 @@ def with_battery(frame: bytes, time_remaining_s: int, percent: int | None = None
 
 
 class Splitter:
-    """A byte stream cut into whole frames and garbage; what is not yet whole waits for the next bytes."""
+    """It cuts a byte stream into whole frames and garbage; what is not yet whole waits for the next bytes."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -149,7 +149,7 @@ class Splitter:
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[tuple[bytes, bool]]:
-        """(bytes, is a whole frame) in order; together they are all bytes fed but those still waiting."""
+        """Return (bytes, is a whole frame) in order; together they are all bytes fed but those still waiting."""
         made: list[tuple[bytes, bool]] = []
         if self._owed:
             owed, data = data[: self._owed], data[self._owed :]
@@ -164,7 +164,7 @@ class Splitter:
         return made
 
     def flush(self) -> bytes:
-        """Hand out what waits; the rest of that frame will pass as it comes."""
+        """Hand out the bytes that wait; the rest of that frame will pass as it comes."""
         held, self._rest = self._rest, b""
         length = frame_length(held, 0) if held else 0
         self._owed = max(length - len(held), 0)
@@ -172,7 +172,7 @@ class Splitter:
 
 
 class Frames:
-    """A byte stream or datagrams in, whole frames out, found again after damage.
+    """It takes a byte stream or datagrams in and gives whole frames out, found again after damage.
 
     A damaged length would swallow frames behind it, so that whoever checks a frame and finds it broken calls
     `reject`: the search goes on one byte after its start.
@@ -183,7 +183,7 @@ class Frames:
         self._last = (0, 0)
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Whole frames, one after the other; `reject()` may be called before the next is taken."""
+        """Yield whole frames, one after the other; `reject()` may be called before the next is taken."""
         self._data += data
         position = 0
         while position < len(self._data):
@@ -199,5 +199,5 @@ class Frames:
         self._data = self._data[position:]
 
     def reject(self) -> None:
-        """The frame handed out last was none."""
+        """Go on with the search one byte after the start of the frame that was handed out last: it was none."""
         self._last = (self._last[0], self._last[0])

@@ -29,7 +29,7 @@ READS_A_TURN = 64
 
 
 def open_link(text: str, silent_after_s: float = math.inf) -> Link:
-    """The link of an endpoint string. Raises UsageError for a bad string or a local address that is taken.
+    """Open the link of an endpoint string. Raises UsageError for a bad string or a local address that is taken.
 
     silent_after_s: a client of `tcpin` that has not spoken by then is dropped; a ground station may only listen.
     """
@@ -40,7 +40,7 @@ def open_link(text: str, silent_after_s: float = math.inf) -> Link:
 
 
 def check_endpoint(text: str) -> Endpoint:
-    """Return an endpoint string taken apart; UsageError for one that no try will ever open."""
+    """Return an endpoint string taken apart. Raises UsageError for one that no try will ever open."""
     at = parse(text)
     if at.kind == "serial":
         _speed(at)
@@ -48,19 +48,25 @@ def check_endpoint(text: str) -> Endpoint:
 
 
 def open_autopilot(text: str) -> Link:
-    """The link on which an autopilot is expected: who connects there speaks."""
+    """Open the link on which an autopilot is expected: who connects there speaks.
+
+    Raises as `open_link`.
+    """
     return open_link(text, SILENT_AUTOPILOT_S)
 
 
 class Peer(NamedTuple):
-    """A peer that sent to a listening socket: its count of datagrams, and the time of the last."""
+    """It counts the datagrams of a peer that sent to a listening socket, and keeps the time of the last [s]."""
 
     datagrams: int
     heard_s: float
 
 
 class UdpLink:
-    """Datagrams. `udpin` learns its peers from what they send; `udpout` has one."""
+    """It carries datagrams: `udpin` learns its peers from what they send, `udpout` has one.
+
+    Raises UsageError for a host that nobody knows and a local address that is taken.
+    """
 
     is_stream, problem = False, ""
 
@@ -79,11 +85,11 @@ class UdpLink:
             raise UsageError(f"endpoint `{at.text}`: {said}") from None
 
     def filenos(self) -> Iterator[int]:
-        """One socket."""
+        """Yield the one socket."""
         yield self._socket.fileno()
 
     def read(self, now_s: float) -> list[Chunk]:
-        """The datagrams that wait, at most 64 a turn."""
+        """Return the datagrams that wait, at most 64 a turn."""
         found: list[Chunk] = []
         for _ in range(READS_A_TURN):
             try:
@@ -98,7 +104,7 @@ class UdpLink:
         return found
 
     def write(self, data: bytes, now_s: float) -> None:
-        """One datagram to the peer, or to every peer heard lately."""
+        """Send one datagram to the peer, or to every peer heard lately."""
         lately = [p for p, peer in self._peers.items() if now_s - peer.heard_s < PEER_FORGOTTEN_S]
         peers = [self._address] if self._fixed else lately
         for peer in peers:
@@ -122,7 +128,7 @@ class UdpLink:
 
 
 class StreamLink:
-    """A TCP client or a serial line that is opened again whenever it breaks."""
+    """It is a TCP client or a serial line that is opened again whenever it breaks."""
 
     is_stream = True
 
@@ -136,7 +142,7 @@ class StreamLink:
         self.problem = ""
 
     def filenos(self) -> Iterator[int]:
-        """The descriptor, when open."""
+        """Yield the descriptor, when open."""
         if self._pipe is not None:
             yield self._pipe.fd
 
@@ -157,7 +163,7 @@ class StreamLink:
         return []
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Send, if the line is open."""
+        """Send the bytes, opening the line if it is closed; what cannot be sent is lost."""
         pipe = self._opened(now_s)
         if pipe is not None and not pipe.write(data):
             self._broken(now_s, f"lost {self._name}")

@@ -14,7 +14,7 @@ FOR_REQUEST_MISSION = frozenset((MISSION_REQUEST_LIST, MISSION_REQUEST_INT, MISS
 
 
 def may_reach_autopilot(message_id: int, request: bool, request_mission: bool) -> bool:
-    """Return whether a message of ours may travel towards the autopilot with these options."""
+    """Return True if a message of ours may travel towards the autopilot with these options."""
     if message_id == HEARTBEAT:
         return True
     return (request and message_id in FOR_REQUEST) or (request_mission and message_id in FOR_REQUEST_MISSION)

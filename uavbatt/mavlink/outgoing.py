@@ -23,7 +23,7 @@ SIGNING_EPOCH_S, SIGNING_TICKS_PER_S = 1_420_070_400, 100_000  # 2015-01-01, 10 
 
 
 class Outgoing:
-    """Packs frames of one component; counts its sequence."""
+    """It packs frames of one component and counts their sequence."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class Outgoing:
             self._link.signing.sign_outgoing = True
 
     def pack(self, message: Any) -> bytes:
-        """The frame of a message."""
+        """Return the frame of a message, signed where a key was given."""
         signing = self._link.signing
         if signing.sign_outgoing:  # never falls, whatever the clock does
             ticks = int((self._wall_s() - SIGNING_EPOCH_S) * SIGNING_TICKS_PER_S)
@@ -51,14 +51,14 @@ class Outgoing:
         return frame
 
     def heartbeat(self) -> bytes:
-        """HEARTBEAT: an onboard controller, or a battery when this is a battery's component."""
+        """Return a HEARTBEAT: of an onboard controller, or of a battery when this is a battery's component."""
         kind = dialect.MAV_TYPE_BATTERY if self.component in (180, 181) else dialect.MAV_TYPE_ONBOARD_CONTROLLER
         return self.pack(
             dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3)
         )
 
     def interval_request(self, component: int, message_id: int, rate_Hz: float) -> bytes:
-        """COMMAND_LONG SET_MESSAGE_INTERVAL: `message_id` every 1/`rate_Hz` seconds, please."""
+        """Return COMMAND_LONG SET_MESSAGE_INTERVAL: it asks for `message_id` every 1/`rate_Hz` seconds."""
         interval_us = 1e6 / rate_Hz
         return self.pack(
             dialect.MAVLink_command_long_message(
@@ -67,36 +67,36 @@ class Outgoing:
         )
 
     def parameter_request(self, component: int, name: str) -> bytes:
-        """PARAM_REQUEST_READ by name."""
+        """Return PARAM_REQUEST_READ, which asks for a parameter by name."""
         return self.pack(
             dialect.MAVLink_param_request_read_message(self.system, component, name.encode("ascii")[:16], -1)
         )
 
     def mission_list_request(self, component: int) -> bytes:
-        """MISSION_REQUEST_LIST: how many items are there?"""
+        """Return MISSION_REQUEST_LIST, which asks how many items the mission has."""
         return self.pack(dialect.MAVLink_mission_request_list_message(self.system, component))
 
     def mission_item_request(self, component: int, seq: int) -> bytes:
-        """MISSION_REQUEST_INT: item `seq`, please."""
+        """Return MISSION_REQUEST_INT, which asks for item `seq`."""
         return self.pack(dialect.MAVLink_mission_request_int_message(self.system, component, seq))
 
     def mission_acknowledgement(self, component: int, is_whole: bool) -> bytes:
-        """MISSION_ACK that ends our reading: the mission is whole, or we break off."""
+        """Return the MISSION_ACK that ends our reading: the mission is whole, or we break off."""
         result = dialect.MAV_MISSION_ACCEPTED if is_whole else dialect.MAV_MISSION_OPERATION_CANCELLED
         return self.pack(dialect.MAVLink_mission_ack_message(self.system, component, result))
 
     def parameter(self, name: str, value: float) -> bytes:
-        """PARAM_VALUE of our own; only a recording holds one."""
+        """Return a PARAM_VALUE of our own; only a recording holds one."""
         real = dialect.MAV_PARAM_TYPE_REAL32
         return self.pack(dialect.MAVLink_param_value_message(name.encode("ascii")[:16], value, real, 1, 0))
 
     def named_value(self, name: str, value: float, boot_ms: int) -> bytes:
-        """NAMED_VALUE_FLOAT; NaN stays NaN: unknown."""
+        """Return NAMED_VALUE_FLOAT; NaN stays NaN: unknown."""
         label = name.encode("ascii")[:LONGEST_NAME]
         return self.pack(dialect.MAVLink_named_value_float_message(boot_ms & 0xFFFFFFFF, label, value))
 
     def text(self, severity: int, text: str) -> bytes:
-        """STATUSTEXT, cut to 50 bytes."""
+        """Return STATUSTEXT, cut to 50 bytes."""
         content = text.encode("ascii", "replace")[:LONGEST_TEXT]
         return self.pack(dialect.MAVLink_statustext_message(severity, content))
 
@@ -111,7 +111,7 @@ class Outgoing:
         remaining_s: float,
         charge_state: int = dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
     ) -> bytes:
-        """BATTERY_STATUS of a battery of our own: its function is unknown, NaN is sent as the field's sentinel."""
+        """Return BATTERY_STATUS of our own battery: its function is unknown, NaN becomes the field's sentinel."""
         return self.pack(
             dialect.MAVLink_battery_status_message(
                 battery_id,
@@ -130,7 +130,7 @@ class Outgoing:
 
 
 def seconds(remaining_s: float) -> int:
-    """time_remaining [s]: 0 is "not provided", so that a known time is at least 1."""
+    """Return time_remaining [s] for the wire: 0 is "not provided", so that a known time is at least 1."""
     return max(int(remaining_s), 1) if math.isfinite(remaining_s) else 0
 
 

@@ -30,7 +30,7 @@ def takes_bytes(descriptor: int) -> bool:
 
 
 class Pipe:
-    """One open stream: a descriptor with the bytes it has not taken yet."""
+    """A pipe is one open stream: a descriptor with the bytes it has not taken yet."""
 
     def __init__(self, fd: int, owner: socket.socket | None = None) -> None:
         self.fd, self._owner, self._pending = fd, owner, b""
@@ -45,7 +45,7 @@ class Pipe:
             return None
 
     def write(self, data: bytes) -> bool:
-        """Send, keep what does not fit; False when the other side is gone or too slow."""
+        """Send the bytes and keep what does not fit; return False when the other side is gone or too slow."""
         self._pending += data
         try:
             while self._pending:

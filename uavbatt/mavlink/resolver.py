@@ -8,7 +8,7 @@ import threading
 
 
 class Resolver:
-    """Finds the address of a host without making anybody wait: a slow resolver is asked in a thread of its own."""
+    """It finds the address of a host without making anybody wait: a slow resolver is asked in a thread of its own."""
 
     def __init__(self, host: str) -> None:
         self._host = host
@@ -16,7 +16,7 @@ class Resolver:
         self._found: str | OSError | None = None
 
     def address(self) -> str | None:
-        """The address; None while it is looked for. Raises OSError when it was not found; the next call looks anew."""
+        """Return the address; None while it is looked for. Raises OSError if not found; the next call looks anew."""
         if _is_address(self._host):
             return self._host
         if self._thread is None:

@@ -22,7 +22,7 @@ WRONG, UNSIGNED, LATE = "with a wrong signature", "without a signature", "sent a
 
 
 class Verifier:
-    """Judges frames in order of reception; counts what it rejects."""
+    """It judges the signatures of frames in order of reception, and counts the frames that it rejects."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
@@ -43,7 +43,7 @@ class Verifier:
         return False
 
     def notes(self, followed: tuple[int, int] | None) -> list[str]:
-        """Notes for the operator about the followed vehicle (system, component), and about rejected frames."""
+        """Return notes for the operator on the followed vehicle (system, component) and on rejected frames."""
         found = [f"{n} frames of system {of} {why} rejected" for (of, why), n in sorted(self._rejected.items())]
         if any(why == WRONG for _, why in self._rejected) and not self._signing:
             found.append("no frame fits the key: is link.signing_key_file the vehicle's?")

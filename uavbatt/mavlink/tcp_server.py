@@ -21,7 +21,10 @@ QUIET_S = 5.0  # heartbeats come every second
 
 
 class TcpServer:
-    """The listening socket and its clients, at most MOST_CLIENTS."""
+    """It holds the listening socket and its clients, at most MOST_CLIENTS.
+
+    Raises UsageError for a local address that is taken.
+    """
 
     is_stream, problem = True, ""
 
@@ -35,7 +38,7 @@ class TcpServer:
         self._socket.setblocking(False)
 
     def filenos(self) -> Iterator[int]:
-        """The listening socket and the clients."""
+        """Yield the listening socket and the clients."""
         yield self._socket.fileno()
         yield from (client.fd for client in self._clients)
 
