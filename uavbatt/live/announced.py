@@ -111,7 +111,7 @@ class Announcer:
     def texts(
         self, now_s: float, report: Report, is_armed: bool | None = None, is_airborne: bool = False
     ) -> list[tuple[int, str]]:
-        """(severity, text) of all that is to be said now; `now_s` on the monotonic clock [s].
+        """Return (severity, text) of all that is to be said now; `now_s` on the monotonic clock [s].
 
         is_airborne : the autopilot says that the vehicle is in the air, by whatever but the battery.
         """

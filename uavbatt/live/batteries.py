@@ -37,7 +37,10 @@ NOTE_S = 60.0
 
 
 class Batteries:
-    """Rows of one vehicle in, a report of each battery out; `clocks` reads all clocks at a monotonic time [s]."""
+    """It takes the rows of one vehicle in and gives a report of each battery.
+
+    `clocks` reads all clocks at a monotonic time [s].
+    """
 
     def __init__(
         self,
@@ -70,7 +73,7 @@ class Batteries:
             self._reader.resume({})
 
     def step(self, row: LiveRow, now_s: float) -> Report:
-        """One row through its estimator. `now_s`: monotonic [s]."""
+        """Take one row through the estimator of its battery; return the report. `now_s` is monotonic [s]."""
         instance = row.instance
         if not self.tracked:
             self._reader.resume(self._resumption.meet(self._vehicle))
@@ -110,7 +113,7 @@ class Batteries:
         return report
 
     def notes(self, now_s: float) -> list[str]:
-        """Notes for the operator about the saved state and the pack ledger."""
+        """Return notes for the operator about the saved state and the pack ledger."""
         found = [self._problem, self._keeper.note if self._keeper is not None else ""]
         if now_s <= self._note_until_s:
             found += [self._resumption.note]
@@ -118,13 +121,13 @@ class Batteries:
         return [note for note in found if note]
 
     def close(self, now_s: float) -> None:
-        """Write out what is held."""
+        """Write out what is held, and close the pack ledger."""
         self.save(now_s)
         if self._keeper is not None:
             self._keeper.close(now_s)
 
     def save(self, now_s: float) -> None:
-        """Write out what is worth resuming, if a file is named for it and there is anything."""
+        """Write out the state that is worth resuming, if a file is named for it and there is any."""
         if self._keeper is not None:
             self._keeper.look_after(now_s)
         path = self._config.state.file

@@ -22,7 +22,7 @@ LISTEN_S = 3.0  # the autopilot names its batteries in turn
 
 
 class BatteryFeed:
-    """HEARTBEAT each second, BATTERY_STATUS at `rate_Hz`."""
+    """It makes HEARTBEAT each second and BATTERY_STATUS at `rate_Hz`, as of a battery component of its own."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
@@ -31,7 +31,7 @@ class BatteryFeed:
         self._ids: dict[int, int] = {}
 
     def frames(self, now_s: float, reports: Sequence[Report], taken: set[int], out: Outgoing) -> list[bytes]:
-        """The frames that are due; `taken` are the ids of the autopilot's batteries."""
+        """Return the frames that are due; `taken` are the ids of the autopilot's batteries."""
         made = []
         if now_s >= self._beat_s:
             self._beat_s = now_s + 1.0

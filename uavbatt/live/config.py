@@ -27,11 +27,11 @@ Share = Annotated[float, msgspec.Meta(ge=0, le=0.99)]
 
 
 class Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file: immutable, every key known."""
+    """A section of the file is immutable, and every key of it is known."""
 
 
 class LinkSection(Section, frozen=True):
-    """[link]: where the telemetry comes from and where the ground stations are."""
+    """[link] says where the telemetry comes from and where the ground stations are."""
 
     endpoint: str = ""
     gcs: list[str] = []
@@ -45,7 +45,7 @@ class LinkSection(Section, frozen=True):
 
 
 class PackSection(Section, frozen=True):
-    """[pack]: the battery; what is absent is asked of the vehicle, then of the battery file."""
+    """[pack] describes the battery; what is absent is asked of the vehicle, then of the battery file."""
 
     battery: str = "lipo-generic"
     instance: Byte | None = None
@@ -62,14 +62,14 @@ class PackSection(Section, frozen=True):
 
 
 class PacksSection(Section, frozen=True):
-    """[packs]: the pack ledger; empty file: none. Without a name the pack's serial on the link names it."""
+    """[packs] names the pack ledger; empty file: none. Without a name the pack's serial on the link names it."""
 
     file: str = ""
     name: str = ""
 
 
 class FeedSection(Section, frozen=True):
-    """[feed]: how the ground station hears of it."""
+    """[feed] says how the ground station hears of the time left."""
 
     kinds: tuple[FeedKind, ...] = ("named",)
     named_rate_Hz: Rate = 4.0
@@ -80,14 +80,14 @@ class FeedSection(Section, frozen=True):
 
 
 class HttpSection(Section, frozen=True):
-    """[http]: the page for a browser; empty: none."""
+    """[http] says where the page for a browser is served; empty: none."""
 
     listen: str = ""
     token: str = ""
 
 
 class RecordSection(Section, frozen=True):
-    """[record]: raw telemetry and estimates; empty folder: none."""
+    """[record] says where raw telemetry and estimates are recorded; empty folder: nowhere."""
 
     folder: str = ""
     when: Literal["always", "while-armed"] = "always"
@@ -97,7 +97,7 @@ class RecordSection(Section, frozen=True):
 
 
 class StateSection(Section, frozen=True):
-    """[state]: what survives a crash; empty file: nothing."""
+    """[state] says where the state is saved that survives a crash; empty file: nowhere."""
 
     file: str = ""
     period_s: Positive = 5.0
@@ -105,7 +105,7 @@ class StateSection(Section, frozen=True):
 
 
 class Config(Section, frozen=True):
-    """The whole file."""
+    """It holds the whole file, a section each."""
 
     link: LinkSection = LinkSection()
     pack: PackSection = PackSection()
@@ -117,7 +117,10 @@ class Config(Section, frozen=True):
 
 
 def read_config(path: Path | None = None) -> Config:
-    """The configuration of `path`, or of the place that the environment names, or the defaults."""
+    """Return the configuration of `path`, or of the place that the environment names, or the defaults.
+
+    Raises BadInput, which names the file and the key.
+    """
     named = path if path is not None else _named()
     if named is None:
         return Config()
@@ -142,7 +145,7 @@ def _named() -> Path | None:
 
 
 def checked(config: Config) -> Config:
-    """The configuration, if its parts fit together; UsageError in words if they do not."""
+    """Return the configuration if its parts fit together. Raises UsageError, in words, if they do not."""
     if not config.link.endpoint:
         raise UsageError("no ENDPOINT: name one, or set link.endpoint in uavbatt.toml")
     if "proxy" in config.feed.kinds and not config.link.gcs:
@@ -162,7 +165,7 @@ def checked(config: Config) -> Config:
 
 
 def address(text: str) -> tuple[str, int]:
-    """HOST:PORT taken apart; a bare :PORT or PORT is this host."""
+    """Return host and port of HOST:PORT; a bare :PORT or PORT is this host. Raises UsageError for anything else."""
     host, _, port = text.rpartition(":")
     if not port.isdigit() or not 0 <= int(port) < 65536:
         raise UsageError(f"--http {text}: expected HOST:PORT")
@@ -170,7 +173,7 @@ def address(text: str) -> tuple[str, int]:
 
 
 def signing_key(path: str) -> bytes | None:
-    """The 32-byte key of `path` (64 hexadecimal digits), None when there is no path."""
+    """Return the 32-byte key in `path` (64 hexadecimal digits), None without a path; BadInput for any other file."""
     if not path:
         return None
     try:

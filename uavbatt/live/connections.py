@@ -20,12 +20,12 @@ LOOK_PERIOD_S = 1.0
 
 
 class Connection(H11Protocol):
-    """One connection to the page, with its place in the table of all."""
+    """A connection to the page has a place in the table of all."""
 
     table: dict[Connection, float]  # when it came, or its last answer was whole [s, clock of the loop]
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a place, another's if none is free."""
+        """Take a place in the table, another's if none is free."""
         if len(self.table) >= MOST_CONNECTIONS:
             min(self.table, key=lambda other: (other.is_asking, self.table[other])).drop()
         self.table[self] = self.loop.time()
@@ -33,7 +33,7 @@ class Connection(H11Protocol):
         self.loop.call_later(LOOK_PERIOD_S, self._look)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place back."""
+        """Give the place in the table back."""
         self.table.pop(self, None)
         super().connection_lost(exc)
 
@@ -45,7 +45,7 @@ class Connection(H11Protocol):
 
     @property
     def is_asking(self) -> bool:
-        """Return True if a request is whole and its answer is not."""
+        """Return True if a request has come whole and its answer has not been sent whole."""
         return self.cycle is not None and not self.cycle.response_complete
 
     def drop(self) -> None:
@@ -64,5 +64,5 @@ class Connection(H11Protocol):
 
 
 def protocol() -> type[asyncio.Protocol]:
-    """The protocol of one server, with a table of its own."""
+    """Return the protocol of one server, with a table of its own."""
     return type("Connection", (Connection,), {"table": {}})

@@ -43,7 +43,7 @@ STAMP_STEP_US = 4  # a tlog's times are true to 4 us
 
 
 class Daemon:
-    """Estimates every battery of one vehicle while it flies; `turn` is one pass of the loop."""
+    """The daemon estimates every battery of one vehicle while it flies; `turn` is one pass of the loop."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class Daemon:
         self.close()
 
     def turn(self) -> int:
-        """Take in what has come and send what is due; returns the number of pieces that came."""
+        """Take in what has come and send what is due; return the number of pieces that came."""
         now_s = self._clock_s()
         pieces = self._link.read(now_s)
         for frame in self._listener.frames(pieces):

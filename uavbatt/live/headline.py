@@ -25,7 +25,7 @@ GIVES_NOTHING = "gives nothing"  # in the warning of its estimate
 
 
 class Headline:
-    """The order of the batteries as it stands now; it remembers who was first, and since when one gives nothing."""
+    """It keeps the order of the batteries; it remembers who was first, and since when one gives nothing."""
 
     def __init__(self) -> None:
         self._first: int | None = None

@@ -22,7 +22,7 @@ MOST_TOLD = 100  # notes that go to the log
 
 
 class HeardFrame(NamedTuple):
-    """A whole and valid frame, and its sender."""
+    """It holds a whole and valid frame with its sender."""
 
     data: bytes
     header: framing.Header
@@ -45,7 +45,7 @@ class Listener:
         self._told: set[str] = set()
 
     def frames(self, pieces: Iterable[Chunk]) -> Iterator[HeardFrame]:
-        """The frames in what has come in, in order."""
+        """Yield the frames in what has come in, in order."""
         for data, sender in pieces:
             if sender not in self._frames and len(self._frames) >= MOST_SENDERS:
                 self._frames.pop(next(iter(self._frames)))
@@ -65,7 +65,7 @@ class Listener:
                 yield HeardFrame(frame, header, sender)
 
     def notes(self) -> list[str]:
-        """Notes for the operator about the link."""
+        """Return notes for the operator about the link."""
         vehicle = self.reader.followed
         source = (vehicle.system, vehicle.component) if vehicle is not None else None
         found = self.reader.notes()

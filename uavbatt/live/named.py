@@ -17,7 +17,7 @@ from uavbatt.mavlink.outgoing import Outgoing
 
 
 class NamedFeed:
-    """Values at `rate_Hz` at most."""
+    """It makes the frames with the named values of every battery, at `rate_Hz` at most."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
@@ -25,7 +25,7 @@ class NamedFeed:
         self._names: dict[str, None] = {}  # that were sent last, in order
 
     def frames(self, now_s: float, reports: Sequence[Report], out: Outgoing) -> list[bytes]:
-        """The frames that are due."""
+        """Return the frames that are due; `now_s` on the monotonic clock [s]."""
         if now_s < self._next_s:
             return []
         self._next_s = now_s + self._period_s

@@ -37,7 +37,7 @@ Result = TypeVar("Result")
 
 @dataclass(slots=True)
 class Kept:
-    """The rows that are held of one battery's flight; changed in place by the loop alone."""
+    """It holds the rows of one battery's flight; the loop alone changes it, in place."""
 
     name: str
     health: Future[PackHealth | None]
@@ -94,7 +94,7 @@ class PackKeeper:
         return kept.health
 
     def step(self, instance: int, sample: Sample, now_s: float, cells: int, capacity_Ah: float) -> None:
-        """One row of a battery, at a monotonic time [s]."""
+        """Take in one row of a battery, at a monotonic time [s]."""
         kept = self._kept.get(instance)
         if kept is None and sample.armed and not self.note:
             self.note = f"pack ledger: battery {instance} tells no serial and is not remembered: give --pack NAME"

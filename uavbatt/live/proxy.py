@@ -56,18 +56,18 @@ class ProxySettings(NamedTuple):
 
 
 def message(kind: bytes, body: bytes) -> bytes:
-    """A control message."""
+    """Return a control message."""
     return kind + struct.pack("<H", len(body)) + body
 
 
 class Messages:
-    """A control stream cut into messages."""
+    """It cuts a control stream into messages."""
 
     def __init__(self) -> None:
         self._data = b""
 
     def feed(self, data: bytes) -> list[tuple[bytes, bytes]]:
-        """(kind, body) of every whole message."""
+        """Return (kind, body) of every message that is whole now."""
         self._data += data
         made = []
         while len(self._data) >= 3:
@@ -80,7 +80,7 @@ class Messages:
 
 
 class Control:
-    """The control socket: one client, the newest; a client that is slow or gone is dropped."""
+    """The control socket has one client, the newest; a client that is slow or gone is dropped."""
 
     def __init__(self, path: str) -> None:
         self._path, self._messages = path, Messages()
@@ -98,7 +98,7 @@ class Control:
         return [self._socket.fileno(), *([self._client.fd] if self._client is not None else [])]
 
     def read(self) -> list[tuple[bytes, bytes]]:
-        """Messages of the estimator."""
+        """Return the messages of the estimator, (kind, body) each."""
         try:
             made, _ = self._socket.accept()
             made.setblocking(False)
@@ -259,7 +259,7 @@ class Proxy:
 
 
 def main() -> int:
-    """The process: until SIGTERM, SIGINT or QUIT."""
+    """Run the proxy until SIGTERM, SIGINT or QUIT; return the process's exit code: 2 if it cannot start, else 0."""
     stopped: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda signum, frame: stopped.append(signum))

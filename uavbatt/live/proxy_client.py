@@ -32,7 +32,10 @@ STATUS_CODES = {Status.OK: rewriter.OK, Status.CONVERGING: rewriter.CONVERGING}
 
 
 def control_path(autopilot: str) -> str:
-    """Return where an endpoint's proxy listens: in $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder."""
+    """Return where an endpoint's proxy listens: in $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR, else a private folder.
+
+    Raises UsageError where the folder cannot be made or is another user's.
+    """
     named = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0] or os.environ.get("XDG_RUNTIME_DIR", "")
     folder = Path(named) if named else Path(tempfile.gettempdir()) / f"uavbatt-{os.getuid()}"
     try:
@@ -46,7 +49,7 @@ def control_path(autopilot: str) -> str:
 
 
 class ProxyClient:
-    """A `Link` to the autopilot, with a way to the ground stations and to the rewriter."""
+    """It is a `Link` to the autopilot, with a way to the ground stations and to the rewriter."""
 
     is_stream = True
 
@@ -63,12 +66,12 @@ class ProxyClient:
         self.problem = ""  # of the proxy's link to the autopilot
 
     def filenos(self) -> Iterator[int]:
-        """The control socket, when connected."""
+        """Yield the control socket, when connected."""
         if self._pipe is not None:
             yield self._pipe.fd
 
     def read(self, now_s: float) -> list[Chunk]:
-        """Read the bytes that the autopilot sent, and keep the proxy alive."""
+        """Return the bytes that the autopilot sent, and keep the proxy alive."""
         if self._pipe is None:
             self._attach(now_s)
         if self._pipe is None:
@@ -96,12 +99,12 @@ class ProxyClient:
         return found
 
     def write(self, data: bytes, now_s: float) -> None:
-        """A frame for the autopilot; the proxy sends it only if it was started for that."""
+        """Send a frame to the autopilot; the proxy passes it on only if it was started for that."""
         if self._settings.request or self._settings.request_mission:
             self._tell(proxy.TO_AUTOPILOT, data)
 
     def to_gcs(self, data: bytes) -> None:
-        """A frame for the ground stations."""
+        """Send a frame to the ground stations."""
         self._tell(proxy.TO_GCS, data)
 
     def estimate(self, report: Report, now_s: float) -> None:
@@ -122,7 +125,7 @@ class ProxyClient:
         self._pipe = None
 
     def stop(self) -> None:
-        """End the proxy: an orderly stop of the service."""
+        """End the proxy, as in an orderly stop of the service."""
         self._tell(proxy.QUIT, b"")
         self.close()
         if self._child is not None:

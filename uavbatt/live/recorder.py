@@ -60,7 +60,7 @@ class Recorder:
         self._prelude, self.words = {}, words
 
     def frame(self, frame: bytes, stamp_us: int, time_s: float, now_s: float, armed: bool | None) -> None:
-        """Record one frame. stamp_us since 1970; time_s on the reader's clock; now_s monotonic [s]."""
+        """Record one frame: stamp_us since 1970 [µs], time_s on the reader's clock, now_s monotonic [s]."""
         if self._paused_s is not None and now_s - self._paused_s > RESUMED_WITHIN_S:
             self.close()
         if self._settings.when == "while-armed" and not armed:
@@ -92,7 +92,7 @@ class Recorder:
             self._failed(error.strerror or str(error), now_s)
 
     def flush(self, now_s: float) -> None:
-        """Hand what is buffered to the system, once a second."""
+        """Hand what is buffered to the operating system, once a second."""
         if now_s < self._flush_s:
             return
         self._flush_s = now_s + FLUSH_S

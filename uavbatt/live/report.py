@@ -22,7 +22,7 @@ TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 @dataclass(frozen=True, slots=True)
 class Display:
-    """The values that may be shown now; NaN is unknown."""
+    """It holds the values that may be shown now; NaN is unknown."""
 
     status: Status
     reason: str
@@ -35,7 +35,7 @@ class Display:
 
 
 class EnduranceNow(NamedTuple):
-    """The time in the air of a flight that would begin now [s]: median, 5 % and 95 % point; NaN is unknown."""
+    """It tells how long a flight that begins now would last [s]: median, 5 % and 95 % point; NaN is unknown."""
 
     median_s: float = NAN
     lo_s: float = NAN
@@ -43,7 +43,7 @@ class EnduranceNow(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Say it as a pilot plans: in minutes."""
+        """Return it in the words in which a pilot plans: in minutes."""
         if not math.isfinite(self.median_s):
             return "waiting for take-off"
         middle, lo, hi = (f"{value_s / 60.0:.0f}" for value_s in self)
@@ -55,7 +55,7 @@ UNKNOWN = EnduranceNow()
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""
+    """It holds the last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""
 
     instance: int
     system: int
@@ -71,7 +71,7 @@ class Report:
     endurance: EnduranceNow = UNKNOWN  # before take-off
 
     def age_s(self, now_s: float) -> float:
-        """Seconds since the row was received."""
+        """Return the seconds since the row was received."""
         return max(now_s - self.received_s, 0.0)
 
     def is_stale(self, now_s: float) -> bool:
@@ -114,7 +114,7 @@ class Report:
         return Route(route.load, reason=f"no telemetry for {age_s:.0f} s")
 
     def as_line(self, now_s: float) -> Line:
-        """The output line's keys as they stand now, with the identity and the age of the row."""
+        """Return the output line's keys as they stand now, with the identity and the age of the row."""
         shown = self.at(now_s)
         made: Line = dict(line(self.estimate, replace(self.remaining, route=self.route_at(now_s))))
         stale = shown.status is Status.STALE
@@ -142,7 +142,7 @@ class Report:
 
 
 class Trend:
-    """The trend of each battery over the last ten minutes, a point every five seconds."""
+    """It keeps the time left of each battery over the last ten minutes, a point every five seconds."""
 
     def __init__(self) -> None:
         self._points: dict[int, tuple[tuple[float, Display], ...]] = {}
@@ -153,7 +153,7 @@ class Trend:
         self._points = {}
 
     def look(self, now_s: float, reports: Sequence[Report]) -> None:
-        """Take a point when one is due."""
+        """Take a point of each battery when one is due."""
         if now_s < self._next_s:
             return
         self._next_s = now_s + TREND_PERIOD_S
@@ -162,7 +162,7 @@ class Trend:
             self._points[report.instance] = (*kept, (now_s, report.at(now_s)))
 
     def lines(self, now_s: float) -> dict[int, list[list[float | None]]]:
-        """For each battery: [age, median, 5 %, 95 %] [s], oldest first; None is unknown."""
+        """Return for each battery its points [age, median, 5 %, 95 %] [s], oldest first; None is unknown."""
         return {
             instance: [
                 [
@@ -177,7 +177,7 @@ class Trend:
 
 @dataclass(slots=True)
 class Board:
-    """The board that other threads may read: the loop replaces it whole, except `trend`, to which it appends."""
+    """Other threads may read the board: the loop replaces it whole, except `trend`, to which it appends."""
 
     reports: tuple[Report, ...] = ()
     notes: tuple[str, ...] = ()

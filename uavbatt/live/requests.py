@@ -20,7 +20,7 @@ MOST_ASKED = 4
 
 
 def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
-    """The parameters that say what pack this is."""
+    """Return the names of the parameters that say what packs these are."""
     names = []
     for instance in sorted(instances) or [0]:
         if is_px4:
@@ -31,7 +31,7 @@ def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
 
 
 class Requests:
-    """Remembers what was asked and how often."""
+    """It decides what to ask the autopilot for, and remembers what was asked and how often."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._rate_Hz = rate_Hz
@@ -41,7 +41,7 @@ class Requests:
         self._rows, self._rows_since_s = 0, 0.0
 
     def row(self) -> None:
-        """Note that a BATTERY_STATUS has come."""
+        """Count a BATTERY_STATUS that has come."""
         self._rows += 1
 
     def begin_again(self) -> None:
@@ -50,7 +50,7 @@ class Requests:
         self._pause_s, self._rate_next_s = FIRST_PAUSE_S, float("-inf")
 
     def again(self, now_s: float, component: int, doubted: Mapping[str, float], out: Outgoing) -> list[bytes]:
-        """Requests for parameters whose change in flight is in doubt: at once, then every second a few times."""
+        """Return requests for parameters whose change in flight is in doubt: at once, then every second a few times."""
         made = []
         for name, value in doubted.items():
             was, times, next_s = self._again.get(name, (value, 0, now_s))
@@ -65,7 +65,7 @@ class Requests:
     def frames(
         self, now_s: float, component: int, known: Mapping[str, float], names: Iterable[str], out: Outgoing
     ) -> list[bytes]:
-        """The requests that are due."""
+        """Return the requests that are due: for the rate of BATTERY_STATUS, and for a parameter not known yet."""
         made = []
         if now_s >= self._rate_next_s:
             elapsed_s = now_s - self._rows_since_s

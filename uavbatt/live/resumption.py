@@ -9,7 +9,7 @@ from uavbatt.live.state import Found, SavedState, SavedVehicle
 
 
 class Resumption:
-    """Hands out what an earlier process left to the vehicle that it is of, and to no other; each battery once."""
+    """It hands out what an earlier process saved of a vehicle to that vehicle and to no other, each battery once."""
 
     def __init__(self, found: Found[SavedBattery]) -> None:
         self.age_s = found.age_s  # when this process began
@@ -20,26 +20,26 @@ class Resumption:
 
     @property
     def note(self) -> str:
-        """Say where the resumption stands; each battery's own estimator says what became of it."""
+        """Return where the resumption stands, in words; each battery's own estimator says what became of it."""
         if self._state is not None and self._met is None:
             return f"a state {self.age_s:.0f} s old waits for system {self._state.vehicle.system}"
         why_not = self._why_not or self._mismatch(self._met)
         return f"not resumed: {why_not}" if why_not else ""
 
     def meet(self, vehicle: SavedVehicle) -> Mapping[str, float]:
-        """A vehicle whose batteries are to be estimated: its saved parameters, if the state is of it."""
+        """Return the saved parameters of a vehicle whose batteries are to be estimated, if the state is of it."""
         self._met = vehicle
         return self._state.parameters if self._state is not None and not self._mismatch(vehicle) else {}
 
     def is_contradicted(self, vehicle: SavedVehicle) -> bool:
-        """True if what is known of the vehicle by now shows that what it was handed was another's."""
+        """Return True if the vehicle, by what is known of it now, has been handed the state of another."""
         if self._state is None or self._met is None or self._mismatch(self._met):
             return False
         self._met = vehicle
         return bool(self._mismatch(vehicle))
 
     def of(self, instance: int) -> SavedBattery | None:
-        """The saved battery of the vehicle that was met; None where there is none, or it was handed out before."""
+        """Return the saved battery of the vehicle that was met; None if there is none or it was handed out before."""
         return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
 
     def _mismatch(self, vehicle: SavedVehicle | None) -> str:

@@ -13,7 +13,7 @@ SILENT_AFTER_S = 3.0
 
 
 class LastEstimate(NamedTuple):
-    """The last estimate of one battery, as the control socket carried it."""
+    """It holds the last estimate of one battery, as the control socket carried it."""
 
     status: int
     remaining_s: float
@@ -60,7 +60,7 @@ class Rewriter:
         return with_battery(frame, left_s, percent)
 
     def datagram(self, data: bytes, now_s: float) -> bytes:
-        """A datagram with its frames rewritten."""
+        """Return a datagram with its frames rewritten."""
         return b"".join(
             self.frame(data[begin:end], now_s) if whole else data[begin:end] for begin, end, whole in pieces(data)
         )

@@ -52,7 +52,7 @@ LARGEST_OTHER = 1e6
 
 @dataclass(frozen=True, slots=True)
 class SavedBattery:
-    """The belief `since_row_s` before the last row of a battery, and what goes with it."""
+    """It holds the belief `since_row_s` [s] before the last row of a battery, and what goes with it."""
 
     since_row_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
     means: Annotated[list[Column], msgspec.Meta(min_length=1, max_length=MOST_MEMBERS)]
@@ -69,12 +69,12 @@ class SavedBattery:
 
 
 def implausible(was: SavedBattery) -> str:
-    """Name what no battery can show of a saved one; empty when it may be resumed."""
+    """Return what a saved battery holds that no battery can show, in words; empty when it may be resumed."""
     return implausible_belief(was.means, was.covariances, was.weights) or _implausible_memory(was)
 
 
 def implausible_belief(means: list[Column], covariances: list[Square], weights: list[Weight]) -> str:
-    """Name what makes a sum of Gaussians impossible as a belief about a battery; empty when it is possible.
+    """Return what makes a sum of Gaussians impossible as a belief about a battery; empty when it is possible.
 
     A member that has long been refuted may hold strange things; the sum may not.
     """

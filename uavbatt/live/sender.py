@@ -28,7 +28,7 @@ MOST_SAID = 8
 
 
 class Sender:
-    """Heartbeats, feeds and requests, each when it is due."""
+    """It sends heartbeats, feeds and requests, each when it is due."""
 
     def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
         self._config, self._link, self._stations = config, link, stations
@@ -43,7 +43,7 @@ class Sender:
         self.said: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (monotonic time [s], text), oldest first
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
-        """All that is due at `now_s` on the monotonic clock [s]."""
+        """Send all that is due at `now_s` on the monotonic clock [s]."""
         kinds, asks, reads = self._config.feed.kinds, self._config.link.request, self._config.link.request_mission
         system = reader.system or 1
         own = self._out(system, self._config.link.own_component)

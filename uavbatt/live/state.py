@@ -37,7 +37,7 @@ Battery = TypeVar("Battery")
 
 
 class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
-    """Whose batteries these are: the autopilot's address, and its serial number where the link has told it."""
+    """It tells whose batteries these are: the autopilot's address, and its serial number where the link has told it."""
 
     system: Byte
     component: Byte
@@ -45,7 +45,7 @@ class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
-    """The content of the file but for when it was written; `battery_sha256` and `link` are of the process."""
+    """It holds the file's content but for when it was written; `battery_sha256` and `link` are of the process."""
 
     battery_sha256: Name
     link: Annotated[str, msgspec.Meta(max_length=1000)]
@@ -56,7 +56,7 @@ class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
 
 
 class Clock(msgspec.Struct, frozen=True, kw_only=True):
-    """One instant by the clocks of this computer; `boot_id` is empty where it has none."""
+    """It is one instant by the clocks of this computer; `boot_id` is empty where it has none."""
 
     boot_id: str
     monotonic_s: Time
@@ -69,7 +69,7 @@ class _Written(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Found(NamedTuple, Generic[Battery]):
-    """The state and its age [s], or None and the reason why there is none; no reason if nothing was ever saved."""
+    """It holds the state and its age [s], or None and the reason; no reason if nothing was ever saved."""
 
     state: SavedState[Battery] | None
     age_s: float
@@ -77,12 +77,12 @@ class Found(NamedTuple, Generic[Battery]):
 
 
 def clock(monotonic_s: float, wall_s: float, is_clock_set: bool) -> Clock:
-    """Return an instant with the identity of this boot."""
+    """Return an instant by all clocks, with the identity of this boot."""
     return Clock(boot_id=boot_id(), monotonic_s=monotonic_s, wall_s=wall_s, is_clock_set=is_clock_set)
 
 
 def boot_id() -> str:
-    """An identity of this boot of the computer; empty when it has none."""
+    """Return an identity of this boot of the computer; empty when it has none."""
     try:
         return BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:
@@ -90,7 +90,7 @@ def boot_id() -> str:
 
 
 def is_clock_set(wall_s: float) -> bool:
-    """True if the wall clock can be believed: the kernel has it synchronised, or a hardware clock says the same."""
+    """Return True if the wall clock can be believed: the kernel has it synchronised, or a hardware clock agrees."""
     if not sys.platform.startswith("linux"):
         return wall_s > RELEASED_S  # small computers without a battery for their clock run Linux
     return wall_s > RELEASED_S and (_is_synchronised() or any(_agrees(clock, wall_s) for clock in _hardware_clocks()))
@@ -120,7 +120,7 @@ def _agrees(hardware_clock: Path, wall_s: float) -> bool:
 
 
 def write_state(path: Path, content: SavedState[Any], now: Clock) -> None:
-    """Save atomically. Raises OSError or UavbattError when the disk does not take it."""
+    """Save the state atomically. Raises OSError or UavbattError when the disk does not take it."""
     head = {"version": VERSION, **msgspec.to_builtins(now)}
     with atomic_write(path) as file:
         json.dump({**head, **msgspec.to_builtins(content)}, file, allow_nan=True)
@@ -129,7 +129,7 @@ def write_state(path: Path, content: SavedState[Any], now: Clock) -> None:
 def read_state(
     path: Path, kind: type[Battery], now: Clock, *, max_age_s: float, battery_sha256: str, link: str
 ) -> Found[Battery]:
-    """The state of `path` with batteries of this kind, if this process may go on from it at `now`."""
+    """Return the state of `path` with batteries of this kind, if this process may go on from it at `now`."""
 
     def none(why: str) -> Found[Battery]:
         return Found(None, 0.0, why)

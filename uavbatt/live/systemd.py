@@ -7,7 +7,7 @@ import socket
 
 
 def notify(message: str) -> None:
-    """Tell systemd, e.g. READY=1, WATCHDOG=1 or STATUS=text; silent without $NOTIFY_SOCKET."""
+    """Tell systemd a message, e.g. READY=1, WATCHDOG=1 or STATUS=text; nothing without $NOTIFY_SOCKET."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return

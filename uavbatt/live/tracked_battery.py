@@ -31,7 +31,7 @@ ENDURANCE_PERIOD_S = 10.0
 
 
 class TrackedBattery:
-    """The estimator of one battery; it raises no error for anything that a vehicle may send."""
+    """It runs the estimator of one battery; it raises no error for anything that a vehicle may send."""
 
     def __init__(
         self,
@@ -61,7 +61,10 @@ class TrackedBattery:
     def step(
         self, sample: Sample, facts: PackFacts, gap_s: float = NAN, navigation: Navigation = NOWHERE
     ) -> tuple[Estimate, Remaining]:
-        """One row; `gap_s` is the age of the saved state at this row [s], `navigation` what is known of the route."""
+        """Return estimate and remaining time after one row; refused, with the reason, for a row that makes an error.
+
+        gap_s : age of the saved state at this row [s]; navigation : what is known of the route.
+        """
         was, self._saved = self._saved, None
         if was is not None:
             why_not = self._resume(was, sample, gap_s)
@@ -78,7 +81,7 @@ class TrackedBattery:
             return refused(sample, where + " ".join(str(error).split()))
 
     def endurance(self, time_s: float) -> EnduranceNow:
-        """Return the time in the air if it took off now; worked out anew every few seconds, unknown where it cannot."""
+        """Return the time in the air if it took off now, unknown where that has no answer; renewed every 10 s."""
         if not 0.0 <= time_s - self._endurance_s < ENDURANCE_PERIOD_S:
             try:
                 found = self.estimator.before_take_off(time_s)
@@ -140,7 +143,7 @@ def _current_at_belief(saved_A: float, now_A: float, drawn_Ah: float, gap_s: flo
 
 
 def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
-    """An estimate that says only why there is none."""
+    """Return an estimate and a remaining time that say only why there is none."""
     row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
     estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
     return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)

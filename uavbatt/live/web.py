@@ -56,7 +56,7 @@ def content(board: Board, now_s: float) -> dict[str, Any]:
 
 
 def metrics(board: Board, now_s: float) -> bytes:
-    """The state in Prometheus' text format; what is unknown is NaN."""
+    """Return the state in Prometheus' text format; what is unknown is NaN."""
     from prometheus_client import CollectorRegistry, Gauge, generate_latest
     from prometheus_client.core import CounterMetricFamily
 
@@ -94,7 +94,7 @@ def metrics(board: Board, now_s: float) -> bytes:
 
 
 def filled(page: str, board: Board, now_s: float) -> str:
-    """The page with what is known now in it, so that it shows something before the first event."""
+    """Return the page with what is known now in it, so that it shows something before the first event."""
     first = json.dumps({"now": content(board, now_s), "trend": board.trend.lines(now_s)}, allow_nan=False)
     return page.replace('id="first">null<', 'id="first">' + first.replace("<", "\\u003c") + "<", 1)
 
@@ -131,7 +131,7 @@ def _number(value: Any) -> float:
 
 
 def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
-    """The ASGI application."""
+    """Return the ASGI application. Raises MissingExtra without the extra `web`."""
     try:
         from sse_starlette.sse import EventSourceResponse
         from starlette.applications import Starlette
@@ -186,7 +186,10 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
 
 
 def serve(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> threading.Thread:
-    """Serve in a thread of its own. Raises UsageError when the address is taken, MissingExtra without the extra."""
+    """Serve the page in a thread of its own and return that thread.
+
+    Raises UsageError when the address is taken, MissingExtra without the extra `web`.
+    """
     app = application(settings, board, clock_s)
     try:
         import uvicorn
