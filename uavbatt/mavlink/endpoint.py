@@ -28,7 +28,7 @@ class Endpoint(NamedTuple):
 
 
 class Link(Protocol):
-    """An open endpoint gives the loops these to work with."""
+    """The loops read and write an open endpoint through a link."""
 
     is_stream: bool
     problem: str  # why it is not open, in words; empty while it is

@@ -103,7 +103,7 @@ class RouteFit:
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A plan of a mission holds the question that was asked and the answers to it."""
+    """It holds the pack, the mission, and what came of it at the planned temperature and at others."""
 
     resolved: PackSize
     planned: Planned

@@ -21,7 +21,7 @@ class Phase(IntEnum):
 
 
 class Point(NamedTuple):
-    """A point lies these metres north and east of home and above it."""
+    """A point lies so many metres north and east of home, and above it."""
 
     north_m: float
     east_m: float
