@@ -33,7 +33,7 @@ LEAST_DRIFT_RUNS = 4
 
 @dataclass(frozen=True, slots=True)
 class LevelPrecision:
-    """Precision of one quantity at one instant; Mandel's h and k of the samples, None where undefined."""
+    """It holds the precision of one quantity at one instant, with Mandel's h and k (None where they are undefined)."""
 
     quantity: str
     time_s: float
@@ -43,7 +43,7 @@ class LevelPrecision:
 
 @dataclass(frozen=True, slots=True)
 class LevelDrift:
-    """Drift over the runs of one sample at one instant."""
+    """It holds the drift tests of one quantity over the runs of one sample at one instant."""
 
     quantity: str
     sample: str
@@ -53,7 +53,7 @@ class LevelDrift:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """Everything the stage found; `battery` is None unless the verdict is pass.
+    """It holds everything the stage found; `battery` is None unless the verdict is pass.
 
     `rivals` are other models, held out alike, with their claims in `rival_claims`; they do not ship. `held` and
     `claims` are those of the circuit model. `temperatures` closes the loop over one-time tests, None without them.
@@ -77,12 +77,12 @@ class Validation:
 
     @property
     def dataset(self) -> DataSet:
-        """The tests as they were recorded."""
+        """Return the tests as they were recorded."""
         return self.readings.dataset
 
     @property
     def ambient_C(self) -> float:
-        """The ambient temperature that was gated [°C]: the one with the most runs."""
+        """Return the ambient temperature that was gated [°C]: the one with the most runs."""
         return self.readings.ambient_C
 
 

@@ -42,7 +42,10 @@ HAND_READ_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """One source: standard uncertainty per instant in the budget's unit, GUM type, and how it was obtained."""
+    """A row is one source of uncertainty: its standard uncertainty `u` per instant in the budget's unit, its GUM type.
+
+    `how` says in words how it was obtained.
+    """
 
     source: str
     kind: Literal["A", "B"]
@@ -52,7 +55,7 @@ class BudgetRow:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The rows of one claim at `at` (instants [s] or voltages [V]); all in `unit`.
+    """The rows of one claim add up to the uncertainty of its bias at `at` (instants [s], voltages [V]); all in `unit`.
 
     `combined` is the standard uncertainty with `df` degrees of freedom, `factors` its coverage at each instant and
     `coverage` the largest of them, `expanded` the half width that the gate adds to the bias, `guard` 1.645·u_B.
@@ -75,7 +78,7 @@ def coverage_factor(df: Array | float, instants: int) -> Array:
 
 
 class Expanded(NamedTuple):
-    """Standard uncertainty `u`, effective degrees of freedom `df` and half width `half`, each per instant."""
+    """It holds standard uncertainty `u`, effective degrees of freedom `df` and half width `half`, each per instant."""
 
     u: Array
     df: Array
@@ -126,7 +129,7 @@ def scatter_rows(residual: Array) -> list[BudgetRow]:
 
 
 def meter_rows(held: HeldOut, voltage_V: Array, known: Uncertainty) -> list[BudgetRow]:
-    """Estimate the calibration and resolution rows of the voltmeter at `voltage_V` [V]."""
+    """Estimate the calibration and resolution rows [V] of the voltmeter at `voltage_V` [V]."""
     stated, step = known.voltage_calibration_V, known.voltage_resolution_V
     if stated is not None:
         calibration, how = np.full(voltage_V.size, stated), "stated by the data set"

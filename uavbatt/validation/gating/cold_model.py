@@ -40,7 +40,7 @@ OCV_V = dense(prior.OCV_SOC, prior.OCV_V)
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A model is named by the terms that are on."""
+    """A variant is one of the models to compare, told by the terms that are on."""
 
     name: str
     self_heating: bool
@@ -50,7 +50,10 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class OneTimeTests:
-    """Voltage [V] per test (rows) and instant [s], NaN where it is flagged; `series` numbers the series from 0."""
+    """It holds the voltage [V] per test (rows) and instant [s], NaN where it is flagged.
+
+    `series` is the number of the series of each test, from 0.
+    """
 
     ambient_C: Array
     time_s: Array
@@ -59,26 +62,26 @@ class OneTimeTests:
     cells: int
 
     def of(self, rows: NDArray[np.bool_]) -> OneTimeTests:
-        """Some of the tests; the numbers of the series stay."""
+        """Return the tests in `rows`; the numbers of the series stay."""
         return OneTimeTests(self.ambient_C[rows], self.time_s, self.voltage_V[rows], self.series[rows], self.cells)
 
 
 @dataclass(frozen=True, slots=True)
 class ColdFit:
-    """Slots and their values in the optimiser's space."""
+    """A fit holds the unknowns (slots) of its variant and their values `u` in the optimiser's space."""
 
     variant: Variant
     slots: tuple[Slot, ...]
     u: Array
 
     def values(self) -> dict[str, float]:
-        """Value of every slot by name."""
+        """Return the value of every slot by name."""
         x = prior.values(self.slots, self.u)
         return {s.name: float(v) for s, v in zip(self.slots, x, strict=True)}
 
 
 def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
-    """List the unknowns of a variant for tests of `series` series."""
+    """List the unknowns of a variant for tests that come from `series` series."""
     cell = [s for s in prior.cell_slots(KEPT) if not s.name.startswith("ocv_")]
     heat = [Slot(q.name, q.prior, q.prior_sd, q.log) for q in EFFECTS["self_heating"].quantities if q.name in HEAT]
     load = [s for s in LOAD_SLOTS if s.name != "start_offset_K"]
@@ -143,7 +146,7 @@ def _steeper(steeper_cold: Array, core_C: Number) -> Array:
 def fit_cold_model(
     variant: Variant, tests: OneTimeTests, series: int, starts: tuple[ColdFit, ...] = (), fresh: int = FRESH
 ) -> ColdFit:
-    """Fit by least squares over all readings, under the priors; the best of several starts counts.
+    """Fit a variant by least squares over all readings, under the priors; the best of several starts counts.
 
     Where the speed controller holds the voltage, nothing but its limit has a slope, so that the sum of squares has
     minima of its own there. Hence `fresh` starts, at the priors and (seeded) around them, each by a robust loss first.

@@ -37,7 +37,7 @@ LEAST_OCCASIONS = 3
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Declared flight-safety limits, before any data are seen; volts for a 3S pack, scaled by cells.
+    """The flight-safety limits are declared before any data are seen; volts for a 3S pack, scaled by cells.
 
     `precision_A_r`, `precision_A_R`: how well s_r and s_R must be known, relative, 95 % (A_r, A_R of ISO 5725-1).
     """
@@ -66,7 +66,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One verdict with what it rests on. `gates`: a fail here keeps the model from shipping."""
+    """A claim is one verdict with what it rests on. `gates`: without a pass here the model does not ship."""
 
     claim: str
     ambient_C: float
@@ -84,14 +84,14 @@ class Claim:
 
 
 def informing(claim: str, ambient_C: float, reason: str, statistics: Mapping[str, float] | None = None) -> Claim:
-    """Make a claim of which nothing can be said, with the reason; it does not gate."""
+    """Make a claim that cannot be judged ("not enough data"), with the reason; it does not gate."""
     nothing = np.empty(0)
     return Claim(claim, ambient_C, "not enough data", reason, False, nothing, nothing, nothing, nothing, np.nan, "",
                  statistics=statistics or {})  # fmt: skip
 
 
 def gating(claim: Claim, gates: bool) -> Claim:
-    """Return the same claim, deciding or informing."""
+    """Return the same claim, deciding (`gates`) or informing only."""
     return replace(claim, gates=gates)
 
 
@@ -114,7 +114,7 @@ def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
 
 
 def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Array, Verdict, str]:
-    """(bias, half width, verdict, reason) of residuals [occasion, instant] against ±`limit`.
+    """Return (bias, half width, verdict, reason) of residuals [occasion, instant] against ±`limit`.
 
     `type_B` is the standard uncertainty that the scatter does not show; half width as in `budget`.
     """
@@ -133,7 +133,7 @@ def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[n
 
 
 def above_limiter(measured_V: Array, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
-    """Return the same of records [occasion, sample, instant]."""
+    """Return the indices of the instants before the limiter in records [V] of [occasion, sample, instant]."""
     mean_V = np.nanmean(measured_V, axis=(0, 1))
     return np.flatnonzero(mean_V > cutoff_V + limits.limiter_margin_V)
 
@@ -145,7 +145,7 @@ def complete(residual: Array) -> Array:
 
 
 def too_few(name: str, ambient_C: float, n: int) -> Claim:
-    """The claim for fewer occasions than a scatter needs: it gates, so that nothing ships on it."""
+    """Make the claim for fewer occasions than a scatter needs: it gates, so that nothing ships on it."""
     reason = f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
     nothing = np.empty(0)
     return Claim(name, ambient_C, "not enough data", reason, True, nothing, nothing, nothing, nothing, np.nan, "")
@@ -242,7 +242,7 @@ def _slope(runs: list[Curve], levels_V: Array) -> float:
 
 
 def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | None:
-    """Judge the bias of the surface temperature; it informs, does not gate. None when it was not measured."""
+    """Judge the bias of the surface temperature; it informs, does not gate. Returns None when it was not measured."""
     if held.measured_C is None or held.model_C is None:
         return None
     name = "surface temperature bias"

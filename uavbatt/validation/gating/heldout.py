@@ -26,7 +26,7 @@ Effects = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One held-out run in full, read at each of its rows (`fast_records`); [s], [V]."""
+    """A curve is one held-out run in full, read at each of its rows (`fast_records`); [s], [V]."""
 
     occasion: int
     sample: int
@@ -37,7 +37,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Single:
-    """A run at another ambient temperature, predicted by a fit without it; [s], [V]."""
+    """A run at another ambient temperature is predicted by a fit without it; [s], [V]."""
 
     ambient_C: float
     sample: str
@@ -48,11 +48,11 @@ class Single:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Measured and predicted [occasion, sample, level] at `time_s`; surface None where it was not measured.
+    """It sets measured and predicted values side by side, [occasion, sample, level] at `time_s`.
 
-    `at_rest` marks the instants before the load, `row_s` and `step_V` are the spacing of the original
-    rows and the smallest step between their voltages, `curves` are the fast
-    records in full (none for tables read by hand), `singles` the runs at other temperatures.
+    The surface temperatures are None where they were not measured. `at_rest` marks the instants before the load,
+    `row_s` and `step_V` are the spacing of the original rows and the smallest step between their voltages, `curves`
+    are the fast records in full (none for tables read by hand), `singles` the runs at other temperatures.
     """
 
     model: str
@@ -76,7 +76,7 @@ class HeldOut:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Marks of the instants before the load; unless told, the one at 0 s."""
+        """Return the marks of the instants before the load; unless `rest` tells them, of the one at 0 s."""
         return np.asarray(self.rest, dtype=bool) if self.rest else self.time_s <= 0.0
 
     def runs(self) -> list[Curve]:
@@ -88,7 +88,7 @@ class HeldOut:
 
 
 def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
-    """Average runs that were read at the same instants under one load."""
+    """Average runs under one load, at the instants of the shortest."""
     grid = min((r.time_s for r in runs), key=len)
     volts = np.array([np.interp(grid, r.time_s, r.voltage_V) for r in runs])
     surfaces = np.array([np.interp(grid, r.time_s, r.surface_C) for r in runs])
@@ -105,7 +105,7 @@ def mean_test(dataset: DataSet, runs: list[Run], ambient_C: float) -> MeanTest:
 
 
 def is_metered(dataset: DataSet) -> bool:
-    """True when the current of every run was measured."""
+    """Return True if the current of every run was measured."""
     return all(np.isfinite(r.current_A).all() for r in dataset.runs)
 
 

@@ -36,7 +36,7 @@ PAIRINGS = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """All samples against random pairing of their runs; `dependent` None when p < 0.01 cannot be reached."""
+    """All samples are set against random pairing of their runs; `dependent` is None if p < 0.01 cannot be reached."""
 
     p_value: float
     dependent: bool | None

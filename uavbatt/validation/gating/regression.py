@@ -33,7 +33,10 @@ NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", 
 
 @dataclass(frozen=True, slots=True)
 class RunTable:
-    """Readings of many runs in one table: time under load [s] (negative at rest), T [°C], volts, series, sigma."""
+    """It holds the readings of many runs in one table, one a row.
+
+    Time under load [s] (negative at rest), ambient temperature [°C], voltage [V], series and reading SD `sigma_V` [V].
+    """
 
     time_s: Array
     ambient_C: Array
@@ -44,7 +47,7 @@ class RunTable:
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """Fitted coefficients in the order of NAMES, and per further series (level [V], ln of the knee time)."""
+    """It holds the fitted coefficients in the order of NAMES, and per further series (level [V], ln of knee time)."""
 
     coefficients: Array
     series: Array
@@ -122,7 +125,10 @@ def fit_regression(rows: RunTable, cells: int) -> Regression:
 
 
 def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
-    """Number the series of a run: 0 for the repeated samples, then the one-time runs between breaks, ascending."""
+    """Return a function that gives the number of a run's series.
+
+    0 stands for the repeated samples, 1, 2, ... for the one-time runs between breaks, ascending in temperature.
+    """
     edges = sorted(b.high_C for b in readings.broken or ())
     return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
 

@@ -22,7 +22,7 @@ TERMS = {(False, False): "isothermal", (False, True): "isothermal, steeper cold 
 
 @dataclass(frozen=True, slots=True)
 class VariantOutcome:
-    """One variant fitted in one scope ("cold" or "all"): RMSE [V] per group and per test, fitted and held out.
+    """One variant is fitted in one scope ("cold" or "all"): RMSE [V] per group and per test, fitted and held out.
 
     `rise_V` is the model's change from minute 1 to 3 at each test: the recovery by its own heat.
     """
@@ -41,7 +41,7 @@ class VariantOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """The gain of `after` over `before` on unseen tests of `group`: RMSE [V], one-sided p; `holds` by Holm."""
+    """A gain compares the RMSE [V] without and with a term on unseen tests of `group`; one-sided p, `holds` by Holm."""
 
     question: str
     scope: str
@@ -55,6 +55,10 @@ class Gain:
 
 
 def gains_of(outcomes: tuple[VariantOutcome, ...], groups: Mapping[str, tuple[float, float]]) -> tuple[Gain, ...]:
+    """List what each term gains on unseen tests, and mark the gains that hold.
+
+    `groups` are the temperature ranges [°C] by name, the coldest first.
+    """
     found = {(o.scope, o.variant, o.series): o for o in outcomes}
     plain, heat, both = TERMS[False, False], TERMS[True, False], TERMS[True, True]
     cold = next(iter(groups))

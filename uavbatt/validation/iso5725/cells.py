@@ -22,12 +22,15 @@ Cells: TypeAlias = Sequence[ArrayLike] | Array
 
 
 class BadCells(UavbattError, ValueError):
-    """Cells that are no results at all: empty, not numbers, of the wrong shape."""
+    """The cells hold no results that can be used: they are empty, not numbers, or of the wrong shape."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Per cell: number of results, mean less `reference`, variance (NaN from a single result)."""
+    """It reduces each cell to its number of results, its mean less `reference` and its variance.
+
+    Means are in the unit of the results, variances in its square; the variance of a single result is NaN.
+    """
 
     reference: float
     counts: Array
@@ -36,28 +39,28 @@ class Summary:
 
     @property
     def means(self) -> Array:
-        """Cell means in the unit of the results."""
+        """Return the cell means in the unit of the results."""
         return self.reference + self.offsets
 
     @property
     def p(self) -> int:
-        """Number of cells (samples, laboratories)."""
+        """Return the number of cells (samples, laboratories)."""
         return len(self.counts)
 
     @property
     def within_df(self) -> float:
-        """Degrees of freedom within cells: sum of n_i - 1."""
+        """Return the degrees of freedom within cells: sum of n_i - 1."""
         return float(np.sum(self.counts - 1))
 
     @property
     def within_ss(self) -> float:
-        """Sum of squares within cells."""
+        """Return the sum of squares within cells."""
         known = self.counts > 1
         return math.fsum((self.counts[known] - 1) * self.variances[known])
 
     @property
     def typical_n(self) -> int:
-        """The number of results in most cells that have two or more (ISO 5725-2 for unequal n)."""
+        """Return the number of results in most cells that have two or more (ISO 5725-2 for unequal n)."""
         counts = [int(c) for c in self.counts if c > 1]
         return max(set(counts), key=lambda c: (counts.count(c), c)) if counts else 1
 
@@ -79,7 +82,7 @@ def numbers(values: ArrayLike, what: str) -> Array:
 
 
 def summarise(cells: Cells) -> Summary:
-    """Reduce cells to counts, means and variances, in two passes about the first result."""
+    """Reduce cells to counts, means and variances, in two passes about the first result. Raises BadCells."""
     if isinstance(cells, str) or not hasattr(cells, "__len__") or len(cells) == 0:
         raise BadCells("cells: expected one sequence of results per sample, there is none")
     arrays = [numbers(c, f"cell {i + 1}") for i, c in enumerate(cells)]
@@ -95,7 +98,7 @@ def summarise(cells: Cells) -> Summary:
 
 
 def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summary:
-    """Make the same summary from printed cell means, standard deviations and numbers of results."""
+    """Make a summary from printed cell means, standard deviations and numbers of results. Raises BadCells."""
     m, s, n = (numbers(v, w) for v, w in ((means, "means"), (sds, "SDs"), (counts, "counts")))
     if not len(m) == len(s) == len(n):
         raise BadCells(f"expected as many means, SDs and counts, found {len(m)}, {len(s)} and {len(n)}")
@@ -105,7 +108,7 @@ def from_statistics(means: ArrayLike, sds: ArrayLike, counts: ArrayLike) -> Summ
 
 
 def spread(values: Array) -> tuple[Array, float]:
-    """Return deviations from the mean and their sum of squares, free of the size of the mean."""
+    """Return the deviations from the mean and their sum of squares, without losing digits to a large mean."""
     offsets = values - values[0]
     deviations = offsets - math.fsum(offsets) / len(offsets)
     return deviations, math.fsum(deviations**2)

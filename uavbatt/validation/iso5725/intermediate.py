@@ -27,7 +27,10 @@ MIN_DF = 15
 
 @dataclass(frozen=True, slots=True)
 class OneFactor:
-    """s_I over the results that differ in one factor, in their unit. ISO asks for 15 degrees of freedom."""
+    """It holds the SD s_I of results that differ in one factor, in their unit.
+
+    `enough` is True from the 15 degrees of freedom on that ISO asks for.
+    """
 
     s_I: float
     df: int
@@ -37,8 +40,9 @@ class OneFactor:
 
 @dataclass(frozen=True, slots=True)
 class Nested:
-    """Components of laboratory (0), nested factor (1) and repeatability, in the unit of the results.
+    """The spread of a nested design divides into laboratory (0), nested factor (1) and repeatability (r).
 
+    The SDs are in the unit of the results.
     s_I² = s_r² + s_1², s_R² = s_I² + s_0²; `raw` are the variances s_0², s_1², s_r² before 0 replaces negatives.
     """
 
@@ -57,7 +61,7 @@ class Nested:
 
 @dataclass(frozen=True, slots=True)
 class Crossed:
-    """The Sample + Occasion model at one level, in the unit of the results.
+    """It holds the Sample + Occasion model fitted at one level, in the unit of the results.
 
     Mean squares in the order occasion, sample, residual. `u_mean` is the standard uncertainty of the mean over
     these samples with `occasions - 1` degrees of freedom (intermediate precision: no sample part). With one sample
@@ -84,7 +88,10 @@ class Crossed:
 
 
 def one_factor(groups: Cells) -> OneFactor:
-    """Compute s_I = √(ΣΣ(y-ȳ_j)²/Σ(n_j-1)) over groups j of results with one factor changed within each."""
+    """Compute s_I = √(ΣΣ(y-ȳ_j)²/Σ(n_j-1)) over groups j of results with one factor changed within each.
+
+    Raises BadCells for what is no result, NotEnoughData when no group has two results.
+    """
     summary = summarise(groups)
     df = int(summary.within_df)
     if df < 1:
@@ -107,10 +114,11 @@ def _table(values: ArrayLike, shape: str, *sizes: int | None) -> tuple[Array, fl
 
 
 def nested(results: ArrayLike) -> Nested:
-    """Fully nested design, `results[laboratory, setting, repeat]`; ISO 5725-3 has two settings and two repeats.
+    """Split the spread of a fully nested design, `results[laboratory, setting, repeat]`, into its components.
 
+    ISO 5725-3 has two settings and two repeats.
     MSe within settings, MS1 between settings of a laboratory, MS0 between laboratories;
-    s_1² = (MS1-MSe)/n, s_0² = (MS0-MS1)/(an).
+    s_1² = (MS1-MSe)/n, s_0² = (MS0-MS1)/(an). Raises BadCells for a table with gaps, NotEnoughData below two of each.
     """
     y, reference = _table(results, "laboratory x setting x repeat", None, None, None)
     p, a, n = y.shape
@@ -128,10 +136,12 @@ def nested(results: ArrayLike) -> Nested:
 
 
 def staggered(results: ArrayLike) -> Nested:
-    """Staggered nested design, `results[laboratory, 3]`: y_1, y_2 under repeatability, y_3 in the other setting.
+    """Split the spread of a staggered nested design, `results[laboratory, 3]`, into its components (ISO 5725-3).
 
+    y_1 and y_2 are taken under repeatability, y_3 in the other setting.
     w_1 = |y_1-y_2|, w_2 = |(y_1+y_2)/2 - y_3|; MSe = Σw_1²/(2p), MS1 = 2Σw_2²/(3p), MS0 = 3Σ(ȳ_i-ȳ)²/(p-1);
     s_1² = ¾(MS1-MSe), s_0² = MS0/3 - 5MS1/12 + MSe/12.
+    Raises BadCells for a table with gaps, NotEnoughData below two laboratories.
     """
     y, reference = _table(results, "laboratory x 3", None, 3)
     p, labs = len(y), y.mean(axis=1)
@@ -161,7 +171,9 @@ def _nested(
 
 
 def crossed(table: ArrayLike) -> Crossed:
-    """Fit the crossed model to `table[occasion, sample]`; occasions with a gap (NaN) are left out and named."""
+    """Fit the crossed model to `table[occasion, sample]`; occasions with a gap (NaN) are left out, with a note.
+    Raises BadCells for what is no such table, NotEnoughData below two occasions that all samples share.
+    """
     y = np.asarray(table, dtype=np.float64)
     if y.ndim != 2 or y.size == 0 or np.isinf(y).any():
         raise BadCells(f"expected a table occasion x sample, found shape {y.shape}")

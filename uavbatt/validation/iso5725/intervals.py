@@ -18,7 +18,7 @@ UNKNOWN: Interval = (math.nan, math.nan)
 
 
 def sd_interval(sd: float, df: float, level: float = 0.95) -> Interval:
-    """Interval of a standard deviation with `df` degrees of freedom: s·√(ν/χ²)."""
+    """Return the interval of a standard deviation with `df` degrees of freedom: s·√(ν/χ²); NaN if it is unknown."""
     if df < 1 or math.isnan(sd):
         return UNKNOWN
     high, low = (float(stats.chi2.ppf(q, df)) for q in ((1 + level) / 2, (1 - level) / 2))
@@ -28,7 +28,7 @@ def sd_interval(sd: float, df: float, level: float = 0.95) -> Interval:
 def sum_interval(
     mean_squares: Sequence[float], weights: Sequence[float], dfs: Sequence[float], level: float = 0.95
 ) -> Interval:
-    """Interval of √(Σ c·MS), all c >= 0 (Graybill-Wang); as a standard deviation."""
+    """Return the interval of √(Σ c·MS), all c >= 0 (Graybill-Wang), as a standard deviation; NaN if it is unknown."""
     ms, c, df = (np.asarray(v, dtype=float) for v in (mean_squares, weights, dfs))
     if np.any(df < 1) or np.any(np.isnan(ms)) or np.any(c < 0):
         return UNKNOWN
@@ -43,7 +43,7 @@ def sum_interval(
 def between_interval(
     ms_between: float, ms_within: float, dfs: tuple[float, float], n_bar: float, level: float = 0.95
 ) -> Interval:
-    """Interval of s_L, with s_L² = (MS_b - MS_w)/n̄ (Williams-Tukey); 0 where the limit is negative."""
+    """Return the interval of s_L, with s_L² = (MS_b - MS_w)/n̄ (Williams-Tukey); 0 where the limit is negative."""
     df_b, df_w = dfs
     if df_b < 1 or df_w < 1:
         return UNKNOWN
@@ -56,7 +56,7 @@ def between_interval(
 
 
 def satterthwaite(parts: Sequence[float], dfs: Sequence[float]) -> float:
-    """Effective degrees of freedom of Σ parts, each part c·MS with its own df (Satterthwaite 1946)."""
+    """Return the effective degrees of freedom of Σ parts, each part c·MS with its own df (Satterthwaite 1946)."""
     total = math.fsum(parts)
     below = math.fsum(part**2 / df for part, df in zip(parts, dfs, strict=True))
     return total**2 / below if below > 0 else math.nan

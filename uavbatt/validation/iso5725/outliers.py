@@ -27,7 +27,10 @@ Verdict = Literal["ok", "straggler", "outlier"]
 
 @dataclass(frozen=True, slots=True)
 class Cochran:
-    """Largest variance over the sum of variances; `index` is the cell, `n` the results per cell assumed."""
+    """Cochran's statistic is the largest variance over the sum of variances.
+
+    `index` is the cell with the largest, `p` the number of cells compared, `n` the results per cell that are assumed.
+    """
 
     statistic: float
     critical_5: float
@@ -41,7 +44,7 @@ class Cochran:
 
 @dataclass(frozen=True, slots=True)
 class Grubbs:
-    """Distance of the largest and the smallest value from the mean, in standard deviations."""
+    """Grubbs' statistics are the distances of the largest and the smallest value from the mean, in SDs."""
 
     statistic_high: float
     statistic_low: float
@@ -55,7 +58,7 @@ class Grubbs:
 
 @dataclass(frozen=True, slots=True)
 class DoubleGrubbs:
-    """Sum of squares without the two largest (smallest) values over the whole: small = outlying.
+    """The statistics are sums of squares without the two largest (smallest) values over the whole: small = outlying.
 
     The critical values are NaN and the verdicts None where they are not tabulated (p > 40).
     """
@@ -72,7 +75,7 @@ class DoubleGrubbs:
 
 @dataclass(frozen=True, slots=True)
 class Mandel:
-    """Consistency of cell means (h) and cell SDs (k) with their critical values; NaN = not defined."""
+    """Mandel's h tells how consistent the cell means are, k the cell SDs; NaN = not defined."""
 
     h: Array
     k: Array
@@ -85,8 +88,11 @@ class Mandel:
 
 @dataclass(frozen=True, slots=True)
 class Scrutiny:
-    """The tests in the standard's order. `grubbs` is None below three cells; `double` runs only if the single
-    test finds nothing; `retest` is the other end after one value was found and dropped."""
+    """It holds the results of the tests for outliers in the standard's order.
+
+    `grubbs` is None below three cells; `double` runs only if the single test finds nothing; `retest` tests the
+    other end after one value was found and dropped.
+    """
 
     mandel: Mandel
     cochran: Cochran | None
@@ -96,7 +102,7 @@ class Scrutiny:
 
 
 def cochran_critical(p: int, n: float, alpha: float) -> float:
-    """1/(1+(p-1)/F), F = F(1-α/p; n-1, (p-1)(n-1)); exact above one half."""
+    """Return Cochran's critical value 1/(1+(p-1)/F), F = F(1-α/p; n-1, (p-1)(n-1)); exact above one half."""
     if p < 2 or n < 2:
         return math.nan
     F = float(stats.f.ppf(1 - alpha / p, n - 1, (p - 1) * (n - 1)))
@@ -104,7 +110,7 @@ def cochran_critical(p: int, n: float, alpha: float) -> float:
 
 
 def grubbs_critical(p: int, alpha: float) -> float:
-    """(p-1)/√p·√(t²/(p-2+t²)), t = t(1-α/(2p); p-2): two-sided as in ISO 5725-2 Table 5."""
+    """Return Grubbs' critical value (p-1)/√p·√(t²/(p-2+t²)), t = t(1-α/(2p); p-2): two-sided, ISO 5725-2 Table 5."""
     if p < 3:
         return math.nan
     t2 = float(stats.t.ppf(1 - alpha / (2 * p), p - 2)) ** 2
@@ -112,7 +118,7 @@ def grubbs_critical(p: int, alpha: float) -> float:
 
 
 def h_critical(p: int, alpha: float) -> float:
-    """(p-1)t/√(p(t²+p-2)), t = t(1-α/2; p-2)."""
+    """Return the critical value of Mandel's h: (p-1)t/√(p(t²+p-2)), t = t(1-α/2; p-2); NaN below three cells."""
     if p < 3:
         return math.nan
     t = float(stats.t.ppf(1 - alpha / 2, p - 2))
@@ -120,7 +126,7 @@ def h_critical(p: int, alpha: float) -> float:
 
 
 def k_critical(p: int, n: float, alpha: float) -> float:
-    """√(p/(1+(p-1)/F)), F = F(1-α; n-1, (p-1)(n-1))."""
+    """Return the critical value of Mandel's k: √(p/(1+(p-1)/F)), F = F(1-α; n-1, (p-1)(n-1))."""
     if p < 2 or n < 2:
         return math.nan
     F = float(stats.f.ppf(1 - alpha, n - 1, (p - 1) * (n - 1)))
@@ -135,7 +141,7 @@ def _double_table() -> dict[int, tuple[float, float]]:
 
 
 def double_grubbs_critical(p: int, alpha: float) -> float:
-    """The packaged value for p = 4..40 and α = 0.01 or 0.05; NaN elsewhere."""
+    """Return the packaged critical value for p = 4..40 and α = 0.01 or 0.05; NaN elsewhere."""
     one, five = _double_table().get(p, (math.nan, math.nan))
     return one if alpha == 0.01 else five if alpha == 0.05 else math.nan
 
@@ -145,7 +151,10 @@ def _verdict(statistic: float, critical_5: float, critical_1: float) -> Verdict:
 
 
 def cochran(cells: Cells) -> Cochran:
-    """C = s²_max/Σs² over the cells with two results or more. Unequal n: the n of most cells is used."""
+    """Test the largest variance, C = s²_max/Σs² over the cells with two results or more.
+
+    For unequal n the n of most cells is used. Raises BadCells, and NotEnoughData below two such cells.
+    """
     summary = summarise(cells)
     known = np.flatnonzero(summary.counts > 1)
     p, n = len(known), summary.typical_n
@@ -164,7 +173,10 @@ def cochran(cells: Cells) -> Cochran:
 
 
 def grubbs(means: ArrayLike) -> Grubbs:
-    """G = (x_max - x̄)/s and (x̄ - x_min)/s of a flat sequence of three values or more."""
+    """Test the largest and the smallest of three values or more: G = (x_max - x̄)/s and (x̄ - x_min)/s.
+
+    Raises BadCells for what is no flat sequence of numbers, NotEnoughData below three values.
+    """
     values = numbers(means, "means")
     p = len(values)
     if p < 3:
@@ -179,7 +191,10 @@ def grubbs(means: ArrayLike) -> Grubbs:
 
 
 def double_grubbs(means: ArrayLike) -> DoubleGrubbs:
-    """s²(without two largest or smallest)/s0² of a flat sequence of four values or more."""
+    """Test the two largest and the two smallest of four values or more: s²(without the two)/s0².
+
+    Raises BadCells for what is no flat sequence of numbers, NotEnoughData below four values.
+    """
     values = numbers(means, "means")
     p = len(values)
     if p < 4:
@@ -195,11 +210,11 @@ def double_grubbs(means: ArrayLike) -> DoubleGrubbs:
 
 
 def mandel(cells: Cells, pooling: Literal["df", "equal"] = "df") -> Mandel:
-    """h_i = (ȳ_i - ȳ)/s(ȳ), k_i = s_i/s_r; a cell with one result has no k.
+    """Compute Mandel's h_i = (ȳ_i - ȳ)/s(ȳ) and k_i = s_i/s_r; a cell with one result has no k.
 
     s_r pools the variances by their degrees of freedom, as precision does; `pooling="equal"` is the standard's
     s_i√p/√Σs², the same for equal numbers of results. Below three cells h has no critical value (|h| is always
-    0.707); with equal means h is 0.
+    0.707); with equal means h is 0. Raises BadCells, and NotEnoughData below two cells.
     """
     summary = summarise(cells)
     p, known = summary.p, summary.counts > 1
@@ -220,8 +235,11 @@ def mandel(cells: Cells, pooling: Literal["df", "equal"] = "df") -> Mandel:
 
 
 def scrutinise(cells: Cells) -> Scrutiny:
-    """h and k, Cochran, then Grubbs: single at both ends; if one is found drop it and test the other end,
-    if none is found test pairs (ISO 5725-2, 7.3.4)."""
+    """Run the tests for outliers in the order of ISO 5725-2, 7.3.4: Mandel's h and k, Cochran, then Grubbs.
+
+    Grubbs is single at both ends; if a value is found it is dropped and the other end tested, if none is found
+    pairs are tested. Raises BadCells, and NotEnoughData below two cells.
+    """
     summary = summarise(cells)
     variance_test = cochran(cells) if np.sum(summary.counts > 1) > 1 else None
     means = summary.offsets

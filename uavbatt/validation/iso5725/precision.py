@@ -30,7 +30,7 @@ Method = Literal["anova", "reml"]
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """Precision at one level; everything in the unit of the results.
+    """It holds the precision at one level; everything is in the unit of the results.
 
     `s_L2_raw` is the between-cell variance before a negative value is set to 0 (`negative_between`).
     `reproducibility` is "ok" or "not enough data" (fewer than three cells). `A_r`, `A_R` are the relative 95 %
@@ -109,7 +109,7 @@ def _grand_mean_offset(summary: Summary) -> float:
 
 
 def between_mean_square(summary: Summary) -> float:
-    """s_d² = Σn_i(ȳ_i - m)²/(p-1), the centred form of [T2 - m²T3]/(p-1)."""
+    """Return s_d² = Σn_i(ȳ_i - m)²/(p-1), the centred form of [T2 - m²T3]/(p-1); NaN of a single cell."""
     if summary.p < 2:
         return math.nan
     deviations = summary.offsets - _grand_mean_offset(summary)
@@ -117,7 +117,7 @@ def between_mean_square(summary: Summary) -> float:
 
 
 def mean_count(summary: Summary) -> float:
-    """n̄ = [Σn_i - Σn_i²/Σn_i]/(p-1), the n that the between-cell variance is weighted with."""
+    """Return n̄ = [Σn_i - Σn_i²/Σn_i]/(p-1), the n that the between-cell variance is weighted with."""
     total = float(summary.counts.sum())
     if summary.p < 2:
         return total
@@ -130,7 +130,7 @@ def relative_uncertainty_r(within_df: float) -> float:
 
 
 def relative_uncertainty_R(p: int, n: float, gamma: float) -> float:
-    """A_R = 1.96·√{(p[1+n(γ²-1)]² + (n-1)(p-1)) / (2γ⁴n²(p-1)p)}, γ = σ_R/σ_r (ISO 5725-1)."""
+    """Compute A_R = 1.96·√{(p[1+n(γ²-1)]² + (n-1)(p-1)) / (2γ⁴n²(p-1)p)}, γ = σ_R/σ_r (ISO 5725-1)."""
     if p < 2 or math.isnan(gamma):
         return math.nan
     above = p * (1 + n * (gamma**2 - 1)) ** 2 + (n - 1) * (p - 1)
@@ -138,7 +138,7 @@ def relative_uncertainty_R(p: int, n: float, gamma: float) -> float:
 
 
 def reml(summary: Summary) -> tuple[float, float, float]:
-    """Mean less the reference, within and between variance by restricted maximum likelihood.
+    """Return (mean less the reference, within and between variance) by restricted maximum likelihood.
 
     Profiled over ρ = σ_L²/σ_r² >= 0 (Searle, Casella, McCulloch 1992, section 6.6).
     """

@@ -23,7 +23,7 @@ from uavbatt.validation.iso5725.precision import precision_of
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """Mean less reference with its 95 % interval, in the unit of the results."""
+    """A bias is the mean less the reference, with its 95 % interval, in the unit of the results."""
 
     bias: float
     standard_uncertainty: float
@@ -35,7 +35,7 @@ class Bias:
 
 @dataclass(frozen=True, slots=True)
 class PrecisionCheck:
-    """A check of the observed against the claimed variance with its 5 % limits (ISO 5725-4)."""
+    """It compares the observed variances with the claimed ones: ratios C_r and C_R with their limits (ISO 5725-4)."""
 
     C_r: float
     limit_r: float
@@ -46,7 +46,7 @@ class PrecisionCheck:
 
 @dataclass(frozen=True, slots=True)
 class RangeCheck:
-    """Range of n results against f(n)·s_r, in the unit of the results."""
+    """It compares the range of n results with f(n)·s_r, in the unit of the results."""
 
     range: float
     factor: float
@@ -78,6 +78,7 @@ def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, si
     """Estimate the bias of a method in several laboratories: δ̂ = ȳ - μ, σ_δ² = [σ_R² - (1-1/n)σ_r²]/p (ISO 5725-4).
 
     With known σ_r and σ_R the factor is 1.96; estimated from the cells it is t with p-1 degrees of freedom.
+    Raises BadCells, and NotEnoughData below two laboratories.
     """
     summary = summarise(cells)
     found = precision_of(summary)
@@ -93,7 +94,7 @@ def method_bias(cells: Cells, reference: float, sigma_r: float | None = None, si
 
 
 def bias_uncertainty(sigma_r: float, sigma_R: float, n: float, p: int) -> float:
-    """Compute σ_δ = √([σ_R² - (1-1/n)σ_r²]/p)."""
+    """Compute the standard uncertainty of a method's bias: σ_δ = √([σ_R² - (1-1/n)σ_r²]/p)."""
     return math.sqrt(max(sigma_R**2 - (1 - 1 / n) * sigma_r**2, 0.0) / p)
 
 
@@ -106,6 +107,7 @@ def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float =
     """Check a claimed σ_r and σ_R against results (ISO 5725-4).
 
     C' = s_r²/σ_r² <= χ²(1-α;ν)/ν, C'' = [s_R²-(1-1/n)s_r²]/[σ_R²-(1-1/n)σ_r²] <= χ²(1-α;p-1)/(p-1).
+    Raises BadCells, and NotEnoughData below two laboratories.
     """
     summary = summarise(cells)
     found, df, p = precision_of(summary), summary.within_df, summary.p
@@ -120,7 +122,7 @@ def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float =
 
 @cache
 def range_factor(n: int, probability: float = 0.95) -> float:
-    """Compute f(n), the quantile of the range of n results of unit SD, unrounded (2.77 for n = 2)."""
+    """Compute f(n), the quantile of the range of n results of unit SD, unrounded (2.77 for n = 2). Raises BadCells."""
     if n < 2:
         raise BadCells(f"a range needs two results or more, found {n}")
 

@@ -20,7 +20,10 @@ DRAWS = 4000
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """Covariances over the levels: occasion, sample, residual; and how many of each were tested."""
+    """The spread of curves divides into covariances [level, level] of occasion, sample and residual.
+
+    `occasions` and `samples` are the numbers of each that were tested.
+    """
 
     occasion: Array
     sample: Array

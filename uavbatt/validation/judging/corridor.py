@@ -33,7 +33,7 @@ Basis = Literal["repeats", "quasi-replicates", "one run"]
 
 @dataclass(frozen=True, slots=True)
 class Corridor:
-    """Mean and half-widths at `at` (time_s for values, voltage_V for crossing times).
+    """A corridor is a mean with its half-widths at `at` (instants [s] for values, voltages [V] for crossing times).
 
     `quantity` is voltage_V, surface_C or crossing_s and gives the unit of mean, s and widths. `S` is the plain SD
     of all results (equation 17); `s_r`, `s_occasion`, `s_sample` are the parts, `s` the SD of one new result.
@@ -74,7 +74,7 @@ class Corridor:
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """`table[occasion, sample, level]` without gaps."""
+    """It holds `table[occasion, sample, level]` without gaps; `notes` name what was left out for that."""
 
     table: Array
     occasions: tuple[int, ...]
@@ -84,7 +84,10 @@ class Shared:
 
 @dataclass(frozen=True, slots=True)
 class LeaveOneOut:
-    """Each occasion judged by the corridor of the others: `inside[occasion, sample]` at all instants at once."""
+    """Each occasion is judged by the corridor of the others: `inside[occasion, sample]` at all instants at once.
+
+    `share_one` and `share_all` are the shares of readings and of whole curves that lie inside.
+    """
 
     occasions: tuple[int, ...]
     samples: tuple[str, ...]

@@ -25,7 +25,7 @@ EXACT_UP_TO = 60
 
 @dataclass(frozen=True, slots=True)
 class PaperDrift:
-    """|d̄|/σ against 0.2; `significant` is the study's verdict."""
+    """The study compares |d̄|/σ (`ratio`) with 0.2; `significant` is its verdict."""
 
     ratio: float
     significant: bool
@@ -33,7 +33,7 @@ class PaperDrift:
 
 @dataclass(frozen=True, slots=True)
 class Abbe:
-    """q²/s², 1 for independent results, small for drift; one-sided permutation p-value."""
+    """The statistic q²/s² is 1 for independent results and small for drift; the permutation p-value is one-sided."""
 
     statistic: float
     p_value: float
@@ -41,7 +41,7 @@ class Abbe:
 
 @dataclass(frozen=True, slots=True)
 class MannKendall:
-    """S = number of rises less number of falls over all pairs; two-sided p-value."""
+    """S is the number of rises less the number of falls over all pairs; the p-value is two-sided."""
 
     S: int
     p_value: float
@@ -50,7 +50,7 @@ class MannKendall:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """Least-squares and Theil-Sen slope, unit of the results per run; t-test of the first."""
+    """It holds the least-squares and the Theil-Sen slope, unit of the results per run, and the t-test of the first."""
 
     per_run: float
     standard_error: float
@@ -60,8 +60,9 @@ class Slope:
 
 @dataclass(frozen=True, slots=True)
 class StepTest:
-    """The most likely single step: `after` runs, the mean changes by `size`.
+    """The most likely single step comes after `after` runs, where the mean changes by `size`.
 
+    `statistic` is the share of the sum of squares that the step explains.
     `p_value` allows for the choice of the place (permutation); `p_at_place` is Welch's test as if the place
     had been known before.
     """
@@ -75,7 +76,7 @@ class StepTest:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """All drift tests of one column of results in run order."""
+    """It holds all drift tests of one column of results in run order; `step` is None below five runs."""
 
     paper: PaperDrift
     abbe: Abbe
@@ -98,7 +99,7 @@ def permutations(n: int, count: int = PERMUTATIONS, seed: int = 5725) -> NDIndex
 
 
 def paper_rule(results: ArrayLike) -> PaperDrift:
-    """Apply the study's rule |d̄| < 0.2σ, equations (1)-(4)."""
+    """Apply the study's rule |d̄| < 0.2σ, equations (1)-(4). Raises NotEnoughData below three runs."""
     ratio = drift_ratio(_in_order(results, 3))
     return PaperDrift(ratio, ratio >= DRIFT_LIMIT)
 
@@ -111,7 +112,10 @@ def abbe_ratio(rows: Array) -> Array:
 
 
 def abbe(results: ArrayLike, seed: int = 5725) -> Abbe:
-    """Test von Neumann's ratio: the p-value is that of a value as small or smaller under random order."""
+    """Test von Neumann's ratio: the p-value is that of a value as small or smaller under random order.
+
+    Returns NaN for equal results. Raises NotEnoughData below four runs.
+    """
     values, squares = spread(_in_order(results, 4))
     if squares == 0:
         return Abbe(math.nan, math.nan)
@@ -126,7 +130,10 @@ def mann_kendall_S(values: Array) -> int:
 
 
 def mann_kendall(results: ArrayLike) -> MannKendall:
-    """Test for a trend by Mann-Kendall; exact for up to 60 runs, else normal with continuity and tie corrections."""
+    """Test for a trend by Mann-Kendall; exact for up to 60 runs, else normal with continuity and tie corrections.
+
+    Raises NotEnoughData below four runs.
+    """
     values = _in_order(results, 4)
     S, n = mann_kendall_S(values), len(values)
     ties = [int(c) for c in np.unique(values, return_counts=True)[1]]
@@ -165,7 +172,10 @@ def _over_one_minus(a: list[int], m: int) -> list[int]:
 
 
 def slope(results: ArrayLike) -> Slope:
-    """Fit a straight line through results against run number; Theil-Sen's slope stands beside it."""
+    """Fit a straight line through results against run number, by least squares and by Theil-Sen.
+
+    Raises NotEnoughData below four runs.
+    """
     values, _ = spread(_in_order(results, 4))
     n = len(values)
     runs = np.arange(n) - (n - 1) / 2
@@ -200,6 +210,7 @@ def curve_step(table: Array, seed: int = 5725) -> StepTest:
     """Find the most likely step of whole curves, `table[run, time]`; every column counts alike.
 
     `size` and `p_at_place` are of the mean over the columns (unit of the results).
+    Raises NotEnoughData below five runs.
     """
     n = len(table)
     if n < 5:
@@ -218,7 +229,7 @@ def curve_step(table: Array, seed: int = 5725) -> StepTest:
 
 
 def drift(results: ArrayLike, seed: int = 5725) -> Drift:
-    """Run every drift test on one column of four runs or more in run order."""
+    """Run every drift test on one column of results in run order. Raises NotEnoughData below four runs."""
     values = _in_order(results, 4)
     found = step(values, seed) if len(values) >= 5 else None
     return Drift(paper_rule(values), abbe(values, seed), mann_kendall(values), slope(values), found)

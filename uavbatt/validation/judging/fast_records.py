@@ -26,12 +26,12 @@ REST_SHARE = 0.2
 
 
 def is_fast(run: Run) -> bool:
-    """True when the rows come so fast that a window holds several."""
+    """Return True if the rows come so fast that a window (WINDOW_S) holds several."""
     return bool(np.median(np.diff(run.time_s)) < WINDOW_S / 2.0)
 
 
 def phases(current_A: Array) -> NDArray[np.intp]:
-    """Number the phase (rest, load, rest, ...) that each row belongs to; one phase without a current."""
+    """Number the phase (rest, load, rest, ...) of each row from 0 by `current_A` [A]; all 0 if it was not measured."""
     if not np.isfinite(current_A).all() or np.max(current_A) <= 0.0:
         return np.zeros(current_A.size, dtype=np.intp)
     loaded = current_A > REST_SHARE * np.quantile(current_A, 0.9)

@@ -24,7 +24,7 @@ DEPENDENT_BELOW = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Independence:
-    """Run k of one sample against run k of another.
+    """It compares run k of one sample with run k of another, for each k.
 
     `identical` of `compared` readings are equal; random pairings give `expected_identical` on the average and
     `most_identical` at most. `correlation` is of the residuals about each sample's own mean curve; p-values are
@@ -44,7 +44,10 @@ class Independence:
 
 @dataclass(frozen=True, slots=True)
 class Bimodality:
-    """Best split in two groups: share of the sum of squares it explains, p-value against one rounded normal."""
+    """The best split in two groups explains `share` of the sum of squares; p-value against one rounded normal.
+
+    `gap` is the largest distance between neighbouring results, `groups` the numbers of results below and above it.
+    """
 
     share: float
     gap: float
@@ -55,7 +58,10 @@ class Bimodality:
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """Step of the readings, SD in steps, and share of the variance that rounding alone makes (step²/12)."""
+    """It sets the SD of the readings against their step; rounding alone makes `rounding_share` of the variance.
+
+    Rounding makes a variance of step²/12; `coarse` is True for an SD below two steps.
+    """
 
     step: float
     sd_in_steps: float
@@ -72,7 +78,8 @@ def _orders(n: int, count: int, seed: int) -> NDIndex:
 def independence(first: Array, second: Array, seed: int = 5725, resolution: float = 0.0) -> Independence:
     """Compare two tables run x time of equal shape, in the unit of the results.
 
-    Readings within half a `resolution` are identical.
+    Readings within half a `resolution` are identical. Raises NotEnoughData below three runs, ValueError for tables of
+    different shape.
     """
     a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     if a.shape != b.shape or a.ndim != 2:
@@ -99,7 +106,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
 
 
 def split_share(rows: Array) -> Array:
-    """Largest between-group share of the sum of squares over all splits of each sorted row in two."""
+    """Return the largest between-group share of the sum of squares over all splits of each sorted row in two."""
     ordered = np.sort(rows, axis=-1)
     centred = ordered - ordered.mean(axis=-1, keepdims=True)
     n = rows.shape[-1]
@@ -111,7 +118,10 @@ def split_share(rows: Array) -> Array:
 
 
 def bimodality(results: ArrayLike, step: float | None = None, seed: int = 5725) -> Bimodality:
-    """Test whether the results fall into two groups, three steps or more apart, each of two results or more."""
+    """Test whether the results fall into two groups, three steps or more apart, each of two results or more.
+
+    Raises NotEnoughData below six results.
+    """
     values = np.sort(numbers(results, "results"))
     n = len(values)
     if n < 6:

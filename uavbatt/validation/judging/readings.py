@@ -18,7 +18,7 @@ VOLTAGE, SURFACE = "voltage_V", "surface_C"
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """The runs of a data set and the tables that follow from them.
+    """It holds the runs of a data set and the tables that follow from them.
 
     `dataset` holds the runs as they were recorded, `tests` the same with fast records read at the whole minutes.
     `ambient_C` [°C] is the temperature with the most runs, the one that a gate can judge. `tables` has the repeated
@@ -58,5 +58,5 @@ def read_once(dataset: DataSet) -> Readings:
 
 
 def repeated_ambient(dataset: DataSet) -> float:
-    """The ambient temperature with the most runs [°C], of several the nearest to 25 °C: the one that a gate judges."""
+    """Return the ambient temperature [°C] that a gate judges: that with most runs, of several the nearest to 25 °C."""
     return max(dataset.ambients_C, key=lambda t: (len(dataset.at(t)), -abs(t - REFERENCE_TEMP_C)))

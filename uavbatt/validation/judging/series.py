@@ -24,7 +24,10 @@ MIN_CURVES = 5
 
 @dataclass(frozen=True, slots=True)
 class Break:
-    """A jump of the mean knee time between two neighbouring ambient temperatures, against the usual slope."""
+    """The mean knee time jumps by `jump_s` [s] between two neighbouring ambient temperatures [°C].
+
+    `score` is the jump less the usual slope, over the usual scatter between neighbours.
+    """
 
     low_C: float
     high_C: float
@@ -34,8 +37,9 @@ class Break:
 
 @dataclass(frozen=True, slots=True)
 class QuasiReplicates:
-    """A line in ambient temperature per instant: `line(T)` [V], residual `sd` [V] with `df`, residual curves.
+    """One-time curves that are near repeats lie about a line in ambient temperature, one line per instant.
 
+    `line(T)` [V], residual `sd` [V] with `df` degrees of freedom per instant, `residuals` [curve, instant] [V].
     `left_out` names flagged readings that took no part.
     """
 
@@ -54,7 +58,7 @@ class QuasiReplicates:
         return mean
 
     def leverage(self, ambient_C: float) -> float:
-        """Return 1/n of the line at `ambient_C` [°C]: 1/m + (T-T̄)²/Σ(T-T̄)²."""
+        """Return 1/n for the n results that the line at `ambient_C` [°C] is worth: 1/m + (T-T̄)²/Σ(T-T̄)²."""
         t = self.ambients_C - self.ambients_C.mean()
         return 1 / len(t) + (ambient_C - float(self.ambients_C.mean())) ** 2 / float((t**2).sum())
 
@@ -80,7 +84,6 @@ def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | Non
     """Find the breaks in a series of one-time tests (`single_series`) at -10 °C and above.
 
     Returns None with fewer than eight temperatures.
-
     Score: knee-time difference of neighbours less the median slope, over the robust scatter (1.483·MAD).
     """
     runs = [r for r in series if r.ambient_C >= COLDEST_C]

@@ -26,7 +26,7 @@ LATTICE_C = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Equations (1)-(7) of one sample at one instant; V or °C by `quantity`."""
+    """A column holds equations (1)-(7) evaluated for one sample at one instant; V or °C by `quantity`."""
 
     sample: str
     quantity: str
@@ -42,8 +42,9 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """Equations (8)-(17) over the samples at one instant. NaN limits where single results are not known.
+    """It holds equations (8)-(17) evaluated over the samples at one instant; V or °C by `quantity`.
 
+    `share_beyond_R` is NaN where single results are not known.
     `may_pool` is the study's own rule: t <= t_kr and F <= F_kr, with F the ratio of variances that the table
     belongs to; `F_printed` is the ratio of SDs of equation (11).
     """
@@ -68,7 +69,7 @@ class Pooled:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """The agreement with one printed table: how many figures are met, and each that is not."""
+    """It counts the figures of one printed table that are met (`agree` of `total`) and names the others (`slips`)."""
 
     table: str
     agree: int
@@ -79,7 +80,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class FisherClaim:
-    """The printed F_emp against every column: the nearest ratio of SDs and of variances."""
+    """The printed F_emp is compared with every column's ratios of SDs and of variances; `nearest` is the nearest."""
 
     printed: float
     critical_printed: float
@@ -91,7 +92,10 @@ class FisherClaim:
 
 @dataclass(frozen=True, slots=True)
 class PaperReplay:
-    """The study's method on one ambient temperature. `pooled_surface` of the study rests on rebuilt figures."""
+    """It holds the study's method applied at one ambient temperature.
+
+    `pooled_surface` of the study's own data rests on rebuilt figures (`rebuild`).
+    """
 
     ambient_C: float
     samples: tuple[str, ...]
@@ -237,7 +241,7 @@ def rebuild(first: Array, printed: dict[str, Any]) -> tuple[Pooled, ...]:
 
 
 def meets(printed: str, computed: float, decimals: int | None = None) -> bool:
-    """True when `computed` rounds to the printed figure (to its own digits, or to `decimals`)."""
+    """Return True if `computed` rounds to the printed figure (to its own digits, or to `decimals`)."""
     places = len(printed.partition(".")[2]) if decimals is None else decimals
     return abs(round(float(printed), places) - computed) <= 0.5 * 10.0**-places * (1 + 1e-6)
 
