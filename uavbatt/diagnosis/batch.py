@@ -25,7 +25,7 @@ FREE_START_SD = 0.02  # of a record around the shift that all share
 
 
 class Batch:
-    """Whitened residuals of candidates: the only place that knows how columns are laid out."""
+    """It turns values of the candidates' unknowns into whitened residuals, and alone knows how columns are laid out."""
 
     def __init__(self, problem: Problem, candidates: list[Candidate], *, file_errors: bool = False) -> None:
         """Lay the columns out; with `file_errors` every error of the file is estimated, each with its prior."""
@@ -51,7 +51,7 @@ class Batch:
         )
 
     def part(self, few: Rows) -> Batch:
-        """Some of the candidates in the same columns."""
+        """Return a batch of the candidates `few` alone, in the same columns."""
         twin = copy(self)
         twin.candidates, twin.columns = [self.candidates[i] for i in few], [self.columns[i] for i in few]
         for name in ("low", "high", "moves", "stiffness", "start_sd"):
@@ -60,23 +60,23 @@ class Batch:
 
     @property
     def moving(self) -> Rows:
-        """Columns that a refit of any of the candidates moves."""
+        """Return the columns that a refit of any of the candidates moves."""
         found: Rows = np.flatnonzero(np.any(self.moves, axis=0))
         return found
 
     def has(self, column: int) -> NDArray[np.bool_]:
-        """Return which candidates have this column."""
+        """Return which of the candidates have this column, [C]."""
         return np.array([column < len(c) for c in self.columns])
 
     def place(self, u: Array, given: Refit) -> None:
-        """Start from an earlier refit with the same leading quantities: u [records, size] is filled."""
+        """Fill u [records, size] with the values of an earlier refit that has the same leading quantities."""
         quantities = len(given.columns)
         u[:, :quantities] = given.u
         if self.knots:
             u[:, self.freed :] = given.knots
 
     def settings(self, u: Array, v: Array) -> tuple[Array, Own]:
-        """Quantities [variants, C, records, Q] and own values for u [variants, C, records, P], v [.., 3]."""
+        """Return quantities [variants, C, records, Q] and own values for u [variants, C, records, P], v [.., 3]."""
         evidence = self.problem.evidence
         x = np.broadcast_to(self.problem.base, (*u.shape[:3], self.problem.base.size)).copy()
         for i, columns in enumerate(self.columns):
@@ -104,7 +104,7 @@ class Batch:
         return out
 
     def shown(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:
-        """Simulate what is `wanted` of variants × candidates, in that order."""
+        """Simulate those of variants × candidates that are `wanted` [variants, C], in that order."""
         x, own = self.settings(u, v)
         drift = self.drifts(u)
         return simulate(
@@ -117,8 +117,9 @@ class Batch:
         )
 
     def residuals(self, us: Array, vs: Array, wanted: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Whitened residuals [variants, C, records, numbers], zero where not wanted, and the charge of the first
-        variant [rows, C, records].
+        """Return the whitened residuals [variants, C, records, numbers] and the first variant's soc [rows, C, records].
+
+        Residuals are zero where they are not `wanted` [variants, C].
         """
         shown = self.shown(us, vs, wanted)
         found = whitened(self.problem.evidence, shown)
@@ -127,7 +128,7 @@ class Batch:
         return out, shown.soc[:, : len(self.candidates)]
 
     def slopes_on_knots(self, soc: Array) -> Array:
-        """Slopes of the residuals on the file's tables, [knots, C, records, numbers]."""
+        """Return the slopes of the residuals on the file's tables, [knots, C, records, numbers]."""
         tables, stack, volts = self.problem.tables, self.problem.evidence.stack, self.problem.evidence.volts
         slopes = np.zeros((self.knots, soc.shape[1], self.records, width(self.problem.evidence)))
         for j, its in enumerate(volts if tables is not None else ()):
@@ -140,13 +141,13 @@ class Batch:
 
 
 def width(evidence: Evidence) -> int:
-    """Numbers of the longest record."""
+    """Return how many whitened numbers the longest record has."""
     pairs = zip(evidence.volts, evidence.temps, strict=True)
     return max(w.rows.size + (t.rows.size if t is not None else 0) for w, t in pairs)
 
 
 def whitened(evidence: Evidence, shown: Simulated) -> Array:
-    """Model minus measurement as independent unit numbers, [variants, records, width]."""
+    """Return model minus measurement as independent unit numbers, [variants, records, width]."""
     stack = evidence.stack
     out = np.zeros((shown.voltage_V.shape[1], len(evidence.names), width(evidence)))
     for j, (volts, temps) in enumerate(zip(evidence.volts, evidence.temps, strict=True)):

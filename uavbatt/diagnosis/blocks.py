@@ -16,7 +16,7 @@ BLOCKS = ("rest", "take-off", "first third", "middle third", "last third", "temp
 
 
 class EvidenceBlock(NamedTuple):
-    """One block over all records: its name, its numbers, and how much of chi-square is saved there."""
+    """It holds the name of one block, how many numbers all records have there, and how much chi-square they save."""
 
     name: str
     numbers: int
@@ -24,7 +24,7 @@ class EvidenceBlock(NamedTuple):
 
 
 def evidence_by_block(problem: Problem, before: Refit, after: Refit) -> tuple[EvidenceBlock, ...]:
-    """Chi-square of `before` less that of `after`, by block; whitened numbers belong to the row they come from."""
+    """Return the chi-square of `before` less that of `after`, by block; a whitened number belongs to its own row."""
     numbers, saved = np.zeros(len(BLOCKS), dtype=int), np.zeros(len(BLOCKS))
     for j, volts in enumerate(problem.evidence.volts):
         gain = before.residual[j] ** 2 - after.residual[j] ** 2

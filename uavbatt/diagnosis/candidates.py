@@ -37,7 +37,7 @@ COURSES: tuple[Course, ...] = get_args(Course)
 
 @dataclass(frozen=True, slots=True)
 class Freed:
-    """One quantity that a refit moves: index in QUANTITIES, start, scale of u, bounds of the value."""
+    """A refit moves a quantity of this `index` in QUANTITIES from its start, by `scale` times u, within the bounds."""
 
     index: int
     start: float
@@ -51,17 +51,17 @@ class Freed:
     along: Course | None = None  # then the value is what the quantity gains along that course within the records
 
     def value(self, u: Array) -> Array:
-        """The value at u, kept within the bounds."""
+        """Return the value at u, kept within the bounds."""
         raw = self.start * np.exp(self.scale * u) if self.log else self.start + self.scale * u
         kept: Array = np.clip(raw, self.low, self.high)
         return kept
 
     def at(self, value: float) -> float:
-        """The u of a value."""
+        """Return the u of a value."""
         return float(np.log(value / self.start) if self.log else value - self.start) / self.scale
 
     def bounds_u(self) -> tuple[float, float]:
-        """The bounds in u."""
+        """Return the lower and the upper bound in u."""
         if not self.log:
             return (self.low - self.start) / self.scale, (self.high - self.start) / self.scale
         return float(np.log(self.low / self.start) / self.scale), float(np.log(self.high / self.start) / self.scale)
@@ -69,8 +69,9 @@ class Freed:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One or several effects refitted together: for each its name and how many of the freed quantities are its own.
+    """A candidate is one effect, or several that are refitted together.
 
+    `names` has the name of each, `sizes` how many of the `freed` quantities are its own.
     `free_start` lets the records start with charges of their own around a shift that they share.
     """
 
@@ -82,12 +83,12 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """The effect that was added last."""
+        """Return the name of the effect that was added last, "none" without any."""
         return self.names[-1] if self.names else "none"
 
     @property
     def last(self) -> int:
-        """Quantities of the effect that was added last."""
+        """Return how many quantities the effect has that was added last."""
         return self.sizes[-1] if self.sizes else 0
 
     def places(self, name: str) -> slice:
@@ -124,9 +125,10 @@ LEAST_ACTIVATION_SD_K = 300.0
 def nuisances(
     file: BatteryFile, wear_sd: tuple[float, float] = (0.0, 0.0), least_activation_sd_K: float = LEAST_ACTIVATION_SD_K
 ) -> tuple[Freed, ...]:
-    """Errors of the battery file that all records share, in u with sd 1; with a least error of 0, as it states them.
+    """List the errors of the battery file that all records share, each in u with sd 1.
 
-    wear_sd : how well fade and growth of the pack are known, where it was met before.
+    wear_sd : sd of the pack's fade and growth, where it was met before; least_activation_sd_K : least error of the
+    activation temperature [K] in a file with slow reactions, 0 to take it as the file states it.
     """
     table = file.parameters
     resistance_sd = RESISTANCE_SHARE * table.resistance_scale_sd
@@ -146,7 +148,7 @@ def nuisances(
 
 
 def capacity_sd(file: BatteryFile) -> float:
-    """Return how well the file's capacity is known, relative."""
+    """Return the relative standard deviation to which the file's capacity is known."""
     stated = CAPACITY_SHARE * file.parameters.capacity_scale_sd
     return min(stated, CAPACITY_SD) if file.is_measured and file.parameters.c_rate is None else stated
 
@@ -163,7 +165,7 @@ def _nuisance(name: str, sd: float, *, estimated: bool = False) -> Freed:
 
 
 def base_values(cell: Parameters, installation: Installation) -> Array:
-    """Every quantity as the battery file has it."""
+    """Return the value of every quantity, in the order of QUANTITIES, as the battery file has it; 0 if it has none."""
     known = {**cell._asdict(), **installation._asdict()}
     return np.array([float(known.get(q.name, 0.0)) for q in QUANTITIES])
 
@@ -171,9 +173,10 @@ def base_values(cell: Parameters, installation: Installation) -> Array:
 def candidates(
     file: BatteryFile, base: Array, *, has_temperature: bool, idle_A: float, without: tuple[str, ...]
 ) -> list[Candidate]:
-    """Every effect worth trying on a battery of this file.
+    """List every effect worth trying on a battery of this file; `without` names those that are left out.
 
-    idle_A : what the current sensor reports at rest: it adds no more than that, since no pack charges on the ground.
+    base : the file's values (`base_values`); idle_A : the current [A] that the sensor reports at rest: it adds no more
+    than that, since no pack charges on the ground.
     """
     listed = {entry.name for entry in file.effects}
     found = []

@@ -23,7 +23,7 @@ NEVER_SURE = 0.97  # share of the candidates' probability that is kept at most: 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A value with its 95 % interval."""
+    """It holds a value with its 95 % interval from `lo` to `hi`."""
 
     value: float
     lo: float
@@ -33,7 +33,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class EffectClass:
-    """Effects that these records cannot tell apart, best first."""
+    """A class holds the effects that these records cannot tell apart, best first."""
 
     members: tuple[str, ...]
     probability: float
@@ -42,7 +42,7 @@ class EffectClass:
 
 
 def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectClass:
-    """A finding as it is told; `believed`: how likely it is that the cause is one of the candidates at all."""
+    """Turn a finding into a class; `believed` is how likely it is that the cause is one of the candidates at all."""
     members = _named(problem, tuple(m.candidate.name for m in finding.members))
     parameters: dict[str, Interval] = {}
     for fit in finding.members:
@@ -54,7 +54,7 @@ def class_of(problem: Problem, finding: FoundEffect, believed: float) -> EffectC
 
 
 def start_class(problem: Problem, nothing: Refit) -> EffectClass:
-    """The start of charge of records that rested well below full."""
+    """Return the start of charge as a class, for records that rested well below full."""
     evidence = problem.evidence
     starts = evidence.start_soc + evidence.start_sd * nothing.v[:, 0]
     shift = starts[evidence.charged_in_part] - 1.0
@@ -66,7 +66,7 @@ def start_class(problem: Problem, nothing: Refit) -> EffectClass:
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """The size of an effect that could be there without being seen: its first quantity's 95 % interval."""
+    """An effect may be there without being seen, its first quantity from `lo` to `hi` (95 % interval)."""
 
     name: str
     quantity: str
@@ -76,7 +76,7 @@ class Hidden:
 
 
 def hidden(tried: Trial) -> tuple[Hidden, ...]:
-    """The bounds that the trial of single effects sets."""
+    """List how much of each single effect that was tried could be there without being seen, by name."""
     out = []
     for fit in tried.fits:
         name, one = next(iter(intervals(fit).items()))
@@ -100,7 +100,7 @@ def _named(problem: Problem, members: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def intervals(fit: Refit) -> dict[str, Interval]:
-    """Values of the effect that was added last, with 95 % intervals that allow for errors of the battery file."""
+    """Return the values of the effect added last, with 95 % intervals that allow for errors of the battery file."""
     out = {}
     values, errors = fit.values()[0], fit.errors()
     for k in range(len(fit.candidate.freed))[fit.candidate.places(fit.candidate.name)]:

@@ -40,7 +40,10 @@ ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """Errors on held-out records; NaN where it cannot be judged (no end of flight in the log, no temperature)."""
+    """It holds the errors on held-out records; NaN where one cannot be judged (no end in the log, no temperature).
+
+    `coverage` is the share of forecasts whose interval holds the true remaining time.
+    """
 
     voltage_rmse_V: float
     temp_rmse_K: float
@@ -50,7 +53,7 @@ class Error:
 
 @dataclass(frozen=True, slots=True)
 class Closed:
-    """Before, after, and what was held out for it."""
+    """It holds the errors before and after the extension, and the names of the records held out for them."""
 
     before: Error
     after: Error
@@ -68,7 +71,7 @@ class Closed:
 
 
 def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
-    """Effect -> quantity -> value for values [freed] of a refit; none for a start, which each flight has of its own."""
+    """Return effect -> quantity -> value for values [freed] of a refit; none for a start, which is a flight's own."""
     known = {QUANTITIES[f.index].name: float(v) for f, v in zip(fit.candidate.freed, values, strict=True)}
     return {
         name: {q.name: known[q.name] for q in EFFECTS[name].quantities if q.name in known and name != "initial_charge"}
@@ -77,7 +80,10 @@ def values_by_name(fit: Refit, values: Array) -> dict[str, dict[str, float]]:
 
 
 def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors: dict[str, float]) -> BatteryFile:
-    """The file with effects added or resized; an effect without a shared value (each flight's start) is left out."""
+    """Return the file with effects added or resized; one without a shared value (each flight's start) is left out.
+
+    effects : effect -> quantity -> value; errors : standard error by quantity.
+    """
     entries = {entry.name: entry for entry in file.effects}
     for name, values in effects.items():
         if not values:
@@ -97,7 +103,7 @@ def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors
 
 
 def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFile:
-    """The battery file with what was found; flights alone do not certify it. The file itself when nothing was.
+    """Return the battery file with what was found, or the file itself when nothing was; flights do not certify it.
 
     worse : what it predicts worse on held-out records (`Closed.worse`), for the file to say so.
     """
@@ -132,7 +138,7 @@ def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFil
 
 
 def gated(new: BatteryFile, found: Diagnosis, verdicts: list[Verdict]) -> BatteryFile:
-    """The extended file with the gate's verdicts: `certified` when all pass and nothing is left unexplained."""
+    """Return the extended file with the gate's verdicts: `certified` if all pass and nothing is left unexplained."""
     passed = bool(verdicts) and all(v.verdict == "pass" for v in verdicts)
     certificate = msgspec.structs.replace(
         new.certificate,
@@ -155,7 +161,7 @@ def _known(value: float) -> float:
 def remaining(
     flight: Flight, file: BatteryFile, options: PackOptions, engine: Engine = PLAIN
 ) -> tuple[list[float], list[bool]]:
-    """Absolute errors [s] and hits of the interval of one flight's forecasts; empty when the log has no end."""
+    """Return absolute errors [s] and interval hits of one flight's forecasts; empty when the log has no end."""
     thin, last = [], -math.inf
     for s in flight.samples:
         if s.time_s - last >= ROW_S - 1e-6:

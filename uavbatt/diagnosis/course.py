@@ -24,38 +24,41 @@ LEAST_TO_GROW = 3  # flights: two of different size are a step as well
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """The flight at which an effect begins, counted from 0, and whether it grows from there to the last."""
+    """A course tells at which flight an effect begins, counted from 0, and whether it grows from there to the last."""
 
     begins: int
     grows: bool
 
     def shares(self, flights: int) -> Array:
-        """Share of the effect's last size that each flight has, in order of time."""
+        """Return the share of the effect's last size that each of the flights has, in order of time."""
         since = np.arange(flights) - self.begins + 1.0
         return np.clip(since / (flights - self.begins), 0.0, 1.0) if self.grows else (since > 0.0).astype(float)
 
 
 def courses(flights: int) -> list[Course]:
-    """Every course that so many flights can show."""
+    """List every course that so many flights can show."""
     steady = [Course(k, grows=False) for k in range(flights)]
     return steady + [Course(k, grows=True) for k in range(flights - LEAST_TO_GROW + 1)]
 
 
 @dataclass(frozen=True, slots=True)
 class OwnValues:
-    """Each flight's own change of an effect's first quantity from the battery file's, in order of time."""
+    """It holds each flight's own change of an effect's first quantity from the battery file's, in order of time."""
 
     change: Array
     sd: Array
 
     def saved(self, course: Course) -> float:
-        """Chi-square that an effect of this course saves, by weighted least squares of its one size."""
+        """Return the chi-square that an effect of this course saves, by weighted least squares of its one size."""
         shares, weight = course.shares(self.change.size), self.sd**-2.0
         return float(np.sum(weight * shares * self.change) ** 2 / max(np.sum(weight * shares**2), 1e-12))
 
 
 def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValues:
-    """The own values of the effect that a refit of all flights added last; `order` are the flights in time."""
+    """Return each flight's own values of the effect that a refit of all flights added last.
+
+    order : the places of the flights among the records of the refit, in order of time.
+    """
     k = int(whole.quantities[whole.candidate.places(whole.candidate.name)][0])
     freed = whole.columns[k]
     places = list(order)
@@ -68,7 +71,7 @@ def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValue
 
 
 def on_course(option: Candidate, course: Course, order: Sequence[int]) -> Candidate:
-    """The option as an effect that takes this course; the records of the refit are not in order of time."""
+    """Return the option as an effect that takes this course; `order` has the records' places in order of time."""
     shares = np.empty(len(order))
     shares[list(order)] = course.shares(len(order))
     its = tuple(float(s) for s in shares)

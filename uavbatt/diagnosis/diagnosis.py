@@ -43,7 +43,7 @@ RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The diagnosis: what was found, with the model before and after."""
+    """A diagnosis tells what was found, with the model before and after."""
 
     verdict: Verdict
     classes: tuple[EffectClass, ...]  # what was found; where nothing was, what small effect may hide, if one does
@@ -61,7 +61,7 @@ class Diagnosis:
 
     @property
     def may_hide(self) -> bool:
-        """True if the class was not found, and is only what small effect may hide."""
+        """Return True if the class was not found, and is only what small effect may hide."""
         return self.verdict == "no_missing_effect" and bool(self.classes)
 
 
@@ -81,7 +81,7 @@ def problem_of(
 
 
 def table_errors(file: BatteryFile) -> TableErrors:
-    """Standard errors of the file's tables: as stated, else what a fit usually leaves."""
+    """Return the standard errors of the file's tables: as stated, else what a fit usually leaves."""
     table = file.parameters
     ocv_sd = [table.standard_error.get(f"ocv_{z:g}", OCV_KNOT_SD_V) for z in table.ocv_soc]
     knots = np.array(table.resistance_soc)
@@ -180,20 +180,20 @@ def explains(problem: Problem, fit: Refit, floor: float) -> bool:
 
 
 def floor_V(file: BatteryFile, problem: Problem) -> float:
-    """Size of residual that the battery's own model leaves on this pack [V]."""
+    """Return the size of residual that the battery's own model leaves on this pack [V]."""
     share = problem.pack.installation.cells / file.battery.cells_series
     return float(file.discrepancy.voltage_rmse_V * share)
 
 
 class Left(NamedTuple):
-    """Chi-square per number that a model leaves."""
+    """It holds the chi-square per number that a model leaves."""
 
     voltage: float
     temperature: float  # NaN: not measured
 
 
 def left_per_number(problem: Problem, best: Refit) -> Left:
-    """Return what is left of voltage and temperature once the file's stated errors are at their most probable.
+    """Return the chi-square per number that is left once the file's stated errors are at their most probable.
 
     What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
     """
@@ -205,7 +205,7 @@ def left_per_number(problem: Problem, best: Refit) -> Left:
 
 
 def per_number(problem: Problem, fit: Refit) -> Left:
-    """Chi-square per number of voltage and of temperature."""
+    """Return the chi-square per number that a refit leaves of voltage and of temperature."""
     squares, numbers = np.zeros(2), np.zeros(2)
     for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
         first, size = volts.rows.size, temps.rows.size if temps is not None else 0
@@ -220,7 +220,10 @@ def believed(left: Left, reasons: tuple[str, ...]) -> float:
 
 
 def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float) -> tuple[str, ...]:
-    """Return why the model after all is not believed to be complete; empty when it is."""
+    """List the reasons why the model is not believed to be complete after all; empty when it is.
+
+    left : chi-square per number (`left_per_number`); floor : what the file's own model leaves [V] (`floor_V`).
+    """
     found = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
     if left.voltage > LEFT:

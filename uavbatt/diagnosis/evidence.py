@@ -47,8 +47,10 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """Rows of one record that count, which of them are at rest before take-off, and the inverse factor of their
-    covariance."""
+    """It holds the rows of one record that count, and the inverse Cholesky factor of their covariance.
+
+    `rest` marks those at rest before take-off.
+    """
 
     rows: Rows
     rest: NDArray[np.bool_]
@@ -57,7 +59,10 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Records side by side with their whitening; `shifted_A` [shifts, rows, records] is the current read late."""
+    """It holds records side by side with their whitening; `shifted_A` [shifts, rows, records] is the current read late.
+
+    `start_soc` and `start_sd` are the charge that each record is believed to start with and its sd.
+    """
 
     stack: Stack
     volts: tuple[Whitener, ...]
@@ -71,12 +76,12 @@ class Evidence:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the records."""
+        """Return the names of the records."""
         return self.stack.names
 
     @property
     def believed_full(self) -> Evidence:
-        """The same records, the rested ones believed to have started full whatever their voltage says."""
+        """Return the same records, those charged in part believed to have started full, whatever their voltage says."""
         full = self.charged_in_part
         return replace(
             self,
@@ -92,7 +97,7 @@ class Evidence:
 
 
 def idle_A(evidence: Evidence) -> float:
-    """The smallest mean current that the sensor reports before take-off; inf when no record begins at rest."""
+    """Return the smallest mean current [A] that the sensor reports before take-off; inf if no record begins at rest."""
     stack = evidence.stack
     seen = np.abs(stack.current_A) < IDLE_C_RATE * stack.capacity_Ah
     lengths = np.argmin(seen, axis=0)  # rows before the first under load
@@ -101,7 +106,7 @@ def idle_A(evidence: Evidence) -> float:
 
 
 def check_records(records: list[Observed]) -> None:
-    """NotEnoughData, with the reason, when the records cannot tell effects apart."""
+    """Raise NotEnoughData, with the reason, when the records cannot tell effects apart."""
     if not records:
         raise NotEnoughData("no record has a measured current: nothing can be traced without it")
     sizes = {(r.cells, round(r.capacity_Ah, 2)) for r in records}
@@ -136,7 +141,10 @@ def _change(records: list[Observed]) -> float:
 
 
 def prepare(records: list[Observed], file: BatteryFile, ocv_soc: tuple[Array, Array]) -> Evidence:
-    """Check, bin and whiten the records. ocv_soc: (soc, OCV) of the battery file, ascending."""
+    """Check, bin and whiten the records. Raises NotEnoughData when they cannot tell effects apart.
+
+    ocv_soc : (soc, OCV [V] of a cell) of the battery file, ascending.
+    """
     check_records(records)
     records = sorted((r for r in records if _long_enough(r)), key=_content)
     known = _wander(file, float(records[0].cells))
@@ -203,7 +211,7 @@ def _starts(stack: Stack, ocv_soc: tuple[Array, Array]) -> tuple[Array, Array, N
 
 
 def noise_V(record: Observed, ohm: float) -> float:
-    """Noise of both sensors that a mean over BIN_S keeps [V]; 0 where rows are too slow to tell it from the load.
+    """Return the noise [V] of both sensors that a mean over BIN_S keeps; 0 if rows are too slow to tell it from load.
 
     From second differences of the voltage that the load's drop has been added to: what the load does to both cancels,
     what one sensor says and the other does not is left, and that is what the model cannot follow.

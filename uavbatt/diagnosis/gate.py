@@ -25,7 +25,7 @@ AGEING = frozenset({"capacity_fade", "resistance_growth", "weak_cell"})
 
 
 def verdicts(tests: DataSet, file: BatteryFile) -> list[Verdict]:
-    """The gating claims of the tests for the cells of `file`. Raises NotEnoughData without repeated tests."""
+    """Return the verdicts of the tests on the cells of `file`. Raises NotEnoughData without repeated tests."""
     if aged := sorted(AGEING.intersection(e.name for e in file.effects)):
         return [_missing(None, f"the tests are of a pack that had not aged yet: {', '.join(aged)}")]
     result = validate(tests, close_loop=False)

@@ -13,7 +13,10 @@ from uavbatt.diagnosis.problem import Problem, Refit
 
 
 def open_loop(problem: Problem, fit: Refit, values: list[Array]) -> tuple[float, float]:
-    """RMSE under load above the cut-off [V] and of temperature [K], every record with its own given values."""
+    """Return the RMSE of voltage under load above the cut-off [V] and of temperature [K].
+
+    values : the values that each record is given, [freed] per record.
+    """
     u = fit.u.copy()
     for j, given in enumerate(values):
         for k, freed, value in zip(fit.quantities, fit.candidate.freed, given, strict=True):

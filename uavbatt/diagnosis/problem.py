@@ -17,7 +17,7 @@ from uavbatt.diagnosis.evidence import Evidence, Rows
 
 @dataclass(frozen=True, slots=True)
 class TableErrors:
-    """Errors of the file's OCV [V] and R0 (relative) at their knots, one standard deviation each."""
+    """It holds the errors of the file's OCV [V] and R0 (relative) at their knots, one standard deviation each."""
 
     ocv_soc: Array
     ocv_sd_V: Array
@@ -26,11 +26,11 @@ class TableErrors:
 
     @property
     def count(self) -> int:
-        """Number of knots."""
+        """Return the number of knots of both tables."""
         return self.ocv_soc.size + self.resistance_soc.size
 
     def voltage(self, pack: Pack, soc: Array, current_A: Array, capacity_Ah: Array) -> Array:
-        """Change of pack voltage for one sd of every knot, [..., knots]."""
+        """Return the change of pack voltage [V] for one sd of every knot, [..., knots]."""
         ocv = _hats(soc, self.ocv_soc) * self.ocv_sd_V
         drop_V = (current_A / capacity_Ah * resistance(pack.cell, soc, REFERENCE_TEMP_C))[..., None]
         ohm = -_hats(soc, self.resistance_soc) * self.resistance_sd * drop_V
@@ -51,7 +51,7 @@ def _hats(soc: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One problem for all refits: the pack of the battery file, the records, the quantities' values there."""
+    """It holds what all refits share: the pack of the battery file, the records, the quantities' values (`base`)."""
 
     pack: Pack
     evidence: Evidence
@@ -64,7 +64,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """One candidate at its best: values [records, quantities] (equal rows when shared), u [records, freed]."""
+    """It holds one candidate at its best: u [records, columns] in the solver's space, nuisances v [records, 3]."""
 
     candidate: Candidate
     columns: tuple[Freed, ...]  # shared errors of the file, then the candidate's quantities
@@ -79,23 +79,23 @@ class Refit:
 
     @property
     def total(self) -> float:
-        """Chi-square of all records."""
+        """Return the chi-square of all records."""
         return float(np.sum(self.chi2))
 
     def values(self) -> Array:
-        """Values of the candidate's quantities, [records, freed]."""
+        """Return the values of the candidate's quantities, [records, freed]."""
         first = len(self.columns) - len(self.candidate.freed)
         columns = [f.value(self.u[:, first + k]) for k, f in enumerate(self.candidate.freed)]
         return np.stack(columns, axis=-1) if columns else np.zeros((len(self.u), 0))
 
     @property
     def quantities(self) -> Rows:
-        """Places of the candidate's quantities among the columns."""
+        """Return the places of the candidate's quantities among the columns."""
         return np.arange(len(self.columns) - len(self.candidate.freed), len(self.columns))
 
     @property
     def turned(self) -> Refit:
-        """Return the same refit of two effects, the first of them added last."""
+        """Return the same refit of two effects with their order turned: the first stands as the one added last."""
         its, first = self.candidate, self.quantities[0]
         second = first + its.sizes[0]
         size = len(self.columns)
@@ -116,7 +116,7 @@ class Refit:
         )
 
     def covariance_u(self, *, considered: bool) -> Array:
-        """Covariance of the candidate's quantities in u.
+        """Return the covariance of the candidate's quantities in u, [freed, freed].
 
         considered : add what the file's own errors n (unit sd, never estimated here) do to the estimate,
         cov = A^-1 + A^-1 A_n A_n' A^-1 (Schmidt's consider covariance; Jazwinski 1970, section 8.4).
@@ -133,7 +133,7 @@ class Refit:
         return out
 
     def errors(self) -> Array:
-        """Standard errors of `values` [freed], those of the file considered."""
+        """Return the standard errors of `values` [freed], the file's own errors considered."""
         sd_u = np.sqrt(np.diagonal(self.covariance_u(considered=True)))
         scale = np.array([f.scale for f in self.candidate.freed])
         factor = np.where([f.log for f in self.candidate.freed], self.values(), 1.0)

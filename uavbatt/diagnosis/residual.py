@@ -21,7 +21,10 @@ PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """Measured minus modelled of one record at its real rows: voltage [V], temperature [K], and what they go with."""
+    """It holds measured minus modelled voltage [V] and temperature [K] at the real rows of one record.
+
+    The other columns are what the two may go with; `flatness` is the weight of each row, `rest` marks those at rest.
+    """
 
     name: str
     time_s: Array
@@ -35,19 +38,19 @@ class Residual:
 
     @property
     def voltage_rmse_V(self) -> float:
-        """Size of the slow part under load [V]."""
+        """Return the size of the slow part of the voltage residual under load [V]; NaN with too few rows."""
         error = (self.voltage_V * self.flatness)[~self.rest]
         return float(np.sqrt(max(float(np.mean(error[:-1] * error[1:])), 0.0))) if error.size > 2 else float("nan")
 
     @property
     def temp_rmse_K(self) -> float:
-        """Size of the temperature residual [K]; NaN when not measured."""
+        """Return the size of the temperature residual [K]; NaN when it was not measured."""
         known = self.temp_K[np.isfinite(self.temp_K)]
         return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 def residuals(evidence: Evidence, shown: Simulated, variant: int = 0) -> list[Residual]:
-    """The residuals of every record under one simulated variant."""
+    """Return the residuals of every record under one simulated variant."""
     stack = evidence.stack
     out = []
     for j, (name, volts) in enumerate(zip(evidence.names, evidence.volts, strict=True)):
@@ -72,19 +75,19 @@ def residuals(evidence: Evidence, shown: Simulated, variant: int = 0) -> list[Re
 
 
 def size_V(found: list[Residual]) -> float:
-    """Size of the voltage residual over all records [V]."""
+    """Return the size of the voltage residual over all records [V]."""
     return float(np.sqrt(np.nanmean([r.voltage_rmse_V**2 for r in found])))
 
 
 def size_K(found: list[Residual]) -> float:
-    """Size of the temperature residual over all records [K]; NaN when none was measured."""
+    """Return the size of the temperature residual over all records [K]; NaN when none was measured."""
     sizes = np.array([r.temp_rmse_K for r in found])
     return float(np.sqrt(np.nanmean(sizes**2))) if np.isfinite(sizes).any() else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The shape of a residual: shares of its variance that one variable explains, and how long it lasts."""
+    """A residual goes with one `variable`, which explains `share` of its mean square, and lasts `time_scale_s` [s]."""
 
     variable: str
     share: float
@@ -92,7 +95,7 @@ class Shape:
 
 
 def shape(found: list[Residual]) -> Shape:
-    """The variable whose thirds explain most of the voltage residual, and its correlation time."""
+    """Find the variable whose thirds explain most of the voltage residual, and its correlation time [s]."""
     error = np.concatenate([(r.voltage_V * r.flatness)[~r.rest] for r in found])
     since = np.concatenate([(r.time_s - r.time_s[0])[~r.rest] for r in found])
     columns = {

@@ -35,14 +35,15 @@ FAMILIES = (
 
 
 def related(new: Sequence[str], old: Sequence[str]) -> bool:
-    """Return True if an effect is in the model already, or one that it could not be told from."""
+    """Return True if one of the `new` effects is among the `old`, or one of its family, hardly told from it."""
     own = set(new).union(*(family for family in FAMILIES if family & set(new)))
     return bool(own & set(old))
 
 
 def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:
-    """Return how likely each of `fits` is beside one of them, which is the best of its kind; their quantities are as
-    many.
+    """Return how likely each of `fits` is beside `fits[first]`, the best of its kind, which has 1.
+
+    Their quantities have to be as many.
     """
     best = fits[first].residual
     slopes = slopes_on_file(problem, fits[first])
@@ -78,7 +79,7 @@ def _apart(one: Refit, other: Refit) -> float:
 
 
 def seated(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
-    """Places of the refits that a class has room for, likeliest first; what is the same as the best comes before them.
+    """Return the places of the refits that a class has room for: those the same as the best, then the likeliest.
 
     The same is what leaves within SAME of the best, and within TWIN_SHARE of what the best explains: all explanations
     of a small effect leave nearly the same, which does not make them one.

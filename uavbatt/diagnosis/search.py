@@ -37,7 +37,7 @@ FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 @dataclass(frozen=True, slots=True)
 class FoundEffect:
-    """One effect that is missing: the refits that cannot be told apart, best first, and what they are worth."""
+    """A missing effect is known by the refits that cannot be told apart, best first, and by what they are worth."""
 
     members: tuple[Refit, ...]
     worth: Worth
@@ -47,7 +47,7 @@ class FoundEffect:
 
     @property
     def name(self) -> str:
-        """The likeliest effect."""
+        """Return the name of the likeliest effect."""
         return self.members[0].candidate.name
 
     @property
@@ -58,7 +58,7 @@ class FoundEffect:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """All single effects beside what the model has: what each is worth."""
+    """It tells what each single effect is worth beside what the model has."""
 
     before: Refit
     fits: tuple[Refit, ...]  # by chi-square
@@ -67,12 +67,15 @@ class Trial:
 
     @property
     def most(self) -> float:
-        """Return what the worthiest of them is worth."""
+        """Return the largest worth of all that do not stand at a bound; 0 if all do."""
         return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
 
     @property
     def rivals(self) -> list[int]:
-        """Places of those that could be the cause if there is one, by chi-square: they need not earn it alone."""
+        """Return the places of those that could be the cause if there is one, by chi-square.
+
+        They need not earn their place alone.
+        """
         places, least = range(len(self.fits)), max(self.least, RIVAL_SHARE * self.most)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
@@ -98,10 +101,10 @@ def search(
     explains: Callable[[Refit, bool], bool],
     tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
-    """The best model with what was found, most evidence first, and the trial of the single effects.
+    """Search for the missing effect, or two; return the best model, what was found and the trial of single effects.
 
-    explains : whether a model, and is it more than a suspect, leaves no more than the file's own; two effects are asked
-    for less where no one does.
+    What was found comes with most evidence first. explains : asked with a model, and True if it is more than a suspect,
+    says if it leaves no more than the file's own; two effects are asked for less where no single one does.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -175,7 +178,10 @@ def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
 
 
 def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
-    """Every option beside what `before` has; from where it is `known` to end, where one of them is."""
+    """Try every option beside what `before` has.
+
+    turns : iterations of the refits; known : the refit that one of them is known to end in, where that one starts.
+    """
     free = [o for o in options if not related(o.names, before.candidate.names)]
     tried = [before.candidate.plus(o) for o in free]
     starts = [known if known is not None and c.names == known.candidate.names else before for c in tried]
@@ -185,7 +191,7 @@ def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int,
 
 
 def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
-    """The class of the rivals that cannot be told from the best, which had to be worth more than `earned`.
+    """Return the class of the rivals that cannot be told from the best, which had to be worth more than `earned`.
 
     A rival is the less likely the more it differs from record to record, and a hair of steadiness decides nothing.
 
@@ -209,7 +215,7 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
 
 
 def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: float) -> float:
-    """Return how likely an effect is no chance, by what it is worth against what it had to be worth.
+    """Return how likely it is that an effect is no chance, by what it is worth against what it had to be worth.
 
     One of two is judged twice: with the errors of the file held, and with all of them at their most probable value,
     which may leave it nothing to explain. Either view has been wrong where the other was right. What it had to be worth
@@ -225,8 +231,10 @@ def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: f
 
 
 def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:
-    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen, and
-    less where no single effect explains the flights.
+    """Return what each of two effects must be worth.
+
+    It is more beside a start in part, which the file has never seen, and less where no single effect explains the
+    flights.
     """
     if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
         return EARNED_IN_PART

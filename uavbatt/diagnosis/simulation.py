@@ -24,7 +24,7 @@ MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness
 
 
 class Own(NamedTuple):
-    """Own values of each record, [variants, records]: start soc, start [K] and ambient [K] beside the stated."""
+    """Each record has its own start soc and its own shift [K] of start and ambient temperature, [variants, records]."""
 
     soc: Array
     start_K: Array
@@ -32,7 +32,7 @@ class Own(NamedTuple):
 
 
 class Simulated(NamedTuple):
-    """Readings that the sensors should show: [rows, variants, records]; soc for reports."""
+    """It holds the readings that the sensors should show, [rows, variants, records]; soc for reports."""
 
     voltage_V: Array
     temp_C: Array
@@ -81,7 +81,7 @@ def _warmth(stack: Stack) -> Array:
 
 
 def metered_current(evidence: Evidence, delay_s: Array, variants: int) -> Array:
-    """The metered current [rows, columns] read `delay_s` [columns] later.
+    """Return the metered current [A], [rows, columns], read `delay_s` [columns] seconds later.
 
     Between the shifts that are known by cubic convolution (Keys 1981): a current with corners in the delay, one of them
     at no delay, would hold a refit there.
@@ -118,7 +118,7 @@ def simulate(
     walk: States = openloop.states,
     drift: Array | None = None,
 ) -> Simulated:
-    """Run quantities x [variants, records, quantities] with the records' own values.
+    """Simulate the records with quantities x [variants, records, quantities] and with their own values.
 
     walk : how the states of many columns are stepped (`openloop.states`, or its compiled twin); drift : [variants,
     records, courses, quantities], what those that may drift gain along each course, x being their values in its middle.

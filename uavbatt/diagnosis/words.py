@@ -79,7 +79,7 @@ SHARES = {"fade", "deficit", "growth"}  # people read these as percent
 
 
 def separating(members: tuple[str, ...], outside: str | None) -> str:
-    """The readings that tell the members apart; for a lone member, the one that confirms it."""
+    """Say which readings tell the members apart; for a lone member, which one confirms it."""
     if len(members) > 1:
         return "; ".join(f"{name}: {CHECK[name]}" for name in members)
     against = f" (against {outside})" if outside else ""

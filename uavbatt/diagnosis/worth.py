@@ -29,7 +29,7 @@ WEAK = 0.05  # information that stands for the prior where the other records tel
 
 @dataclass(frozen=True, slots=True)
 class Constancy:
-    """The agreement of the records on an effect's first quantity (Cochran's Q, as a spread).
+    """It tells how far the records agree on an effect's first quantity (Cochran's Q, as a spread).
 
     The spread is the sd between records, relative to the change or to what errors of the file make of nothing.
     """
@@ -40,7 +40,7 @@ class Constancy:
 
 @dataclass(frozen=True, slots=True)
 class Worth:
-    """Evidence for the effect that a refit added last, over the model without it."""
+    """It holds the evidence for one effect of a refit, over the model without it."""
 
     gains: Array  # chi-square saved on each record by the values that the others give
     most: float  # what the refit saves where nothing is left out: what only steadies the rest is not the effect's
@@ -49,7 +49,7 @@ class Worth:
 
     @property
     def value(self) -> float:
-        """Chi-square saved on records left out that errors of the file could not feign."""
+        """Return the chi-square saved on records left out that errors of the file could not feign."""
         return self.on(np.ones(len(self.gains), dtype=bool))
 
     def on(self, some: NDArray[np.bool_]) -> float:
@@ -77,7 +77,7 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
 
 
 def known_share(fit: Refit, name: str) -> float:
-    """Variance of the effect's best known quantity without the file's errors, as a share of that with them."""
+    """Return the share of an effect's variance that is not the file's own errors, of its best known quantity."""
     its = fit.candidate.places(name)
     alone, considered = (np.diagonal(fit.covariance_u(considered=c))[its] for c in (False, True))
     return float(np.max(alone / considered))
@@ -104,7 +104,10 @@ def shifts_u(fit: Refit) -> Array:
 
 
 def left_out_chi2(fit: Refit) -> Array:
-    """Chi-square of each record with the values that the others give; with one record, two for each quantity more."""
+    """Return the chi-square of each record with the values that the others give.
+
+    With one record only it is the record's own and two for each quantity.
+    """
     free = _free(fit)
     if len(fit.chi2) < 2:
         return fit.chi2 + 2.0 * free.size
@@ -115,7 +118,7 @@ def left_out_chi2(fit: Refit) -> Array:
 
 
 def left_out_values(problem: Problem, fit: Refit) -> list[Array]:
-    """Per record, the values of the quantities that the other records give."""
+    """Return per record the values of the quantities that the other records give."""
     u = fit.u + shifts_u(fit)
     places = zip(fit.quantities, fit.candidate.freed, strict=True)
     columns = [f.value(u[:, k]) for k, f in places]
@@ -123,7 +126,10 @@ def left_out_values(problem: Problem, fit: Refit) -> list[Array]:
 
 
 def constancy(fit: Refit, name: str) -> Constancy | None:
-    """Each record's own value of an effect's first quantity, all else as it is; None where each has its own anyway."""
+    """Compare the records' own values of an effect's first quantity, all else as it is.
+
+    Returns None with one record only, and for a start, of which each record has its own anyway.
+    """
     if len(fit.chi2) < 2 or name == "initial_charge":
         return None
     k = int(fit.quantities[fit.candidate.places(name)][0])

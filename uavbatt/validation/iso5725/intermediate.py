@@ -172,6 +172,7 @@ def _nested(
 
 def crossed(table: ArrayLike) -> Crossed:
     """Fit the crossed model to `table[occasion, sample]`; occasions with a gap (NaN) are left out, with a note.
+
     Raises BadCells for what is no such table, NotEnoughData below two occasions that all samples share.
     """
     y = np.asarray(table, dtype=np.float64)
