@@ -27,7 +27,10 @@ DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departur
 
 
 def repeated(page: ValidationPage, as_read: bool = False) -> tuple[list[Run], list[Run]]:
-    """Return (runs of samples tested repeatedly, one-time runs) at the gated temperature, raw or as judged."""
+    """Return (runs of samples tested repeatedly, one-time runs) at the gated temperature.
+
+    as_read : True for the runs as they are judged, fast records read at whole minutes; False for raw ones
+    """
     runs = (page.found.readings.tests if as_read else page.found.dataset).at(page.found.ambient_C)
     counts = {s: sum(r.sample == s for r in runs) for s in dict.fromkeys(r.sample for r in runs)}
     return [r for r in runs if counts[r.sample] > 1], [r for r in runs if counts[r.sample] == 1]
@@ -66,7 +69,7 @@ def _run_curves(axes: Axes, page: ValidationPage, quantity: str) -> None:
 
 
 def family(page: ValidationPage) -> Html:
-    """Draw Figure 1: the discharge curves of every repeated run."""
+    """Draw the study's Figure 1: the discharge curves of every run at the gated temperature."""
     many, single = repeated(page)
     alt = f"{len(many)} repeated and {len(single)} one-time discharge curves at {celsius(page.found.ambient_C)}."
 
@@ -98,7 +101,7 @@ def _edges(axes: Axes, at: Array, mean: Array, corridor: Corridor, scale: float 
 
 
 def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: int) -> Html:
-    """Draw Figures 4 and 5: mean, corridor, runs and model, in the unit of the readings."""
+    """Draw the study's Figure 4 or 5 (`study`): mean, corridor, runs and model, in the unit of the readings."""
     minutes = found.at / 60.0
 
     def draw(axes: Axes) -> None:
@@ -200,7 +203,7 @@ def _first_falls(time_s: Array, voltage_V: Array, levels_V: Array) -> Array:
 
 
 def over_ambient(page: ValidationPage, corridors: Sequence[Corridor], quantity: str, study: int) -> Html:
-    """Draw Figures 6 and 7: the mean curve at every ambient temperature."""
+    """Draw the study's Figure 6 or 7 (`study`): the mean curve at every ambient temperature."""
     name = "Voltage" if quantity == "voltage_V" else "Surface temperature"
     title = f"{name} over ambient temperature{_study(page, study)}"
     known = [c for c in corridors if np.isfinite(c.mean).any()]

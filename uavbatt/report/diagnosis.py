@@ -110,7 +110,7 @@ def _suspect(one: EffectClass) -> Html:
 
 
 def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
-    """Bars of chi-square saved in each part of the flights; below zero the data of that part speak against it."""
+    """Draw bars of chi-square saved in each part of the flights; below zero the data of a part speak against it."""
     names, saved = [b.name for b in blocks], np.array([b.saved for b in blocks])
 
     def draw(axes: Axes) -> None:

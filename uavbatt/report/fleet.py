@@ -242,5 +242,5 @@ def _whose(groups: Sequence[str]) -> str:
 
 
 def counted(n: int, what: str) -> str:
-    """Name a number of things, with its plural."""
+    """Return a count with the name of what is counted, in the plural where there is not one: `3 flights`."""
     return f"{n} {what}{'' if n == 1 else 's'}"

@@ -30,7 +30,7 @@ _FIGURE = re.compile(r"\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A scale early and late in a group's life, their difference and its standard deviation."""
+    """It holds a scale early and late in a group's life, their difference and its standard deviation."""
 
     early: float
     late: float
@@ -39,22 +39,22 @@ class Change:
 
     @property
     def is_certain(self) -> bool:
-        """True for a change of more than twice its own standard deviation that is big enough to matter."""
+        """Return True for a change of more than twice its own standard deviation that is big enough to matter."""
         return abs(self.difference) > max(2.0 * self.difference_sd, 0.05)
 
     @property
     def at_most(self) -> float:
-        """The largest change that the flights leave possible, relative to the early ones (two standard deviations)."""
+        """Return the largest change that the flights leave possible (two sd), as a share of the early scale."""
         return (abs(self.difference) + 2.0 * self.difference_sd) / max(self.early, 1e-3)
 
     @property
     def visible(self) -> float:
-        """The smallest change that these flights could have shown, relative to the early ones."""
+        """Return the smallest change that these flights could have shown, as a share of the early scale."""
         return max(2.0 * self.difference_sd, 0.05) / max(self.early, 1e-3)
 
 
 class AgeingVerdict(NamedTuple):
-    """A judgement about one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
+    """It judges one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
 
     kind: str
     words: str
@@ -77,7 +77,7 @@ def verdict(group: Group, resistance: Change | None, capacity: Change | None) ->
 
 @dataclass(slots=True)
 class Group:
-    """Flights of one pack or aircraft, in the order of the table; filled while the rows go by."""
+    """It collects the flights of one pack or aircraft, in the order of the table, while the rows go by."""
 
     name: str
     is_identified: bool = True  # by a serial or by the caller, not by a folder alone
@@ -98,12 +98,12 @@ class Group:
 
     @property
     def flights(self) -> int:
-        """Number of flights."""
+        """Return the number of flights."""
         return len(self.start_s)
 
     @property
     def is_dated(self) -> bool:
-        """True when the flights can be put on a calendar: all dates known, and not all the same."""
+        """Return True if the flights can be put on a calendar: all dates known, and not all the same."""
         start_s = np.array(self.start_s)
         return bool(np.all(np.isfinite(start_s)) and np.ptp(start_s) > 3600.0)
 
@@ -136,7 +136,7 @@ def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class Overview:
-    """Everything that the page tells; filled by `gathered`."""
+    """It holds everything that the fleet's page tells; `gathered` fills it."""
 
     groups: dict[str, Group] = field(default_factory=dict)
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})
@@ -151,7 +151,7 @@ class Overview:
 
     @property
     def flights(self) -> int:
-        """Number of flights that could be flown."""
+        """Return the number of flights that could be replayed."""
         return sum(g.flights for g in self.groups.values())
 
 

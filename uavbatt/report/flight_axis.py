@@ -19,7 +19,7 @@ SHORT_S = 240.0
 
 
 class TimeAxis:
-    """The time axis that all panels share: minutes, or seconds for a short log; hatching where nothing was said."""
+    """All panels share this time axis: minutes, or seconds for a short log; hatching where a number was refused."""
 
     def __init__(self, rows: FlightSeries, stretches: Sequence[Stretch], end_s: float) -> None:
         known = rows.time_s[np.isfinite(rows.time_s)]
@@ -31,11 +31,11 @@ class TimeAxis:
         self.end_s = end_s
 
     def at(self, time_s: Array | float) -> Array:
-        """Seconds in the unit of the axis."""
+        """Return seconds in the unit of the axis."""
         return np.asarray(time_s, dtype=float) / self.unit_s
 
     def dress(self, axes: Axes) -> None:
-        """Limits, hatching and the end of flight."""
+        """Give the axes their limits, the hatching and the mark of the end of flight."""
         margin = 0.01 * max(self.last_s - self.first_s, 1.0)
         axes.set_xlim(float(self.at(self.first_s - margin)), float(self.at(self.last_s + margin)))
         least = 0.003 * (self.last_s - self.first_s)
@@ -52,7 +52,7 @@ class TimeAxis:
 
 
 def line(axes: Axes, axis: TimeAxis, time_s: Array, values: Array, colour: str, name: str, style: str = "-") -> None:
-    """A line thinned to its extremes; single known rows between gaps stay visible as dots."""
+    """Draw a line thinned to its extremes; single known rows between gaps stay visible as dots."""
     t, y = thinned(time_s, values)
     axes.plot(axis.at(t), y, style, color=colour, label=name, linewidth=1.3)
     known = np.isfinite(y)
@@ -62,6 +62,6 @@ def line(axes: Axes, axis: TimeAxis, time_s: Array, values: Array, colour: str, 
 
 
 def band(axes: Axes, axis: TimeAxis, time_s: Array, low: Array, high: Array, colour: str, name: str) -> None:
-    """A band thinned to its outer edges, never narrower than it was."""
+    """Draw a band thinned to its outer edges, never narrower than it was."""
     t, lo, hi = outer(time_s, low, high)
     axes.fill_between(axis.at(t), lo, hi, color=colour, alpha=0.25, linewidth=0, label=name)

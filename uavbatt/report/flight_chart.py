@@ -37,7 +37,7 @@ def time_left_chart(rows: FlightSeries, axis: TimeAxis, events: Sequence[Event])
 
 
 def save_time_left(path: Path, rows: FlightSeries, axis: TimeAxis, events: Sequence[Event], title: str) -> None:
-    """Write the same chart to a file, PNG or SVG by its name; `rows` hold a forecast somewhere."""
+    """Write the chart of the time left to a file, PNG or SVG by its name; `rows` must hold a forecast somewhere."""
     plot.save_picture(path, _drawing(rows, axis, events)[0], title, x=axis.label, y=Y_LABEL, right=ROOM_RIGHT)
 
 

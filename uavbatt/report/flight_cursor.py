@@ -18,7 +18,7 @@ BUTTONS = (("0.5", "Closer"), ("2", "Wider"), ("0", "Whole flight"))  # factor o
 
 
 def cursor() -> Html:
-    """Return the slider with the place of its words, and what zooms; hidden until the script runs."""
+    """Return the slider, the place for its words and the buttons that zoom; hidden until the script runs."""
     slider = f'<input type="range" min="0" value="0" aria-label="{escape(LABEL)}"/>'
     buttons = " ".join(f'<button type="button" value="{factor}">{words}</button>' for factor, words in BUTTONS)
     return Html(f'<p id="instant" hidden="hidden">{slider} <output></output> <span>{buttons}</span></p>')

@@ -26,7 +26,7 @@ MOST_MODES = 12  # a flight that changes more often shows none
 
 
 class Event(NamedTuple):
-    """Something that happened `time_s` [s] after the log's start; `tells_danger` for what a pilot must act on."""
+    """An event happened `time_s` [s] after the log's start; `tells_danger` marks those that a pilot must act on."""
 
     time_s: float
     words: str

@@ -19,7 +19,7 @@ JUST_S, NEAR_S = 30.0, 10.0
 
 
 def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
-    """The summary for a person."""
+    """Return the summary of a replay for a person, as lines."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
         f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
@@ -49,7 +49,7 @@ def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Replayed
 
 
 def plain_lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
-    """The answer for a pilot and the sentences that limit it, as on the flight's page; nothing else."""
+    """Return the answer for a pilot and the sentences that limit it, as on the flight's page; nothing else."""
     answer = f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}"
     return [answer, *(f"  {words}" for words in limits_of(found, resolved, run))]
 
@@ -96,7 +96,7 @@ def _given(refused_in_air: float) -> str:
 def summary(
     flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow], content: BatteryFile
 ) -> dict[str, Any]:
-    """The summary for a program (DESIGN §5)."""
+    """Return the summary of a replay for a program, as plain values (DESIGN §5)."""
     scores = [
         {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
         for c in found.checkpoints

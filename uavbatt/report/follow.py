@@ -65,7 +65,7 @@ def _told(one: Followed, found: Follow, dates: Sequence[str]) -> Html:
 
 
 def course_figure(one: Followed) -> Html:
-    """Each flight's own value with its interval, the file's value, and the course that explains them."""
+    """Draw each flight's own value with its interval, the file's value, and the course that explains them."""
     flights = np.arange(1, len(one.values) + 1)
     value = np.array([v.value for v in one.values])
     below, above = value - [v.lo for v in one.values], [v.hi for v in one.values] - value

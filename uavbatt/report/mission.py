@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def mission_report(plan: MissionPlan, name: str) -> str:
-    """Return the whole page as HTML."""
+    """Return the whole page as HTML, under the mission's `name`."""
     points = [Point(0.0, 0.0, 0.0), *(leg.place for leg in plan.legs)]
     note = "The red point is where the aircraft must turn back to be home with 95 %." if plan.turning else ""
     return page(

@@ -26,7 +26,7 @@ OHM, CHARGE = 0, 1
 
 
 def packs_report(ledger: str, packs: Sequence[PackRow], drawn: Sequence[tuple[PackRow, Sequence[Remembered]]]) -> str:
-    """The whole page; `drawn` are the packs with their flights."""
+    """Return the whole page as HTML; `ledger` is its name, `drawn` are the packs with their flights."""
     in_order = sorted(packs, key=lambda pack: (pack.outlook.retire_flights, pack.outlook.capacity_Ah / pack.rated_Ah))
     return page(
         f"Packs of {ledger}",

@@ -38,7 +38,7 @@ _NO_ID = re.compile(r"[^a-z0-9]+")
 
 
 class Html(str):
-    """Text that is markup already and goes into the page as it is."""
+    """It is text that is markup already and goes into the page as it is."""
 
     __slots__ = ()
 
@@ -54,41 +54,41 @@ def together(parts: Iterable[str], glue: str = "\n") -> Html:
 
 
 def element(tag: str, *content: str, css: str = "") -> Html:
-    """`<tag class="css">content</tag>`."""
+    """Return `<tag class="css">content</tag>`, the content made safe."""
     attribute = f' class="{escape(css)}"' if css else ""
     return Html(f"<{tag}{attribute}>{together(content, '')}</{tag}>")
 
 
 def paragraph(*content: str, css: str = "") -> Html:
-    """A paragraph."""
+    """Return a paragraph."""
     return element("p", *content, css=css)
 
 
 def strong(text: str) -> Html:
-    """Text that carries the weight of its sentence."""
+    """Return text that carries the weight of its sentence."""
     return element("strong", text)
 
 
 def bullets(items: Iterable[str], css: str = "") -> Html:
-    """A list; empty when there is nothing to list."""
+    """Return a list of `items`; empty when there is nothing to list."""
     inner = together((element("li", item) for item in items), "")
     return element("ul", inner, css=css) if inner else Html("")
 
 
 def badge(verdict: str, words: str = "") -> Html:
-    """A verdict with its sign and colour; colour is never the only carrier."""
+    """Return a verdict with its sign and colour; colour never carries it alone."""
     mood = MOODS.get(verdict, "plain")
     return element("span", f"{SIGNS[mood]} {words or verdict}", css=f"badge {mood}")
 
 
 def section(title: str, *content: str, css: str = "") -> Html:
-    """A part of the page under its own heading, which `contents` can point to."""
+    """Return a part of the page under its own heading, which `contents` can point to."""
     heading = Html(f'<h2 id="{_anchor(title)}">{safe(title)}</h2>')
     return element("section", heading, *content, css=css)
 
 
 def contents(*titles: str) -> Html:
-    """Links to the sections of a long page."""
+    """Return links to the sections of a long page."""
     links = (Html(f'<li><a href="#{_anchor(title)}">{safe(title)}</a></li>') for title in titles)
     return Html(f'<nav aria-label="Contents"><ul class="contents">{together(links, "")}</ul></nav>')
 
@@ -101,25 +101,27 @@ def _anchor(title: str) -> str:
 
 
 def grid(*figures: str) -> Html:
-    """Figures side by side where the screen is wide enough."""
+    """Put figures side by side where the screen is wide enough."""
     return element("div", *figures, css="grid")
 
 
 def facts(pairs: Iterable[tuple[str, str]]) -> Html:
-    """Names with their values."""
+    """Return a list of names with their values."""
     inner = together((together((element("dt", k), element("dd", v)), "") for k, v in pairs), "")
     return element("dl", inner, css="facts")
 
 
 def details(summary: str, *content: str) -> Html:
-    """Content that the reader opens when it is wanted; on paper it is always open."""
+    """Return content that the reader opens when it is wanted; on paper it is always open."""
     return element("details", element("summary", summary), *content)
 
 
 def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "", *, text_columns: Sequence[int] = (0,)
 ) -> Html:
-    """A table that scrolls by itself on a narrow screen, by keyboard too; columns not in `text_columns` hold numbers.
+    """Return a table that scrolls by itself on a narrow screen, by keyboard too.
+
+    Columns that are not in `text_columns` hold numbers.
 
     A table without a caption is announced by its first columns.
     """
@@ -144,13 +146,13 @@ def _cell(tag: str, content: str, css: str) -> Html:
 
 
 def scrolled(content: Html, label: str, css: str = "scroll") -> Html:
-    """Content that scrolls sideways by itself, and that the keyboard reaches."""
+    """Return content that scrolls sideways by itself, and that the keyboard reaches."""
     named = f'role="region" aria-label="{safe(label)}" tabindex="0"'
     return Html(f'<div class="{escape(css)}" {named}>{content}</div>')
 
 
 def figure(svg: Html, title: str, caption: str = "") -> Html:
-    """A drawing under its title and above its explanation."""
+    """Put a drawing under its title and the explanation."""
     below = paragraph(caption) if caption else Html("")
     return element("figure", element("figcaption", strong(title), below), svg)
 
@@ -224,7 +226,7 @@ def _policy(script: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a text that begins with a capital letter."""
+    """Return the text with a capital letter at its beginning."""
     return text[:1].upper() + text[1:]
 
 

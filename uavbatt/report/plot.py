@@ -60,7 +60,7 @@ def literal(text: str) -> str:
 
 
 def drawing(draw: Callable[[Figure], None], alt: str, height: float = HEIGHT, width: float = WIDTH) -> Html:
-    """Let `draw` fill a figure of `width` x `height` units; returns it as inline SVG with `alt` as its description."""
+    """Return a figure of `width` x `height` units that `draw` fills, as inline SVG with `alt` as its description."""
     from matplotlib import style
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -181,7 +181,7 @@ def responsive(
 
 
 def legend_above(axes: Axes, columns: int) -> None:
-    """The legend over the axes, out of the data's way."""
+    """Put the legend over the axes, out of the data's way."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns, frameon=False, borderaxespad=0.2, borderpad=0.1,
         handlelength=1.6, handletextpad=0.5, columnspacing=1.2, labelspacing=0.3,

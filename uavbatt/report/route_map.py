@@ -18,7 +18,10 @@ MOST_POINTS = 2000
 def route_map(
     to_come: Sequence[Point], flown: Sequence[Point] = (), turning: Point | None = None, note: str = ""
 ) -> Html:
-    """Return the map as a figure of the page; home is its origin."""
+    """Return the map as a figure of the page; home is its origin.
+
+    turning : where the aircraft must turn back, None if it is not known; note : the sentence under the title
+    """
 
     def draw(axes: Axes) -> None:
         for points, colour, words in ((to_come, plot.SKY, "route"), (flown, plot.BLUE, "flown")):

@@ -15,7 +15,7 @@ from uavbatt.report.route_map import route_map
 
 
 def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
-    """Return the section; nothing where neither a route nor home is known."""
+    """Return the section on the route; an empty list where neither a route nor home is known."""
     said = way_said(steps)
     if not said.rows:
         return []

@@ -27,7 +27,7 @@ GAP = "no row in the log"
 
 @dataclass(frozen=True, slots=True)
 class FlightSeries:
-    """The columns of a flight. A number that was refused is NaN here, whatever value its maker left in it.
+    """It holds the columns of a flight; a number that was refused is NaN here, whatever value its maker left in it.
 
     The filter takes rows in blocks and has one innovation a block: `innovation_V` is NaN at the rows between.
     `innovation_sd_V` is what it expected of it, recovered from its NIS: exact where only voltage was measured; with
@@ -51,7 +51,7 @@ class FlightSeries:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Rows in sequence that were refused or still converging, with the reason of the first and the last.
+    """A stretch is rows in sequence that were refused or still converging, with the first and the last reason.
 
     A gap between rows is a stretch too: `stale`, with no rows.
     """
@@ -65,7 +65,7 @@ class Stretch:
 
     @property
     def duration_s(self) -> float:
-        """Duration [s]."""
+        """Return the duration [s]."""
         return self.end_s - self.begin_s
 
 
@@ -89,7 +89,7 @@ def with_gaps(rows: FlightSeries) -> FlightSeries:
 
 
 def rows(steps: Sequence[ReplayedRow]) -> FlightSeries:
-    """Turn `steps` into columns."""
+    """Turn the rows of a replay into columns."""
     e, r = [s.estimate for s in steps], [s.remaining for s in steps]
     blind = np.array([x.status is Status.REFUSED for x in e], dtype=bool)
     mute = blind | np.array([x.status is Status.REFUSED for x in r], dtype=bool)
@@ -161,7 +161,7 @@ def outer(time_s: Array, low: Array, high: Array, buckets: int = BUCKETS) -> tup
 
 
 def stretches(steps: Sequence[ReplayedRow]) -> list[Stretch]:
-    """List where a number was refused or still converging; near neighbours run together when they are many."""
+    """List where a number was refused, was still converging or had no row; near neighbours join if there are many."""
     found: list[Stretch] = []
     gap = is_gap(np.array([s.estimate.time_s for s in steps], dtype=float))
     for i, step in enumerate(steps):

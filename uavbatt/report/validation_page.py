@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Mandel's h and k of the samples at one instant, with their critical values at 5 % and 1 %."""
+    """It holds Mandel's h and k of the samples at one instant, with their critical values at 5 % and 1 %."""
 
     quantity: str
     time_s: float
@@ -33,7 +33,10 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class ModelCurve:
-    """The mean prediction of held-out tests at the gated ambient temperature; `surface_C` None where not predicted."""
+    """It holds the mean prediction of held-out tests at the gated ambient temperature.
+
+    `surface_C` is None where it was not predicted.
+    """
 
     name: str
     time_s: Array
@@ -43,7 +46,7 @@ class ModelCurve:
 
 @dataclass(frozen=True, slots=True)
 class ErrorChange:
-    """One error before and after the model was extended, on the data named."""
+    """It holds one error before and after the model was extended, on the data named."""
 
     quantity: str
     unit: str
@@ -56,7 +59,7 @@ class ErrorChange:
 
 @dataclass(frozen=True, slots=True)
 class ValidationPage:
-    """A validation as the page shows it: `found`, and what is worked out from it for the page alone.
+    """It holds a validation as the page shows it: `found`, and what is worked out from it for the page alone.
 
     `paper` is the study's method replayed, None where it cannot be applied.
     """
@@ -69,7 +72,7 @@ class ValidationPage:
 
     @property
     def is_study(self) -> bool:
-        """True when the tests are the study's own, so that its printed tables and figures can be compared."""
+        """Return True if the tests are the study's own, so that its printed tables and figures can be compared."""
         return self.paper is not None and bool(self.paper.agreements)
 
 

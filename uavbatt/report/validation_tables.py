@@ -42,7 +42,7 @@ SEVERITY = {"serious": "fail", "warning": "not enough data", "note": "note"}
 
 
 def claims_table(claims: Sequence[Claim]) -> Html:
-    """Make one row a claim: the verdict, the bias that decides, and why."""
+    """Tabulate the claims, one a row: the verdict, the bias that decides, and why."""
     head = ("claim", "verdict", "why", "decides", "bias nearest the limit", "its interval", "limit")
     return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 3))
 
@@ -141,7 +141,7 @@ def _findings(findings: Sequence[Finding]) -> Html:
 
 
 def data_overview(dataset: DataSet) -> list[Html]:
-    """Tell what was tested and read, and what of it is suspect."""
+    """Show what was tested and read, and what of it is suspect."""
     body = []
     for sample in dict.fromkeys(r.sample for r in dataset.runs):
         runs = [r for r in dataset.runs if r.sample == sample]
