@@ -1,4 +1,4 @@
-"""Evidence by block of the flight: chi-square that the best model saves, by block of the flight."""
+"""Evidence by block of the flight: the chi-square that the best model saves in each of them."""
 
 from __future__ import annotations
 
