@@ -34,7 +34,7 @@ MAX_CURRENT_A = 2000.0
 
 @dataclass(slots=True)
 class LogBuilder:
-    """The builder collects what was read so far; mutable, it never leaves the reader of one file."""
+    """LogBuilder collects what was read of one file so far; it is mutable, and never leaves the file's reader."""
 
     rows: dict[int, list[Sample]] = field(default_factory=dict)
     columns: dict[int, Columns] = field(default_factory=dict)  # instead of `rows`, by the readers of big logs
@@ -54,11 +54,11 @@ class LogBuilder:
 
     @property
     def offset_s(self) -> float:
-        """Return the offset that is added to the log's own clock at present [s]; NaN before the first reading."""
+        """Return the offset that is now added to the log's own clock [s]; NaN before the first reading."""
         return self._offset_s
 
     def time_s(self, raw_s: float) -> float:
-        """Time since the first record [s] from the log's own clock [s]; moves `now_s` ahead."""
+        """Return the time since the first record [s] for the log's own clock [s], and move `now_s` ahead."""
         if not math.isfinite(raw_s):
             return self.now_s
         if math.isnan(self._raw_s):
@@ -76,7 +76,7 @@ class LogBuilder:
         return time_s
 
     def add(self, instance: int, sample: Sample) -> bool:
-        """Keep a row if it carries a possible voltage and does not lie before the last; say whether.
+        """Keep a row if it carries a possible voltage and does not lie before the last; return True if it is kept.
 
         A first row from just before the log's first record counts as simultaneous with it.
         """
@@ -96,25 +96,25 @@ class LogBuilder:
         return True
 
     def add_parameter(self, time_s: float, name: str, value: float) -> None:
-        """A vehicle parameter, in force from `time_s` [s] on."""
+        """Add a vehicle parameter, which is in force from `time_s` [s] on."""
         if self.parameters:
             time_s = max(time_s, self.parameters[-1][0])
         self.parameters.append((max(time_s, 0.0), name, finite_or_nan(value)))
 
     def all_notes(self) -> list[str]:
-        """Notes in the order of reading, then what was counted."""
+        """Return the notes in the order of reading, then what was counted."""
         counted = [f"{n} {what}" for what, n in self.counts.items()]
         damaged = [f"{self.skipped_bytes} bytes not readable, skipped"] if self.skipped_bytes else []
         return self.notes + damaged + counted
 
 
 def finite_or_nan(value: float) -> float:
-    """`value`, or NaN if it is infinite."""
+    """Return `value`, or NaN if it is infinite."""
     return value if math.isfinite(value) else NAN
 
 
 def default_instance(log: LogBuilder) -> int:
-    """The first instance in the log that reports a current; if none does, the first with a voltage."""
+    """Return the first instance in the log that reports a current; if none does, the first with a voltage."""
     there = {number: rows.first_current_s for number, rows in log.columns.items()}
     there |= {number: _first_current_s(rows) for number, rows in log.rows.items()}
     with_current = [(time_s, number) for number, time_s in there.items() if not math.isnan(time_s)]

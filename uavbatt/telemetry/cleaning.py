@@ -24,7 +24,7 @@ NOTICED_CELL_SPREAD_V = 0.02
 
 
 class Cleaner(NamedTuple):
-    """The last plausible readings, and what they have shown of the sensors; `clean` takes one more sample in."""
+    """A Cleaner holds the last plausible readings and what they showed of the sensors; `clean` takes a sample in."""
 
     stated_power_W: float = NAN
     voltage_V: float = NAN
@@ -55,7 +55,7 @@ class Cleaner(NamedTuple):
         return now._with_cells(sample) if sample.cell_voltages_V else now, sample
 
     def moved(self, shift_s: float) -> Cleaner:
-        """The same memory on a clock that shows `shift_s` more."""
+        """Return the same memory on a clock that shows `shift_s` [s] more."""
         return self._replace(
             voltage_s=self.voltage_s + shift_s,
             temp_s=self.temp_s + shift_s,
@@ -116,7 +116,7 @@ class Cleaner(NamedTuple):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Notices about the sensors for whoever reads the estimate."""
+        """Return notices about the sensors for whoever reads the estimate."""
         found = []
         if self.is_board_sensor:
             found.append(f"the temperature started above {BOARD_START_C:.0f} °C: a board's, not the pack's, not used")

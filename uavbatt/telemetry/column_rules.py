@@ -13,7 +13,7 @@ from uavbatt.telemetry.columns import Column, Columns, distinct
 
 
 def times_s(log: LogBuilder, raw_s: Column) -> Column:
-    """Time since the first record [s] of every reading of the log's own clock [s], as `LogBuilder.time_s` gives it."""
+    """Return the times since the first record [s] of readings of the log's own clock [s], as `LogBuilder.time_s`."""
     if not len(raw_s):
         return raw_s
     first_s = log.time_s(float(raw_s[0]))

@@ -20,7 +20,7 @@ _ARMED = (False, True, None)
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Battery rows, one entry of every column a row; NaN is unknown. `cells_V` has a line a row, or none at all."""
+    """Columns hold battery rows, one entry a row; NaN is unknown. `cells_V` has a line for each row, or is None."""
 
     time_s: Column
     voltage_V: Column
@@ -32,7 +32,7 @@ class Columns:
     cells_V: NDArray[np.float64] | None = None
 
     def at(self, chosen: Any) -> Columns:
-        """Some of the rows, by mask or index."""
+        """Return some of the rows, chosen by mask or index."""
         return Columns(
             time_s=self.time_s[chosen],
             voltage_V=self.voltage_V[chosen],
@@ -46,12 +46,12 @@ class Columns:
 
     @property
     def first_current_s(self) -> float:
-        """Time of the first row that reports a current [s], NaN if none does."""
+        """Return the time of the first row that reports a current [s]; NaN if none does."""
         known = np.isfinite(self.current_A)
         return float(self.time_s[np.argmax(known)]) if known.any() else NAN
 
     def samples(self) -> list[Sample]:
-        """The rows as values."""
+        """Return the rows as samples."""
         columns = (self.time_s, self.voltage_V, self.current_A, self.temp_C, self.consumed_Ah, self.reported_soc)
         armed = [_ARMED[a] for a in self.armed.tolist()]
         numbers = [_listed(c) for c in columns]
@@ -73,7 +73,7 @@ def _known(cells_V: list[float]) -> tuple[float, ...]:
 
 
 def rows_of(samples: Sequence[Sample]) -> Columns:
-    """Samples as columns."""
+    """Return samples as columns."""
     numbers = [(s.time_s, s.voltage_V, s.current_A, s.temp_C, s.consumed_Ah, s.reported_soc) for s in samples]
     width = max((len(s.cell_voltages_V) for s in samples), default=0)
     cells_V = [[*s.cell_voltages_V, *[NAN] * (width - len(s.cell_voltages_V))] for s in samples]
@@ -84,7 +84,10 @@ def rows_of(samples: Sequence[Sample]) -> Columns:
 
 
 def distinct(values: NDArray[Any]) -> list[int]:
-    """Different whole numbers in the order of their first appearance. (np.unique loads a fifth of numpy more.)"""
+    """Return the different whole numbers in the order of their first appearance.
+
+    np.unique is not used: it loads a fifth of numpy more.
+    """
     found: list[int] = []
     while len(values):
         found.append(int(values[0]))
@@ -93,5 +96,5 @@ def distinct(values: NDArray[Any]) -> list[int]:
 
 
 def latest_before(order: Order, events: Order) -> Order:
-    """Index of the last of `events` that stands before each place of `order` (both ascending), -1 where none does."""
+    """Return the index of the last of `events` before each place of `order` (both ascending), -1 where none is."""
     return np.asarray(events.searchsorted(order, side="left") - 1, np.int64)

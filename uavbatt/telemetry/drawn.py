@@ -16,7 +16,9 @@ LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
 
 
 class Drawn(NamedTuple):
-    """Charge [Ah] and energy [Wh] by trapezoids over the steps that are no gap, and the time of those with both [s].
+    """Drawn holds the charge [Ah] and energy [Wh] of a flight, by trapezoids, and the time of the steps with both [s].
+
+    A step that is a gap does not count.
 
     counter_Ah : what the autopilot's counter rose by in the same steps. NaN where no step tells.
     """
@@ -28,7 +30,7 @@ class Drawn(NamedTuple):
 
 
 def drawn(samples: Iterable[Sample], limit_s: float) -> Drawn:
-    """Return what was drawn; a step longer than `limit_s` [s] is a gap.
+    """Return the charge and energy that a flight drew; a step longer than `limit_s` [s] is a gap.
 
     A counter that falls was reset (reboot, new pack): that step is left out.
     """
@@ -54,7 +56,7 @@ def _sum(values: Iterable[float]) -> float:
 
 
 def loaded_A(current_A: NDArray[np.float64]) -> float:
-    """Return the current [A] above which a row is under load: a third of the upper one; infinite without any."""
+    """Return the current [A] above which a row is under load: a third of the upper one; infinite if none is known."""
     if not np.isfinite(current_A).any():
         return math.inf
     return LOADED_SHARE * float(np.nanpercentile(current_A, 90))

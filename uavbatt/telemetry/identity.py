@@ -25,31 +25,34 @@ _SYSTEM = ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID")
 
 
 def utc_s(clock_s: float) -> float:
-    """A clock's time [s since 1970] if it was ever set, else NaN."""
+    """Return a clock's time [s since 1970] if it was ever set, else NaN."""
     return clock_s if clock_s >= _EARLIEST_UTC_S else NAN
 
 
 def gps_utc_s(week: float, time_of_week_ms: float) -> float:
-    """UTC [s since 1970] of GPS time; NaN before there is a fix."""
+    """Return the UTC [s since 1970] of a GPS time (week, time of week [ms]); NaN before there is a fix."""
     return utc_s(_GPS_EPOCH_S + week * _WEEK_S + time_of_week_ms / 1000 - _LEAP_S) if week > 0 else NAN
 
 
 def version(number: int) -> str:
-    """`4.5.1`, `4.6.0-beta`: major, minor, patch and kind in the bytes of MAVLink's and PX4's version number."""
+    """Return MAVLink's or PX4's version number in words, `4.5.1` or `4.6.0-beta`.
+
+    Its bytes hold major, minor, patch and kind.
+    """
     text = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
     kind = _KINDS.get(number & 0xC0 if number & 0xFF != 0xFF else 0xFF, "")
     return f"{text}-{kind}" if kind else text
 
 
 def firmware_of(messages: Iterable[str]) -> str:
-    """The first message that names a version; the autopilot says at its start what it is."""
+    """Return the first message that names a version: the autopilot says at its start what it is. Empty if none does."""
     return next((m.strip() for m in messages if _VERSION.search(m)), "")
 
 
 def completed(
     identity: Identity, parameters: Iterable[tuple[float, str, float]], instance: int, pack: PackIdentity | None = None
 ) -> Identity:
-    """The identity with what one pack says of itself, and the parameters of the vehicle's number and its serial."""
+    """Return the identity with what one pack says of itself, and the parameters of vehicle number and serial."""
     pack = pack or PackIdentity(instance)
     said: Mapping[str, float] = {name: value for _, name, value in parameters}
     system = next((int(said[name]) for name in _SYSTEM if said.get(name, NAN) > 0), None)

@@ -21,7 +21,7 @@ _OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc")
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """A log in figures. Ranges are (lowest, highest), NaN where nothing was measured.
+    """LogInfo describes a log in figures. Ranges are (lowest, highest), NaN where nothing was measured.
 
     gaps: (start [s], length [s]). drawn_Ah is the integral of the current, counter_Ah what the
     autopilot counted over the same steps; neither includes gaps. trust is "yes", "with care" or "no".
@@ -102,13 +102,13 @@ def describe(flight: Flight) -> LogInfo:
 
 
 def median_step_s(samples: Sequence[Sample]) -> float:
-    """Median time between rows [s]; NaN with fewer than two rows."""
+    """Return the median time between rows [s]; NaN with fewer than two rows."""
     steps_s = [b.time_s - a.time_s for a, b in _pairs(samples)]
     return median(steps_s) if steps_s else NAN
 
 
 def gap_limit_s(step_s: float) -> float:
-    """A longer step [s] is a gap: 5 median steps or 10 s, but never under 2 median steps.
+    """Return the step [s] above which a step is a gap: 5 median steps or 10 s, but never under 2 median steps.
 
     The floor keeps a log with a row every 12 s from being all gaps.
     """
@@ -116,13 +116,13 @@ def gap_limit_s(step_s: float) -> float:
 
 
 def missing(samples: Sequence[Sample]) -> tuple[str, ...]:
-    """Names of the columns that no row fills."""
+    """Return the names of the columns that no row fills."""
     empty = [name for name in _OPTIONAL if all(math.isnan(getattr(s, name)) for s in samples)]
     return tuple(empty + (["armed"] if all(s.armed is None for s in samples) else []))
 
 
 def lines(info: LogInfo) -> list[str]:
-    """The description as lines of text."""
+    """Return the description as lines of text."""
     others = ", ".join(str(i) for i in info.instances)
     text = [
         f"log          {info.source} ({info.kind})",

@@ -22,19 +22,22 @@ ALIKE = 0.1  # wires and sensors tell packs in parallel apart by a few percent
 
 
 class Wiring(StrEnum):
-    """The wiring of an aircraft's batteries."""
+    """Wiring says how the batteries of an aircraft are connected."""
 
     PARALLEL = "parallel"
     SERIES = "series"
 
 
 def read_joined(path: str | Path, wiring: Wiring, system: int | None = None) -> Flight:
-    """All batteries of a log as one pack. Raises UsageError for a log of one battery, else as `read_log`."""
+    """Read all batteries of a log as one pack.
+
+    Raises UsageError for a log of one battery, else as `read_log`.
+    """
     return bytes_joined(*content_of(Path(path)), wiring, system)
 
 
 def bytes_joined(source: str, data: Content, wiring: Wiring, system: int | None = None) -> Flight:
-    """The same of a log that is in memory; `source` is its name."""
+    """Read all batteries of a log in memory as one pack; `source` is its name. Otherwise as `read_joined`."""
     return _all_joined(lambda instance: read_bytes(source, data, instance, system), wiring)
 
 
@@ -46,7 +49,10 @@ def _all_joined(read: Callable[[int | None], Flight], wiring: Wiring) -> Flight:
 
 
 def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:
-    """The batteries `flights` of one log as one pack; UsageError for voltages that cannot be in parallel."""
+    """Return the batteries `flights` of one log as one pack.
+
+    Raises UsageError for voltages that cannot be in parallel.
+    """
     typical_V = [_typical_V(flight) for flight in flights]
     if wiring is Wiring.PARALLEL and max(typical_V) > (1.0 + ALIKE) * min(typical_V):
         shown = " and ".join(f"{v:.1f} V" for v in typical_V)

@@ -33,7 +33,7 @@ AUTOPILOT_COMPONENT = 1
 
 
 class Taken(NamedTuple):
-    """The result of a frame: the rows that it completes, and True if it is the followed vehicle's (to be recorded)."""
+    """Taken holds the rows that a frame completes, and True if the frame is the followed vehicle's (to be recorded)."""
 
     rows: list[LiveRow]
     is_ours: bool
@@ -43,7 +43,7 @@ NOTHING = Taken([], False)
 
 
 def is_sound(frame: bytes, end: int, extra: int) -> bool:
-    """Return True if the checksum behind the payload, which ends at `end`, is that of a message with this seed."""
+    """Return True if the checksum behind the payload, which ends at `end`, is right; `extra` is the message's seed."""
     from pymavlink.generator.mavcrc import x25crc
 
     crc = x25crc(frame[1:end] + bytes([extra]))
@@ -51,7 +51,7 @@ def is_sound(frame: bytes, end: int, extra: int) -> bool:
 
 
 def checksum() -> Callable[[bytes], bool]:
-    """Return True if a whole frame's checksum is good; a message that this dialect does not know counts as good."""
+    """Return a function that is True for a whole frame whose checksum is good or whose message this dialect lacks."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     extras = {number: kind.crc_extra for number, kind in ardupilotmega.mavlink_map.items()}
@@ -66,7 +66,7 @@ def checksum() -> Callable[[bytes], bool]:
 
 
 class LiveReader:
-    """Frames in order of reception; follows one vehicle, and says whom it heard."""
+    """LiveReader takes frames in order of reception, follows one vehicle, and says whom it heard."""
 
     def __init__(
         self, system: int | None = None, component: int | None = None, own_component: int | None = None
@@ -84,12 +84,12 @@ class LiveReader:
 
     @property
     def system(self) -> int | None:
-        """System of the followed vehicle; before there is one, what was asked for."""
+        """Return the system of the followed vehicle; before there is one, the system that was asked for."""
         return self.followed.system if self.followed is not None else self._asked[0]
 
     @property
     def component(self) -> int | None:
-        """Component of the followed autopilot."""
+        """Return the component of the followed autopilot; before there is one, the one that was asked for."""
         return self.followed.component if self.followed is not None else self._asked[1]
 
     @property
@@ -99,12 +99,12 @@ class LiveReader:
 
     @property
     def now_s(self) -> float:
-        """Time of the vehicle's last frame, from its first [s]."""
+        """Return the time of the vehicle's last frame, from its first [s]."""
         return self.followed.now_s if self.followed is not None else 0.0
 
     @property
     def armed(self) -> bool | None:
-        """The armed bit of the vehicle's last heartbeat; None before it."""
+        """Return the armed bit of the vehicle's last heartbeat; None before it."""
         return self.followed.armed if self.followed is not None else None
 
     @property
@@ -123,23 +123,23 @@ class LiveReader:
 
     @property
     def battery_ids(self) -> set[int]:
-        """Batteries of which BATTERY_STATUS speaks."""
+        """Return the ids of the batteries of which BATTERY_STATUS speaks."""
         return self.followed.battery_ids if self.followed is not None else set()
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """The vehicle's parameters that count."""
+        """Return the vehicle's parameters that count, by name."""
         return self.followed.parameters.known if self.followed is not None else self._resumed
 
     @property
     def doubted(self) -> Mapping[str, float]:
-        """Parameters that are said to have changed in flight, and do not count yet."""
+        """Return the parameters that are said to have changed in flight, and do not count yet, by name."""
         found = self.followed.parameters.doubted if self.followed is not None else {}
         return {name: doubt.value for name, doubt in found.items()}
 
     @property
     def hardware(self) -> str:
-        """Serial number of the followed autopilot; empty until it has told it."""
+        """Return the serial number of the followed autopilot; empty until it has told it."""
         return self.followed.hardware if self.followed is not None else ""
 
     def pack(self, instance: int) -> fields.PackIdentity:
@@ -148,11 +148,11 @@ class LiveReader:
 
     @property
     def version(self) -> tuple[int, int]:
-        """Return a number that changes with every change of a parameter."""
+        """Return two numbers: one grows when another vehicle is followed, the other when a parameter changes."""
         return self.changes, self.followed.parameters.version if self.followed is not None else 0
 
     def resume(self, parameters: Mapping[str, float]) -> None:
-        """Parameters that an earlier process heard of this vehicle, instead of any resumed before.
+        """Take over parameters that an earlier process heard of this vehicle, instead of any resumed before.
 
         Before a vehicle is followed they wait for it. What the vehicle itself says goes before.
         """
@@ -170,7 +170,7 @@ class LiveReader:
         return self.followed.senders.conflict(instance, self._now_s) if self.followed is not None else ""
 
     def notes(self) -> list[str]:
-        """Notes for the operator about who is heard and who is believed."""
+        """Return notes for the operator about who is heard and who is believed."""
         found, vehicle = [], self.followed
         if len(self._heard) > 1 or (self._heard and vehicle is None):
             whom = f"following {vehicle.system}" if vehicle is not None else f"waiting for {self._wanted}"
@@ -186,7 +186,10 @@ class LiveReader:
         return found
 
     def take(self, frame: bytes, header: framing.Header, stamp_s: float, sender: object = None) -> Taken:
-        """Take in a frame. `stamp_s` [s]: time of reception, never falling; `sender`: who sent it, if that is known."""
+        """Take in a frame, and return what it gives.
+
+        stamp_s : time of reception [s], never falling; sender : who sent it, if that is known
+        """
         self._now_s = stamp_s
         if header.message_id in fields.IDENTITY_LENGTH:
             self._meet(frame, header)

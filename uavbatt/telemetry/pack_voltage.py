@@ -25,7 +25,7 @@ ANOTHER_PACK_S = 5.0  # of silence on the ground
 
 
 class Cells(NamedTuple):
-    """The cells of one battery as they were told so far."""
+    """Cells holds what was told so far of the cells of one battery."""
 
     most: int = 0  # cells that were told at once
     time_s: float = math.nan
@@ -35,7 +35,7 @@ class Cells(NamedTuple):
 
 
 class PackVoltages:
-    """The voltages of the packs of one vehicle; `of` corrects a row, `notes` says what is corrected now."""
+    """PackVoltages corrects the pack voltages of one vehicle: `of` a row; `notes` says what is corrected now."""
 
     def __init__(self) -> None:
         self._cells: dict[int, Cells] = {}

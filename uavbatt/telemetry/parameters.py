@@ -21,14 +21,14 @@ BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
 
 
 class HeardOnce(NamedTuple):
-    """A change of a parameter that was heard once, and the sequence number of the frame that said it."""
+    """HeardOnce holds a change of a parameter that was heard once, and the sequence number of the frame with it."""
 
     value: float
     sequence: int
 
 
 class HeardParameters:
-    """Tells which statements of a vehicle about its parameters count, in the order in which they are heard.
+    """HeardParameters tells which statements of a vehicle about its parameters count, in the order of hearing.
 
     The first statement of a parameter counts at once, and on the ground every change. In the air one frame may be
     forged or damaged: a change of a battery parameter counts when a second frame says the same (one that was doubled on
@@ -42,7 +42,7 @@ class HeardParameters:
         self._resumed: set[str] = set()  # of the known ones, those that only an earlier process heard
 
     def counts(self, name: str, value: float, sequence: int, is_armed: bool) -> bool:
-        """Take a statement; say whether it counts from now on."""
+        """Take a statement of a parameter; return True if it counts from now on."""
         was = self.known.get(name)
         if was is not None and _is_same(was, value):
             self.doubted.pop(name, None)
@@ -73,7 +73,7 @@ def _is_same(a: float, b: float) -> bool:
 
 
 def ardupilot_prefix(instance: int) -> str:
-    """`BATT_`, `BATT2_` .. `BATT9_`, `BATTA_` ..."""
+    """Return how the parameter names of a battery begin: `BATT_`, `BATT2_` .. `BATT9_`, `BATTA_` ..."""
     if instance == 0:
         return "BATT_"
     return f"BATT{instance + 1}_" if instance < 9 else f"BATT{chr(ord('A') + instance - 9)}_"
@@ -82,7 +82,7 @@ def ardupilot_prefix(instance: int) -> str:
 def facts_timeline(
     parameters: Iterable[tuple[float, str, float]], instance: int, is_telemetry: bool
 ) -> tuple[tuple[float, PackFacts], ...]:
-    """(time [s], facts in force from then on) of one battery, ascending.
+    """Return (time [s], facts in force from then on) of one battery, ascending.
 
     is_telemetry: the voltages came over MAVLink. The sag-compensation option bends only those;
     ArduPilot's on-board log holds the measured voltage whatever the option says.
@@ -103,7 +103,7 @@ def facts_timeline(
 
 
 def capacity_notes(parameters: Iterable[tuple[float, str, float]], instance: int) -> list[str]:
-    """A note when the capacity is the value ArduPilot ships with, which says nothing of the pack."""
+    """Return a note if the capacity is the value that ArduPilot ships with, which says nothing of the pack."""
     name = ardupilot_prefix(instance) + "CAPACITY"
     last = {n: value for _, n, value in parameters}
     if last.get(name) != _UNTOUCHED_CAPACITY_MAH:
@@ -112,7 +112,10 @@ def capacity_notes(parameters: Iterable[tuple[float, str, float]], instance: int
 
 
 def monitor_parameter(instance: int) -> str:
-    """The parameter that says how an ArduPilot battery is measured; VOLTAGE_ONLY: a logged 0 A is no reading."""
+    """Return the name of the parameter that says how an ArduPilot battery is measured.
+
+    Where its value is VOLTAGE_ONLY, a logged 0 A is no reading.
+    """
     return ardupilot_prefix(instance) + "MONITOR"
 
 

@@ -57,7 +57,7 @@ def temperature_verdict(samples: Sequence[Sample]) -> str:
 
 
 def sag_correlation(samples: Sequence[Sample]) -> float:
-    """Correlation of voltage steps with current steps; NaN with fewer than 20 steps above 1 A.
+    """Return the correlation of voltage steps with current steps; NaN with fewer than 20 steps above 1 A.
 
     Near -1 where both were measured at one instant. Near 0: they are not simultaneous (smart packs), or
     the autopilot has taken the sag out of the voltage.

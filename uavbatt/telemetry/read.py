@@ -69,7 +69,7 @@ def read_bytes(source: str, data: Content, instance: int | None = None, system: 
 
 
 def read_columns(path: str | Path, instance: int | None = None) -> Columns:
-    """The rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
+    """Read the rows of one battery as numpy columns, for programs that want no objects. Otherwise as `read_log`."""
     from uavbatt.telemetry.columns import rows_of
 
     _, log = _read(*content_of(Path(path)))
@@ -78,7 +78,10 @@ def read_columns(path: str | Path, instance: int | None = None) -> Columns:
 
 
 def content_of(path: Path) -> tuple[str, Content]:
-    """The name of a log, and its bytes, read once: standard input and pipes give them no second time."""
+    """Return the name and the bytes of a log, read once: standard input and pipes cannot be read twice.
+
+    Raises BadInput for a file that cannot be read.
+    """
     if str(path) == STANDARD_INPUT:
         return as_log("standard input", sys.stdin.buffer.read())
     if path.is_dir():

@@ -26,7 +26,7 @@ APART_VOLTAGE, APART_CURRENT, APART_CURRENT_A, APART_CHARGE_AH = 0.01, 0.1, 1.0,
 
 
 class SenderRow(NamedTuple):
-    """A row of one sender."""
+    """A SenderRow holds one sender's readings of a battery; NaN is unknown."""
 
     time_s: float
     voltage_V: float
@@ -35,7 +35,10 @@ class SenderRow(NamedTuple):
 
 
 class Senders:
-    """The senders of one vehicle's frames: addresses, or whatever else tells one stream from another."""
+    """Senders chooses which of the senders of a vehicle's frames is believed, and compares their readings.
+
+    A sender is an address, or whatever else tells one stream from another.
+    """
 
     def __init__(self) -> None:
         self._believed: object = self  # no sender yet
@@ -44,7 +47,7 @@ class Senders:
         self._conflicts: dict[int, tuple[float, str]] = {}
 
     def admits(self, sender: object, time_s: float, is_battery: bool) -> bool:
-        """Return True if a frame of this sender counts. `time_s` [s]: reception."""
+        """Return True if a frame of this sender, received at `time_s` [s], counts."""
         if sender != self._believed:
             is_silent = time_s - self._heard_s > SILENT_S
             if not (is_silent or (is_battery and time_s - self._spoke_s > WORDLESS_S)):
@@ -56,7 +59,7 @@ class Senders:
         return True
 
     def compare(self, sender: object, battery: BatteryFields, time_s: float) -> None:
-        """Take a row of whatever sender, and look whether the senders of this battery agree."""
+        """Take a battery's row from any sender, and note if the senders of this battery disagree."""
         if battery.id not in self._rows and len(self._rows) >= MOST_BATTERIES:
             return
         by_sender = self._rows.setdefault(battery.id, {})
@@ -80,12 +83,12 @@ class Senders:
         return words if time_s - at_s <= HELD_S else ""
 
     def conflicts(self, time_s: float) -> list[tuple[int, str]]:
-        """Every battery whose senders disagree."""
+        """Return every battery whose senders disagree, with what they disagree on."""
         return [(number, words) for number in self._conflicts if (words := self.conflict(number, time_s))]
 
 
 def apart(one: Iterable[SenderRow], other: Iterable[SenderRow]) -> str:
-    """The quantity in which two sources of one battery cannot be the same; empty when they can."""
+    """Return the quantity in which two sources cannot be one battery, in words; empty when they can."""
     a, b = list(one), list(other)
     for name, share, least in (
         ("voltage_V", APART_VOLTAGE, 0.0),

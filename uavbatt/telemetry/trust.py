@@ -36,7 +36,7 @@ Finding = tuple[int, str]  # severity, reason
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The findings that the judgement rests on; gaps are (start [s], length [s])."""
+    """Findings are what the judgement rests on; gaps are (start [s], length [s])."""
 
     samples: Sequence[Sample]
     step_s: float
@@ -51,7 +51,7 @@ class Findings:
 
 
 def verdict(found: Findings) -> tuple[str, tuple[str, ...]]:
-    """("yes" | "with care" | "no", reasons, the most severe first)."""
+    """Return the judgement ("yes", "with care" or "no") and its reasons, the most severe first."""
     findings = [*_rows(found), *_current(found), *_voltage(found), *_surroundings(found)]
     findings.sort(key=lambda finding: -finding[0])
     gravest = findings[0][0] if findings else _YES

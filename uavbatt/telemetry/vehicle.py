@@ -46,21 +46,21 @@ BATTERY_IDS = (fields.BATTERY_STATUS, fields.SYS_STATUS, fields.BATTERY2)
 
 
 class LiveRow(NamedTuple):
-    """One telemetry row of one battery."""
+    """A LiveRow is one telemetry row of one battery."""
 
     instance: int
     sample: Sample
 
 
 def battery_fields(message_id: int, message: Any) -> fields.BatteryFields:
-    """A battery message (one of BATTERY_IDS) in SI."""
+    """Return a battery message (one of BATTERY_IDS) in SI units."""
     if message_id == fields.BATTERY_STATUS:
         return fields.battery_status(message)
     return fields.sys_status(message) if message_id == fields.SYS_STATUS else fields.battery2(message)
 
 
 class Vehicle:
-    """Frames of one autopilot in order of reception; holds what a row needs from earlier frames."""
+    """Vehicle takes the frames of one autopilot in order of reception, and keeps what a row needs of earlier ones."""
 
     def __init__(self, system: int, component: int, own_component: int | None = None) -> None:
         self.system, self.component = system, component
@@ -87,16 +87,16 @@ class Vehicle:
 
     @property
     def now_s(self) -> float:
-        """Time of the vehicle's last frame, from its first [s]."""
+        """Return the time of the vehicle's last frame, from its first [s]."""
         return self._log.now_s
 
     @property
     def armed(self) -> bool | None:
-        """The armed bit of the last heartbeat; None before it."""
+        """Return the armed bit of the last heartbeat; None before it."""
         return self._log.armed
 
     def passes(self, stamp_s: float) -> float:
-        """A frame of its system has come: time goes on. Returns the time from its first frame [s]."""
+        """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""
         return self._log.time_s(stamp_s)
 
     def facts(self, instance: int) -> PackFacts:
@@ -118,7 +118,7 @@ class Vehicle:
         self.route.builder.settings(self.now_s, self.parameters.known)
 
     def take_other(self, message_id: int, message: Any, frame: bytes) -> bool:
-        """Take what another station says to the autopilot; return whether it is of its mission."""
+        """Take a mission message of another station; return True if it was sent to this autopilot."""
         if (message.target_system, message.target_component) not in ((self.system, self.component), (self.system, 0)):
             return False
         self._in_transfer(frame, lambda: self.route.take_other(self.now_s, message_id, message))
@@ -140,7 +140,7 @@ class Vehicle:
     def take(
         self, message_id: int, message: Any, battery: fields.BatteryFields | None, frame: bytes, time_s: float
     ) -> list[LiveRow]:
-        """Rows that a wanted message of the autopilot completes; `battery` is what it says of one, if it does."""
+        """Return the rows that a wanted message of the autopilot completes; `battery` is its reading of one, if any."""
         if message_id == fields.HEARTBEAT:
             self._log.armed = fields.is_armed(message)
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4

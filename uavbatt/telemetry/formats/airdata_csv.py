@@ -29,7 +29,7 @@ WORDS = {"start_utc": ("datetime(utc)",)}
 
 
 def read_airdata(source: str, data: bytes) -> LogBuilder:
-    """The rows of an export of AirData; `source` names it in errors."""
+    """Read the rows of an export of AirData; `source` names it in errors. Raises BadInput for a bad table."""
     said = first_words(data, WORDS).get("start_utc", "")
     log = LogBuilder(identity=Identity(start_utc_s=_utc_s(said)))
     add_rows(read_rows(source, data, COLUMNS, ("time_s", "voltage_V"), log), log)

@@ -27,7 +27,7 @@ COLUMNS: Columns = {
 
 
 def read_blackbox(source: str, data: bytes) -> LogBuilder:
-    """The rows of a decoded blackbox log; `source` names it in errors."""
+    """Read the rows of a decoded blackbox log; `source` names it in errors. Raises BadInput for a bad table."""
     log = LogBuilder()
     _add_means(read_rows(source, data, COLUMNS, ("time_s", "voltage_V"), log), log)
     return log

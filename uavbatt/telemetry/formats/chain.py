@@ -26,7 +26,7 @@ _BLOCK = 1 << 16  # bytes; masks of this size the allocator keeps, bigger ones c
 
 
 class Chain:
-    """The walk through a file: its place, and the bytes between sound records, which count as skipped."""
+    """A Chain walks through a file: it holds its place, and counts the bytes between sound records as skipped."""
 
     def __init__(self) -> None:
         self.position = 0
@@ -35,7 +35,7 @@ class Chain:
         self.gap_start = 0  # of the gap that ends at `position`, if it is one
 
     def take(self, starts: Places, ends: Places, sure: Mask | None, vouch: Vouch, judge: Judge, until: int) -> Mask:
-        """Which of the candidates are records, from `position` on until one ends at or behind `until`.
+        """Return a mask of the candidates that are records, from `position` on until one ends at or behind `until`.
 
         starts, ends: ascending, one candidate each; all that begin before `until` must be there. sure: inside the
         chain, these are records when the next candidate begins where they end (None: all of them). vouch: the same
@@ -75,7 +75,7 @@ class Chain:
         return taken
 
     def copy(self) -> Chain:
-        """A copy to try on."""
+        """Return a copy, on which a walk can be tried."""
         return copy(self)
 
     def _skip(self, to: int) -> None:
@@ -86,7 +86,7 @@ class Chain:
 
 
 def windows(size: int, length: int) -> Iterator[tuple[int, int]]:
-    """Consecutive (begin, end) that cover a file of `size` bytes; the first is short: descriptions stand in front."""
+    """Yield consecutive (begin, end) that cover a file of `size` bytes; the first is short: descriptions come first."""
     begin, end = 0, min(_FIRST_WINDOW, size)
     while begin < size:
         yield begin, end
@@ -94,13 +94,13 @@ def windows(size: int, length: int) -> Iterator[tuple[int, int]]:
 
 
 def places_where(is_so: Callable[[int, int], Mask], begin: int, end: int) -> Places:
-    """Places from `begin` to `end` for which `is_so` (asked for a stretch of them at a time) holds, ascending."""
+    """Return the places from `begin` to `end` where `is_so` (asked for stretches of them) holds, ascending."""
     blocks = [(at, min(at + _BLOCK, end)) for at in range(begin, end, _BLOCK)]
     return np.concatenate([np.zeros(0, np.int64), *(np.flatnonzero(is_so(*block)) + block[0] for block in blocks)])
 
 
 def gathered(data: Bytes, starts: Places, width: int) -> Bytes:
-    """`width` bytes from each start (ascending), one row each; behind the end of the data stand zeros."""
+    """Return `width` bytes from each start (ascending), one row each; behind the end of the data stand zeros."""
     inside = int(starts.searchsorted(len(data) - width, side="right"))
     found = np.zeros((len(starts), width), np.uint8)
     if inside:

@@ -15,7 +15,7 @@ Checksums = NDArray[np.uint16]
 def checksums(
     data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int64], seed: NDArray[np.int64]
 ) -> Checksums:
-    """The checksum of `length` bytes from each `start`, followed by the message's own seed byte."""
+    """Return the checksum of `length` bytes from each `start`, followed by the message's own seed byte."""
     longest_first = np.argsort(-length, kind="stable")
     start, length = start[longest_first], length[longest_first]
     table, crc = _after_two(), np.full(len(start), 0xFFFF, np.uint16)

@@ -43,7 +43,7 @@ _ARMED = {"1": True, "true": True, "0": False, "false": False, "": None, "nan": 
 
 
 def read_csv(source: str, data: bytes) -> LogBuilder:
-    """The rows of a telemetry CSV; `path` only names the file in errors."""
+    """Read the rows of a telemetry CSV; `source` names it in errors. Raises BadInput for a bad table."""
     text = data.decode("utf-8-sig", errors="replace")
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
     log = LogBuilder()

@@ -79,7 +79,7 @@ class _Definitions:
 
 
 def read_dataflash(data: bytes | memoryview) -> LogBuilder:
-    """All batteries' rows and the parameters of a binary DataFlash log."""
+    """Read all batteries' rows and the parameters of a binary DataFlash log."""
     log = LogBuilder()
     records = _Records(np.frombuffer(data, np.uint8))
     log.skipped_bytes = records.skipped_bytes

@@ -18,7 +18,7 @@ STRUCT_OF = {
 
 @dataclass(frozen=True, slots=True)
 class MessageLayout:
-    """One record type: its number, name, format letters and column names."""
+    """A MessageLayout describes one record type: its number, name, format letters and column names."""
 
     type: int
     name: str
@@ -27,11 +27,11 @@ class MessageLayout:
 
     @property
     def body(self) -> struct.Struct:
-        """The packed body after the three header bytes."""
+        """Return the packed layout of the body, which follows the three header bytes."""
         return struct.Struct("<" + "".join(STRUCT_OF[letter] for letter in self.format))
 
     def record(self, *values: bytes | float) -> bytes:
-        """One whole record: header and `values` in the order of the columns."""
+        """Return one whole record: the header, and `values` in the order of the columns."""
         return HEAD + bytes([self.type]) + self.body.pack(*values)
 
 

@@ -41,7 +41,7 @@ LAST_INSTANCE, NO_INSTANCE = 255, -1
 
 @dataclass(frozen=True, slots=True)
 class RowLayout:
-    """One FMT record: the message's name, one format character and one label a field."""
+    """A RowLayout holds one FMT record: the message's name, one format character and one label for each field."""
 
     name: str
     chars: str
@@ -49,7 +49,7 @@ class RowLayout:
 
     @property
     def ticks_per_s(self) -> float:
-        """Ticks of the time field per second, 0 if there is none.
+        """Return the ticks of the time field per second; 0 if there is none.
 
         Only a first field counts: the `TimeMS` inside old GPS records is the time of week.
         """
@@ -58,7 +58,7 @@ class RowLayout:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Records of one layout as columns by label; `order` is their place in the log, whatever its unit."""
+    """A Table holds the records of one layout as columns by label; `order` is their place in the log, in any unit."""
 
     layout: RowLayout
     order: Order
@@ -66,7 +66,7 @@ class Table:
     texts: Mapping[str, Sequence[str]]
 
     def column(self, label: str) -> Column:
-        """A column of numbers; NaN throughout if there is none of this label, NaN for what is infinite."""
+        """Return a column of numbers; NaN throughout if there is none of this label, NaN for what is infinite."""
         found = self.numbers.get(label)
         if found is None:
             return np.full(len(self.order), np.nan)
@@ -74,21 +74,24 @@ class Table:
 
 
 class Moment(NamedTuple):
-    """A record that tells the time: its place in the log, and the log's own clock [s]."""
+    """A Moment is a record that tells the time: its place in the log, and the log's own clock [s]."""
 
     order: int
     raw_s: float
 
 
 class DataflashClock(NamedTuple):
-    """Records by which the log's time is told: their places, what the log's own clock says [s], the time [s]."""
+    """DataflashClock holds the records that tell the log's time: place, the log's own clock [s], time [s]."""
 
     order: Order
     raw_s: Column
     time_s: Column
 
     def times_s(self, table: Table) -> Column:
-        """Times of a table's records [s]; without a stamp of their own that of the clock's record before each."""
+        """Return the times of a table's records [s].
+
+        A record without a stamp of its own has the time of the clock's record before it.
+        """
         if not len(self.order):
             return np.zeros(len(table.order))
         last = np.maximum(latest_before(table.order, self.order), 0)

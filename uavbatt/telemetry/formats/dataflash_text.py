@@ -34,7 +34,7 @@ class _Lines:
 
 
 def read_dataflash_text(data: bytes) -> LogBuilder:
-    """All batteries' rows and the parameters of a text DataFlash log."""
+    """Read all batteries' rows and the parameters of a text DataFlash log."""
     log = LogBuilder()
     layouts: dict[str, RowLayout] = {}
     wanted: dict[RowLayout, _Lines] = {}

@@ -79,13 +79,13 @@ def _sample_records(samples: Iterable[Sample], instance: int) -> Iterator[tuple[
 
 
 def format_record(layout: MessageLayout) -> bytes:
-    """The FMT record that describes `layout`."""
+    """Return the FMT record that describes `layout`."""
     length = len(HEAD) + 1 + layout.body.size
     return FMT.record(layout.type, length, layout.name.encode(), layout.format.encode(), layout.columns.encode())
 
 
 def parameter_record(time_us: int, name: str, value: float) -> bytes:
-    """One PARM; names have at most 16 characters."""
+    """Return one PARM record. Raises ValueError for a name of more than 16 characters."""
     encoded = name.encode("ascii")
     if len(encoded) > 16:
         raise ValueError(f"parameter {name!r}: at most 16 characters fit")
@@ -93,7 +93,7 @@ def parameter_record(time_us: int, name: str, value: float) -> bytes:
 
 
 def battery_record(time_us: int, sample: Sample, instance: int) -> bytes:
-    """One BAT of `sample`; see the module's text for what unknown becomes."""
+    """Return one BAT record of `sample`; see the module's text for what unknown becomes."""
     return BAT.record(
         time_us,
         instance,
@@ -109,7 +109,7 @@ def battery_record(time_us: int, sample: Sample, instance: int) -> bytes:
 
 
 def temperature_cdegC(temp_C: float) -> int:
-    """Hundredths of a degree [cdegC]; 0 = no sensor, so a measured zero is moved by one step."""
+    """Return a temperature [°C] in hundredths [cdegC]; 0 means no sensor, so a measured zero moves by one step."""
     if not math.isfinite(temp_C):
         return round(NO_SENSOR_C)
     hundredths = min(max(round(temp_C * 100.0), -32768), 32767)
@@ -117,5 +117,5 @@ def temperature_cdegC(temp_C: float) -> int:
 
 
 def percent(soc: float) -> int:
-    """Remaining per cent 0..100, 255 when unknown."""
+    """Return the remaining per cent, 0..100, of a state of charge; 255 when it is unknown."""
     return min(max(round(soc * 100.0), 0), 100) if math.isfinite(soc) else UNKNOWN_PERCENT

@@ -38,7 +38,7 @@ WORDS = {
 
 
 def read_dji_record(source: str, data: bytes) -> LogBuilder:
-    """The rows of a DJI flight record; `source` names it in errors."""
+    """Read the rows of a DJI flight record; `source` names it in errors. Raises BadInput for a bad table."""
     said = first_words(data, WORDS)
     serial = known_serial(said.get("battery", ""))
     log = LogBuilder(identity=Identity(hardware=said.get("aircraft", ""), battery_serial=serial))

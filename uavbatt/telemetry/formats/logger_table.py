@@ -21,14 +21,14 @@ _TRUTHS = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
 
 
 class Row(NamedTuple):
-    """A row of a table: its cells as they were written, and in our units; NaN is not measured."""
+    """A Row of a table holds its cells as they were written, and their values in our units; NaN is not measured."""
 
     cells: tuple[str, ...]
     values: Mapping[str, float]
 
 
 def scaled(factor: float, offset: float = 0.0) -> Cell:
-    """Return what reads a number and turns it into our unit."""
+    """Return a function that reads a cell as a number and converts it into our unit: factor * number + offset."""
     return lambda cell: finite_or_nan(factor * float(cell) + offset)
 
 
@@ -36,12 +36,12 @@ NUMBER, MILLI, FAHRENHEIT = scaled(1.0), scaled(1e-3), scaled(5.0 / 9.0, -160.0 
 
 
 def truth(cell: str) -> float:
-    """1 for true, 0 for false, NaN for anything else."""
+    """Return 1 for true, 0 for false, NaN for anything else."""
     return _TRUTHS.get(cell.lower(), NAN)
 
 
 def kind_of_table(head: bytes) -> str:
-    """Return the kind of log whose table begins so: `airdata`, `dji-record`, `blackbox`, else `csv`."""
+    """Return the kind of log whose table begins with `head`: `airdata`, `dji-record`, `blackbox`, else `csv`."""
     names = _header(csv.reader(head.decode("utf-8-sig", errors="replace").splitlines()))
     if "time(millisecond)" in names:
         return "airdata"
@@ -82,7 +82,7 @@ def read_rows(source: str, data: bytes, wanted: Columns, needed: tuple[str, ...]
 
 
 def first_words(data: bytes, wanted: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
-    """Return what stands first in columns of text: our names with the first filled cell of theirs, where there is one.
+    """Return the first filled cell of each wanted column of text, by our name, where there is one.
 
     Only the beginning of a table is looked at.
     """

@@ -34,7 +34,7 @@ _GLOBAL = 0  # MAV_FRAME: height above sea
 
 
 class PlannedFlight(NamedTuple):
-    """A mission file's mission, and what it says of home and of the speed it was planned with."""
+    """A PlannedFlight holds a file's mission, and what it says of home and of the speed it was planned with [m/s]."""
 
     mission: Mission
     home: Home | None

@@ -21,7 +21,7 @@ def is_recording(data: bytes | memoryview) -> bool:
 
 
 def forecast_period_s(data: bytes | memoryview) -> float:
-    """Seconds between forecasts in the process that wrote the recording `data`; NaN when it does not say."""
+    """Return the time between forecasts [s] in the process that wrote a recording; NaN when it does not say."""
     if not is_recording(data):
         return NAN
     said = frames(bytes(data[:HEAD_BYTES])).of(fields.PARAM_VALUE)

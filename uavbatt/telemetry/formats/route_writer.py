@@ -25,7 +25,7 @@ FIX_3D, SATELLITES, HDOP = 3, 12, 80
 
 
 class RouteRow(NamedTuple):
-    """A simulated aircraft at one instant; `mode` is ArduCopter's number, `seq` the item that is flown."""
+    """A RouteRow is a simulated aircraft at one instant; `mode` is ArduCopter's number, `seq` the item being flown."""
 
     position: Position
     seq: int
@@ -34,7 +34,7 @@ class RouteRow(NamedTuple):
 
 
 class FlownRoute(NamedTuple):
-    """A mission and how it was flown."""
+    """A FlownRoute holds a mission and how it was flown."""
 
     home: Home
     mission: Mission
@@ -42,13 +42,13 @@ class FlownRoute(NamedTuple):
     rows: Sequence[RouteRow]
 
     def mode_at(self, time_s: float) -> int:
-        """Number of the mode at a time [s]."""
+        """Return the number of the mode at a time [s]."""
         after = bisect_right(self.rows, time_s, key=lambda row: row.position.time_s)
         return self.rows[max(after - 1, 0)].mode
 
 
 def tlog_messages(route: FlownRoute) -> Iterator[tuple[float, Any]]:
-    """The messages of a route with their times [s], ascending."""
+    """Yield the messages of a route with their times [s], ascending."""
     for message in _held(route):
         yield 0.0, message
     seq = None
@@ -94,7 +94,7 @@ def _moving(row: RouteRow, route: FlownRoute) -> Iterator[Any]:
 
 
 def dataflash_records(route: FlownRoute) -> Iterator[tuple[float, bytes]]:
-    """The records of a route with their times [s], ascending."""
+    """Yield the records of a route with their times [s], ascending."""
     home, total = route.home, len(route.mission.items)
     yield 0.0, MSG.record(0, FIRMWARE)
     yield 0.0, ORGN.record(0, 1, _e7(home.lat_deg), _e7(home.lon_deg), round(home.alt_m * 100.0))

@@ -38,7 +38,7 @@ def add_rows(rows: Iterable[Row], log: LogBuilder) -> None:
 
 
 def cells_of(names: str) -> dict[str, str]:
-    """Return our names of the cells' voltages with theirs; `{}` in `names` is the number of the cell."""
+    """Return our names of the cells' voltages, each with the table's; `{}` in `names` is the number of the cell."""
     return {ours: names.format(n) for n, ours in enumerate(CELLS, start=1)}
 
 

@@ -46,7 +46,7 @@ class _Beats(NamedTuple):
 
 
 def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) -> LogBuilder:
-    """All batteries' rows and the parameters of one autopilot in a tlog: of `system`, else of the first.
+    """Read all batteries' rows and the parameters of one autopilot in a tlog: of `system`, else of the first.
 
     Raises UsageError when no autopilot of that system speaks of a battery in the log named `source`.
     """

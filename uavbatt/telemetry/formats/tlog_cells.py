@@ -15,14 +15,14 @@ from uavbatt.telemetry.pack_voltage import AGREE, HIGHEST_CELL_V, LOWEST_CELL_V,
 
 
 class Heard(NamedTuple):
-    """The messages of one kind in a log: their places among the vehicle's frames, and one value of each."""
+    """Heard holds the messages of one kind in a log: their places among the vehicle's frames, and one value of each."""
 
     place: NDArray[np.int64]
     value: Column
 
 
 class Row(NamedTuple):
-    """The messages BATTERY_STATUS of a log: place, time [s], vehicle armed (or UNKNOWN), sent by a PX4."""
+    """Row holds the BATTERY_STATUS messages of a log: place, time [s], vehicle armed (or UNKNOWN), sent by a PX4."""
 
     place: NDArray[np.int64]
     time_s: Column
@@ -31,7 +31,7 @@ class Row(NamedTuple):
 
 
 def with_all_cells(said: BatteryMessages, row: Row, sys_status: Heard, sys_time_s: Column) -> BatteryMessages:
-    """Return the messages with the pack's voltage; without cells where those told are not all.
+    """Return the messages with the pack's voltage, and without cells where those told are not all.
 
     sys_status : the voltages [V] of SYS_STATUS, heard at `sys_time_s` [s].
     """

@@ -50,7 +50,7 @@ Decode = Callable[[bytes], Any]  # whole frame -> message; None if damaged; `Fal
 
 @dataclass(frozen=True, slots=True)
 class FrameTable:
-    """The frames of the wanted messages in file order, and what the whole file says of time and damage."""
+    """FrameTable holds the wanted frames in file order, and what the whole file says of time and damage."""
 
     data: Bytes
     start: Places  # of the stamp
@@ -64,31 +64,31 @@ class FrameTable:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Reception time of each frame [s]."""
+        """Return the reception time of each frame [s]."""
         return stamps_us(self.data, self.start) / 1e6
 
     @property
     def sequence(self) -> NDArray[np.int64]:
-        """The sender's running number of each frame, 0..255."""
+        """Return the sender's running number of each frame, 0..255."""
         is_v1 = self.payload - self.start == _HEAD_V1
         return self.data[self.start + np.where(is_v1, _STAMP + 2, _STAMP + 4)].astype(np.int64)
 
     def payloads(self, width: int) -> Bytes:
-        """Payloads, `width` bytes each: trimmed zeros put back, later extensions left out."""
+        """Return the payloads, `width` bytes each: trimmed zeros put back, later extensions left out."""
         found = gathered(self.data, self.payload, width)
         found[np.arange(width) >= self.length[:, None]] = 0
         return found
 
     def places(self, message_id: int) -> Places:
-        """Which of the frames are of this message."""
+        """Return the indices of the frames of this message."""
         return np.flatnonzero(self.message_id == message_id)
 
     def of(self, message_id: int) -> FrameTable:
-        """The frames of this message."""
+        """Return the frames of this message."""
         return self.at(self.places(message_id))
 
     def at(self, chosen: Any) -> FrameTable:
-        """Some of the frames."""
+        """Return some of the frames, chosen by mask or index."""
         return replace(
             self,
             start=self.start[chosen],
@@ -113,7 +113,10 @@ class _Heads(NamedTuple):
 
 
 def decoder() -> Decode:
-    """pymavlink's decoder, independent of its environment variables, CRC checked, trimmed payloads filled."""
+    """Return pymavlink's decoder of a frame, independent of its environment variables.
+
+    It checks the CRC, fills trimmed payloads, and returns None for a damaged frame, False for an unknown message.
+    """
     from pymavlink.dialects.v20 import ardupilotmega
 
     link = ardupilotmega.MAVLink(None)
@@ -129,7 +132,7 @@ def decoder() -> Decode:
 
 
 def frames(raw: bytes | memoryview) -> FrameTable:
-    """The wanted frames of a telemetry log. Damage is passed over and counted; noise alone gives no frame."""
+    """Return the wanted frames of a telemetry log. Damage is passed over and counted; noise alone gives no frame."""
     data = np.frombuffer(raw, np.uint8)
     chain = Chain()
     chain.in_chain = True  # a file begins with a frame: to judge that by its checksum costs the whole dialect's import
@@ -151,7 +154,7 @@ def frames(raw: bytes | memoryview) -> FrameTable:
 
 
 def looks_like_tlog(raw: bytes | memoryview) -> bool:
-    """True if the head of `raw` holds at least one time-stamped frame with a good checksum."""
+    """Return True if the head of `raw` holds at least one time-stamped frame with a good checksum."""
     data = np.frombuffer(raw[:_HEAD_BYTES], np.uint8)
     start, _ = _candidates(data, 0, len(data))
     if np.any(_wanted(data, start)[2]):
@@ -163,7 +166,7 @@ def looks_like_tlog(raw: bytes | memoryview) -> bool:
 
 
 def stamps_us(data: Bytes, start: Places) -> NDArray[np.int64]:
-    """The stamps [us] at the given places."""
+    """Return the time stamps [us] at the given places."""
     return gathered(data, start, _STAMP).view(">i8")[:, 0].astype(np.int64)
 
 

@@ -35,7 +35,7 @@ _SPLIT_MV = 65534  # a pack above this puts 65534 into voltages[0] and the rest 
 
 
 class BatteryMessages(NamedTuple):
-    """The content of battery messages, one entry each; `cells_V` has one row each, or is None if none tells cells."""
+    """BatteryMessages hold one entry for each message; `cells_V` has one row each, or is None if none tells cells."""
 
     instance: NDArray[np.int64]
     voltage_V: Column
@@ -46,19 +46,19 @@ class BatteryMessages(NamedTuple):
     cells_V: NDArray[np.float64] | None = None
 
     def at(self, chosen: Any) -> BatteryMessages:
-        """Some of the messages."""
+        """Return some of the messages, chosen by mask or index."""
         columns: Any = [None if column is None else column[chosen] for column in self]
         return BatteryMessages(*columns)
 
 
 class Kind(NamedTuple):
-    """One battery message: its layout, and what payloads of it say."""
+    """A Kind of battery message has a layout, and a function that says what its payloads mean."""
 
     layout: np.dtype[Any]
     read: Callable[[Any], BatteryMessages]
 
     def said(self, payloads: Bytes) -> BatteryMessages:
-        """Read the payloads."""
+        """Return what the payloads say."""
         return self.read(payloads.view(self.layout)[:, 0])
 
 
@@ -75,7 +75,7 @@ class _Parameter(NamedTuple):
 
 
 def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
-    """`is_so` of every heartbeat; asked once for each kind of heartbeat there is."""
+    """Return the mask of the heartbeats for which `is_so` holds; it is asked once for each kind of heartbeat."""
     beats = payloads.view(HEARTBEAT)[:, 0]
     packed = beats["type"].astype(np.int32) << 16 | beats["autopilot"].astype(np.int32) << 8 | beats["base_mode"]
     found = np.zeros(len(packed), np.bool_)
@@ -86,7 +86,7 @@ def heartbeats(payloads: Bytes, is_so: Callable[[Any], bool]) -> Mask:
 
 
 def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, float]]:
-    """Name and value of every PARAM_VALUE."""
+    """Yield the name and value of every PARAM_VALUE."""
     said = payloads.view(PARAM_VALUE)[:, 0]
     columns = (said["id"].tolist(), said["value"].tolist(), said["type"].tolist())
     for name, value, kind, px4 in zip(*columns, is_px4, strict=True):
@@ -95,12 +95,12 @@ def parameters(payloads: Bytes, is_px4: Iterable[bool]) -> Iterator[tuple[str, f
 
 
 def are_integers(payloads: Bytes) -> Mask:
-    """Say of every PARAM_VALUE whether it holds an integer."""
+    """Return the mask of the PARAM_VALUE payloads that hold an integer."""
     return np.isin(payloads.view(PARAM_VALUE)["type"][:, 0], list(fields.INTEGER_CODES))
 
 
 def together(parts: Sequence[BatteryMessages]) -> BatteryMessages:
-    """Messages of several kinds one behind the other."""
+    """Return the messages of several kinds as one, one kind behind the other."""
     width = max(0 if p.cells_V is None else p.cells_V.shape[1] for p in parts)
     cells = [np.full((len(p.instance), width), np.nan) if p.cells_V is None else p.cells_V for p in parts]
     columns: list[Any] = [np.concatenate(same) for same in zip(*(p[:-1] for p in parts), strict=True)]

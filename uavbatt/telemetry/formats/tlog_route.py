@@ -21,7 +21,7 @@ from uavbatt.telemetry.route.messages import NavigationListener
 
 
 class Layout(NamedTuple):
-    """The fields of a message that are read, as they lie in its payload, and the tuple that they become."""
+    """A Layout names the fields of a message that are read, as they lie in its payload, and the tuple they become."""
 
     record: np.dtype[Any]
     message: Any
@@ -79,7 +79,10 @@ _LONGEST_STEP_S = 60.0  # a stamp is not covered by a checksum: one that leaps f
 
 
 class TlogClock(NamedTuple):
-    """The frames that the log's clock goes by: places in the file, stamps [s], times [s], which are battery rows."""
+    """TlogClock holds the frames that tell the log's time: places in the file, stamps [s], times [s], which are rows.
+
+    A row is a battery message.
+    """
 
     start: Places
     stamp_s: Column
@@ -87,7 +90,10 @@ class TlogClock(NamedTuple):
     is_row: Mask
 
     def times_s(self, frames: FrameTable) -> list[float]:
-        """Times of other frames [s]: counted on from the clock's frame before each, by their stamps if they can be."""
+        """Return the times of other frames [s].
+
+        They are counted on from the clock's frame before each, by their stamps if they can be.
+        """
         if not len(self.start):
             return [0.0] * len(frames.start)
         last = np.maximum(latest_before(frames.start, self.start), 0)

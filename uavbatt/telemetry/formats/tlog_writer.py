@@ -46,7 +46,10 @@ CELLS, CELLS_EXT = 10, 4  # entries of voltages[] and of voltages_ext[]
 
 
 def ascending_us(time_s: float, last_us: int) -> int:
-    """`time_s` [s] in whole microseconds [us]; a log's clock starts at 0 and never goes back."""
+    """Return `time_s` [s] in whole microseconds [us]; a log's clock starts at 0 and never goes back.
+
+    Raises ValueError for a time below 0, not finite, or before `last_us`.
+    """
     if not (math.isfinite(time_s) and time_s >= 0.0):
         raise ValueError(f"sample time {time_s} s: expected seconds from the log's first record, 0 or more")
     time_us = round(time_s * 1e6)
@@ -113,7 +116,7 @@ def _parameter_frames(parameters: Mapping[str, float]) -> Iterator[Any]:
 
 
 def heartbeat(armed: bool, mode: int = 0) -> Any:
-    """HEARTBEAT of an ArduPilot multicopter in a mode of this number; base_mode carries only the armed bit."""
+    """Return a HEARTBEAT of an ArduPilot multicopter in a mode of this number; base_mode has only the armed bit."""
     return common.MAVLink_heartbeat_message(
         common.MAV_TYPE_QUADROTOR,
         common.MAV_AUTOPILOT_ARDUPILOTMEGA,
@@ -125,7 +128,7 @@ def heartbeat(armed: bool, mode: int = 0) -> Any:
 
 
 def sys_status(sample: Sample) -> Any:
-    """SYS_STATUS with the battery fields of `sample`; it has neither temperature nor charge drawn."""
+    """Return a SYS_STATUS with the battery fields of `sample`; it has neither temperature nor charge drawn."""
     voltage_mV = _scaled(sample.voltage_V, 1e3, UINT16_MAX)
     return common.MAVLink_sys_status_message(
         *(0, 0, 0, 0),
@@ -137,7 +140,7 @@ def sys_status(sample: Sample) -> Any:
 
 
 def battery_status(sample: Sample, battery_id: int) -> Any:
-    """BATTERY_STATUS of `sample`, every unknown at its sentinel."""
+    """Return a BATTERY_STATUS of `sample`, every unknown at its sentinel."""
     voltages_mV, voltages_ext_mV = cell_fields_mV(sample)
     return common.MAVLink_battery_status_message(
         battery_id,
@@ -154,7 +157,10 @@ def battery_status(sample: Sample, battery_id: int) -> Any:
 
 
 def cell_fields_mV(sample: Sample) -> tuple[list[int], list[int]]:
-    """voltages[10] and voltages_ext[4] [mV]: the cells if they are known, else the pack's sum in front."""
+    """Return voltages[10] and voltages_ext[4] [mV]: the cells if they are known, else the pack's sum in front.
+
+    Raises ValueError for more than 14 cells.
+    """
     fields, extended = [UINT16_MAX] * CELLS, [0] * CELLS_EXT
     cells_V = sample.cell_voltages_V
     if cells_V:
@@ -176,7 +182,7 @@ def cell_fields_mV(sample: Sample) -> tuple[list[int], list[int]]:
 
 
 def current_cA(current_A: float) -> int:
-    """current_battery [cA]; -1 is "no sensor", so a real -0.01 A moves to -2 and keeps its sign."""
+    """Return current_battery [cA]; -1 is "no sensor", so a real -0.01 A moves to -2 and keeps its sign."""
     if not math.isfinite(current_A):
         return -1
     centi = _clamped(round(current_A * 100.0))

@@ -26,7 +26,7 @@ Event = tuple[int, int, Any]  # (time [us], rank at equal times, what happened)
 
 
 def read_ulog(source: str, data: bytes) -> LogBuilder:
-    """All batteries' rows and the parameters of a ULog file."""
+    """Read all batteries' rows and the parameters of a ULog file; `source` names it in errors."""
     ulog = _open(source, data)
     log = LogBuilder()
     log.time_s(ulog.start_timestamp / _US)

@@ -35,7 +35,10 @@ _ROTARY_WING = 1  # of vehicle_type
 
 
 def navigation(ulog: Any, parameters: Sequence[tuple[float, str, float]]) -> tuple[Navigation, ...]:
-    """Return what a ULog tells of route and place. parameters : (time [s], name, value), ascending."""
+    """Return what a ULog tells of route and place.
+
+    parameters : (time [s], name, value), ascending
+    """
     builder = NavigationBuilder(keeps_all=True)
     topics = {topic.name: topic.data for topic in ulog.data_list if topic.multi_id == 0 and topic.name in OF_ROUTE}
     told = [event for name, data in topics.items() for event in _events(name, data, topics, ulog, builder)]

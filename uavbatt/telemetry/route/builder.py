@@ -17,7 +17,10 @@ AIRSPEED_AGE_S = 3.0  # an older airspeed is not the present one
 
 
 class NavigationBuilder:
-    """Puts together what is heard of route and place; with `keeps_all` it holds every state that lasted a moment."""
+    """NavigationBuilder puts together what is heard of route and place.
+
+    With `keeps_all` it holds every state that lasted a moment.
+    """
 
     def __init__(self, keeps_all: bool = False) -> None:
         self._known: dict[str, Any] = {name: getattr(NOWHERE, name) for name in Navigation.__slots__}
@@ -35,7 +38,7 @@ class NavigationBuilder:
 
     @property
     def held(self) -> Mission | None:
-        """The mission that is known at present."""
+        """Return the mission that is known at present; None without one."""
         found: Mission | None = self._known["mission"]
         return found
 
@@ -57,7 +60,7 @@ class NavigationBuilder:
             self.transferring(time_s, False)
 
     def transferring(self, time_s: float, is_so: bool) -> None:
-        """Take that a mission is passing and is not whole yet, or that none is."""
+        """Note if a mission is being transferred that is not whole yet."""
         if is_so is not self._known["transferring"]:
             self._change(time_s, transferring=is_so)
 
@@ -69,7 +72,7 @@ class NavigationBuilder:
             self._change(time_s, current=seq, current_since_s=time_s, current_heard_s=time_s)
 
     def still_current(self, time_s: float) -> None:
-        """Take, with a position, that the same item is still flown to: a log that goes on would tell of another."""
+        """Note with a position that the same item is still flown to: a log that goes on would tell of another."""
         if self._known["current"] is not None and time_s == self._known["time_s"]:
             self._known["current_heard_s"], self._built = time_s, None
 
@@ -121,7 +124,7 @@ class NavigationBuilder:
             self._change(time_s, wind=Wind(north_ms, east_ms, sd_ms))
 
     def landed(self, time_s: float, is_landed: bool | None) -> None:
-        """Take whether the aircraft stands on the ground."""
+        """Note if the aircraft stands on the ground; None is unknown."""
         if is_landed is not self._known["landed"]:
             self._change(time_s, landed=is_landed)
 

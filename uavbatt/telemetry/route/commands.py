@@ -42,7 +42,7 @@ _NAMES = {
 
 
 class Fields(NamedTuple):
-    """The fields of one item as its sender spells them; degrees and metres, NaN for what it leaves open."""
+    """Fields holds one item as its sender spells it: degrees and metres, NaN for what it leaves open."""
 
     seq: int
     frame: int  # MAV_FRAME; -1: it is not said

@@ -22,7 +22,7 @@ def play(events: Iterable[Event], parameters: Iterable[tuple[float, str, float]]
 
 
 def one_each(time_s: Column, step_s: float) -> list[int]:
-    """Places of the first reading and of each that comes `step_s` [s] or more after the last one taken."""
+    """Return the places of the first reading, and of each that comes `step_s` [s] or more after the last one taken."""
     taken, next_s = [], -math.inf
     for place, at_s in enumerate(time_s.tolist()):
         if at_s >= next_s:

@@ -42,7 +42,7 @@ _NO_TOTAL = (0, 0xFFFF)
 
 
 class NavigationListener:
-    """Takes the messages of one autopilot, and those of others to it; holds what is known of route and place.
+    """NavigationListener takes the messages of one autopilot, and those of others to it; it knows route and place.
 
     own : system and component by which this process asks for the mission itself, if it does
     """

@@ -22,7 +22,7 @@ MOST_ITEMS = 5000
 
 
 class Transfer:
-    """One transfer of a mission, and what came of those before."""
+    """Transfer follows one transfer of a mission, and knows what came of those before."""
 
     def __init__(self) -> None:
         self._count: int | None = None
@@ -48,13 +48,13 @@ class Transfer:
 
     @property
     def missing(self) -> int | None:
-        """The first item of an open download that was not heard yet; None without one."""
+        """Return the first item of an open download that was not heard yet; None without one."""
         if self._count is None or self._is_upload:
             return None
         return next((seq for seq in range(self._count) if seq not in self._items), None)
 
     def passes(self, time_s: float) -> None:
-        """Take that it is `time_s` [s] now: a transfer that has been silent for too long is over."""
+        """Note that it is `time_s` [s] now: a transfer that has been silent for more than SILENT_S is over."""
         if self._count is not None and time_s - self._heard_s > SILENT_S:
             self._end(in_doubt=self._in_doubt or (self._is_upload and bool(self._items)))
 
@@ -76,11 +76,11 @@ class Transfer:
         self._written_s = time_s if is_upload else self._written_s
 
     def clears(self, time_s: float) -> None:
-        """Take that another program asks the autopilot to forget its mission."""
+        """Note that another program asks the autopilot to forget its mission."""
         self._is_clearing, self._heard_s, self._written_s = True, time_s, time_s
 
     def whole(self, source: str, has_home_item: bool) -> Mission | None:
-        """Return the mission of a download once it is whole."""
+        """Return the mission of a download once it is whole, else None."""
         return None if self._is_upload else self._finished(source, has_home_item)
 
     def explains_acknowledgement(self, time_s: float) -> bool:
