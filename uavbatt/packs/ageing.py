@@ -56,7 +56,7 @@ def _first(flight: FlightRecord, mean: Array, sd: Array) -> Known:
 
 
 def first_known(flight: FlightRecord) -> Known:
-    """The belief about a pack after its first flight: the two kinds together, each as likely as the flight makes it."""
+    """Return the belief about a pack after its first flight: new and used packs, each weighed by its likelihood."""
     kinds = (_first(flight, NEW_MEAN, NEW_SD), _first(flight, USED_MEAN, USED_SD))
     likely = np.array([NEW_SHARE, 1.0 - NEW_SHARE]) * [_likelihood(kind, flight) for kind in kinds]
     return _together(_shares(likely), [_taken(kind, flight) for kind in kinds])
@@ -85,19 +85,22 @@ def _likelihood(known: Known, flight: FlightRecord) -> float:
 
 
 def later(known: Known, days: float) -> Known:
-    """The belief `days` on, before the next flight."""
+    """Return the belief `days` [days] later, before the next flight; unknown days (NaN) count as none."""
     days = min(max(days, 0.0), LONGEST_DAYS) if math.isfinite(days) else 0.0
     walked = FLIGHT_SD**2 + MONTH_SD**2 * days / DAYS_A_MONTH
     return Known(F @ known.mean, F @ known.covariance @ F.T + np.diag(walked))
 
 
 def days_between(earlier: FlightRecord, start_utc_s: float) -> float:
-    """Days from one flight to a time; NaN where either is unknown."""
+    """Return the days from one flight to a time [s since 1970]; NaN where either is unknown."""
     return (start_utc_s - earlier.start_utc_s) / SECONDS_A_DAY
 
 
 def updated(known: Known, told_mean: Array, told_covariance: Array) -> Known:
-    """Kalman's update by what a flight says (Joseph's form is not needed: two numbers, well scaled)."""
+    """Return a belief after Kalman's update by what a flight says: its mean [2] and covariance [2, 2].
+
+    Joseph's form is not needed: two numbers, well scaled.
+    """
     spread = H @ known.covariance @ H.T + told_covariance
     gain = np.linalg.solve(spread, H @ known.covariance).T
     covariance = known.covariance - gain @ spread @ gain.T
@@ -105,13 +108,13 @@ def updated(known: Known, told_mean: Array, told_covariance: Array) -> Known:
 
 
 def oddness(known: Known, flight: FlightRecord, doubt: Array) -> Array:
-    """Return how many sd each of a flight's numbers lies from what was expected, [2]."""
+    """Return how many sd each of a flight's two numbers (ln ohm, ln Ah) lies from what was expected, [2]."""
     spread = np.diag(H @ known.covariance @ H.T + doubt)
     return np.asarray((flight.told.mean - H @ known.mean) / np.sqrt(spread))
 
 
 def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -> Array:
-    """Return how many sd two flights in a row lie by the same step from what was expected before both, [2]."""
+    """Return how many sd two flights in a row lie, by the same step, from what was expected before both, [2]."""
     after = later(before, 0.0)
     found = []
     for k in (OHM, CHARGE):
@@ -124,7 +127,7 @@ def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -
 
 
 class AgeingState(NamedTuple):
-    """The state of the slow filter: the belief, and what it needs to think again."""
+    """AgeingState holds the state of the slow filter: the belief about a pack, and what may correct it later."""
 
     known: Known
     expected: Known  # before the last flight
@@ -135,7 +138,7 @@ class AgeingState(NamedTuple):
 
 
 def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
-    """The belief after each flight of a pack; `flights` in order of time."""
+    """Return what is believed after each flight of a pack; `flights` must be in order of time."""
     found: list[Remembered] = []
     course: AgeingState | None = None
     for flight in flights:
@@ -213,7 +216,7 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
 
 
 def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:
-    """The prior of the next flight, `days` after the last; `other_file`: read with another battery file."""
+    """Return the prior of the next flight, `days` [days] after the last; `other_file`: with another battery file."""
     expected = later(known, days)
     doubt = OTHER_CONDITIONS_SD**2 + (OTHER_FILE_SD**2 if other_file else 0.0)
     log_ohm, log_Ah = (float(value) for value in expected.mean[:2])

@@ -17,7 +17,7 @@ ROW_S = 2.0
 
 
 class Airborne(NamedTuple):
-    """A flight in the air: the pack's name and size, when it began [s since 1970], NaN where no clock was set."""
+    """Airborne holds a flight in the air: pack name and size, start [s since 1970], NaN where no clock was set."""
 
     name: str
     start_utc_s: float
@@ -27,7 +27,7 @@ class Airborne(NamedTuple):
 
 
 class LeftOver(NamedTuple):
-    """A flight of a process that did not see it land, with its rows."""
+    """LeftOver holds a flight, with its rows, of a process that did not see it land."""
 
     number: int
     flight: Airborne
@@ -35,12 +35,12 @@ class LeftOver(NamedTuple):
 
     @property
     def last_utc_s(self) -> float:
-        """Return when its last row came [s since 1970]."""
+        """Return the time of its last row [s since 1970]."""
         return self.flight.start_utc_s + (self.rows[-1].time_s if self.rows else 0.0)
 
 
 def begun(ledger: Ledger, flight: Airborne) -> int:
-    """Store a flight that has begun; returns the number under which it is kept."""
+    """Store a flight that has begun; return the number under which it is kept."""
     row = (flight.name, _stored(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
     with ledger.writing() as connection:
         found = connection.execute(
@@ -57,13 +57,13 @@ def add(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
 
 
 def rows_of(ledger: Ledger, number: int) -> tuple[Sample, ...]:
-    """The rows of a flight."""
+    """Return the rows of a flight."""
     with ledger.reading() as connection:
         return _rows(connection, number)
 
 
 def left_over(ledger: Ledger) -> list[LeftOver]:
-    """Flights that never landed here."""
+    """Return the flights that never landed here."""
     with ledger.reading() as connection:
         found = connection.execute("SELECT * FROM airborne ORDER BY id").fetchall()
         return [LeftOver(int(row["id"]), _airborne(row), _rows(connection, int(row["id"]))) for row in found]

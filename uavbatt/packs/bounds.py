@@ -34,7 +34,7 @@ NEEDED = ("rated_Ah", "type_ohm")
 
 
 def doubt_of(flight: FlightRecord) -> tuple[str, str] | None:
-    """Return the key of a flight whose value cannot be, and what was expected; None if it may be a flight."""
+    """Return the key of a flight's value that cannot be true, and what was expected; None if it may be a flight."""
     for key, (low, high) in BOUNDS.items():
         value = getattr(flight, key)
         is_unknown = value is None or (math.isnan(value) and key not in NEEDED)

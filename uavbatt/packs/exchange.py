@@ -20,7 +20,7 @@ KIND = "a pack as `uavbatt packs --export` writes it"
 
 
 class PackFile(msgspec.Struct, frozen=True):
-    """A pack with its flights."""
+    """A PackFile holds a pack with its flights, as its JSON file has them."""
 
     format: str
     version: int
@@ -29,7 +29,7 @@ class PackFile(msgspec.Struct, frozen=True):
 
 
 def exported(ledger: Ledger, name: str) -> dict[str, Any]:
-    """The pack of that name as plain values. Raises BadInput when there is none."""
+    """Return the pack of that name as plain values. Raises BadInput when there is none."""
     found = ledger.flights(name)
     if not found:
         raise BadInput(ledger.path, "", f"a pack named {name}, found {_names(ledger)}")
@@ -38,7 +38,7 @@ def exported(ledger: Ledger, name: str) -> dict[str, Any]:
 
 
 class CarriedPack(NamedTuple):
-    """A pack out of its file, as a ledger may take it in."""
+    """A CarriedPack was read from its file and checked, so that a ledger may take it in."""
 
     name: str
     flights: tuple[FlightRecord, ...]
@@ -66,20 +66,20 @@ def read_pack(path: Path) -> CarriedPack:
 
 
 def take_in(ledger: Ledger, pack: CarriedPack) -> str:
-    """Save the flights of a pack; flights that are there already count once. Returns the pack's name."""
+    """Save the flights of a pack, and return its name; flights that are there already count once."""
     ledger.save_all(pack.name, pack.flights)
     return pack.name
 
 
 def plain_flight(flight: FlightRecord) -> dict[str, Any]:
-    """A flight as plain values; what is not known is left out."""
+    """Return a flight as plain values; what is not known is left out."""
     values = {f.name: getattr(flight, f.name) for f in fields(flight)}
     values["told"] = list(flight.told)
     return {k: v for k, v in values.items() if v is not None and not (isinstance(v, float) and math.isnan(v))}
 
 
 def flight_of(entry: dict[str, Any]) -> FlightRecord:
-    """The flight that `plain_flight` made plain; msgspec.ValidationError when it is none."""
+    """Return the flight that `plain_flight` made plain. Raises msgspec.ValidationError when it is none."""
     return msgspec.convert(entry, FlightRecord, strict=False)
 
 
@@ -90,5 +90,5 @@ def _names(ledger: Ledger) -> str:
 
 
 def text_of(pack: dict[str, Any]) -> str:
-    """A pack's file as text."""
+    """Return the text of a pack's file."""
     return json.dumps(pack, indent=1, ensure_ascii=False) + "\n"

@@ -14,7 +14,7 @@ HELD_TEXT = "another pack under this name?"
 
 
 def by_itself(flight: FlightRecord) -> tuple[PackFinding, ...]:
-    """Return what one flight shows alone."""
+    """Return the findings that one flight shows alone."""
     if not flight.weak_cell_V > WEAK_CELL_V:
         return ()
     words = f"cell {flight.weak_cell} lies {1000.0 * flight.weak_cell_V:.0f} mV below the others under load"
@@ -22,7 +22,7 @@ def by_itself(flight: FlightRecord) -> tuple[PackFinding, ...]:
 
 
 def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, ...]:
-    """Return what two flights of one name, the one after the other, show together."""
+    """Return the findings that two flights of one pack name, one after the other, show together."""
     found = []
     hours = (flight.start_utc_s - earlier.start_utc_s - earlier.duration_s) / 3600.0
     charged = flight.soc_start - earlier.soc_end
@@ -36,7 +36,7 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, .
 
 
 def sudden(z: Array, change: Array, since: str = " at once", causes: str = "damaged?") -> PackFinding:
-    """Damage: which of the two numbers gives it away, and by how much.
+    """Return the finding of damage: which of the two numbers shows it, and by how much.
 
     z [2], change [2]: how many sd, and by how much in ln, ohms and charge lie from what was expected.
     """
@@ -46,7 +46,7 @@ def sudden(z: Array, change: Array, since: str = " at once", causes: str = "dama
 
 
 def another(z: Array, change: Array) -> PackFinding:
-    """Return what no pack can do, so that it is another one; z and change as in `sudden`."""
+    """Return the finding of a change that no pack can make, so that this is another; z and change as in `sudden`."""
     if -z[0] >= z[1]:
         what = f"{-100.0 * math.expm1(change[0]):.0f} % fewer ohms"
     else:

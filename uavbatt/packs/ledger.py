@@ -36,7 +36,10 @@ BEFORE = f"""
 
 
 class AnotherSize(BadInput):
-    """A flight whose pack has another number of cells than the pack of its name; `index` among those to be saved."""
+    """A flight whose pack has another number of cells than the pack of its name raises this error.
+
+    index : the flight's place among those to be saved
+    """
 
     def __init__(self, path: Path, name: str, expected: int, found: int, index: int) -> None:
         words = f"flights of {expected} cells as before, found {found}: another pack under this name?"
@@ -45,7 +48,7 @@ class AnotherSize(BadInput):
 
 
 class Ledger:
-    """A pack ledger that is open. Reading makes no file; the first flight saved does."""
+    """A Ledger is an open file of packs and their flights. Reading makes no file; the first flight saved does."""
 
     def __init__(self, path: str | Path, *, only_read: bool = False) -> None:
         self.path = Path(path)
@@ -84,13 +87,13 @@ class Ledger:
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
-        """The connection, for reading."""
+        """Yield the connection, for reading. Raises BadInput for a damaged or locked file."""
         with self._told():
             yield self._connection
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """The one writer: all that is done within is saved together, or nothing of it."""
+        """Yield the connection for the one writer: all that is done within is saved together, or nothing of it."""
         with self._told():
             self._connection.execute("BEGIN IMMEDIATE")
             try:
@@ -102,28 +105,28 @@ class Ledger:
                 raise
 
     def packs(self) -> list[PackRow]:
-        """All packs, by name."""
+        """Return all packs, by name."""
         with self._told():
             return [rows.pack_of(row) for row in self._connection.execute("SELECT * FROM packs ORDER BY name")]
 
     def pack(self, name: str) -> PackRow | None:
-        """The pack of that name, if there is one."""
+        """Return the pack of that name; None if there is none."""
         with self._told():
             row = self._connection.execute("SELECT * FROM packs WHERE name = ?", (name,)).fetchone()
             return rows.pack_of(row) if row is not None else None
 
     def flights(self, name: str) -> list[Remembered]:
-        """The flights of a pack in order of time, with what is believed after each."""
+        """Return the flights of a pack in order of time, with what is believed after each."""
         with self._told():
             found = self._connection.execute(OF_PACK, {"name": name})
             return [rows.remembered_of(row) for row in sorted(found, key=_moment)]
 
     def last(self, name: str) -> Remembered | None:
-        """The last flight of a pack: what is known of it when it flies next."""
+        """Return the last flight of a pack, with what is believed after it; None without one."""
         return self._one(f"{OF_PACK} {LATEST}", {"name": name})
 
     def before(self, name: str, start_utc_s: float, key: str) -> Remembered | None:
-        """The last flight of a pack before the flight of that key, which began at a time [s since 1970].
+        """Return the last flight of a pack before the flight of that key, which began at a time [s since 1970].
 
         NaN where no clock was set: such flights come after all others, in the order in which they were saved.
         """
@@ -144,7 +147,7 @@ class Ledger:
         return self.save_all(name, [flight], landed)[-1]
 
     def save_all(self, name: str, flights: Sequence[FlightRecord], landed: int | None = None) -> list[Remembered]:
-        """Save many flights of one pack at once, as one by one; returns those that stand in the ledger now."""
+        """Save many flights of one pack at once, as one by one; return those that stand in the ledger now."""
         check_name(name, self.path, "pack")
         with self.writing() as connection:
             pack = _pack_id(connection, self.path, name, flights)
@@ -156,7 +159,7 @@ class Ledger:
         return [after[key] for key in kept if key in after]
 
     def forget(self, name: str) -> bool:
-        """Delete a pack with its flights; False when there is none of that name."""
+        """Delete a pack with its flights; return False when there is none of that name."""
         with self.writing() as connection:
             connection.execute("DELETE FROM flights WHERE pack = (SELECT id FROM packs WHERE name = ?)", (name,))
             return connection.execute("DELETE FROM packs WHERE name = ?", (name,)).rowcount > 0
@@ -169,7 +172,7 @@ def check_name(name: str, path: Path, place: str) -> None:
 
 
 def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHealth:
-    """The prior of the flight that begins at a time, by what is believed after the last one before it."""
+    """Return the prior of a flight that begins at a time [s since 1970], by what is believed after the one before."""
     days = ageing.days_between(last.flight, start_utc_s)
     health = ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
     return health._replace(cells=last.flight.cells)
@@ -271,7 +274,7 @@ def _known(value: float, other: float) -> float:
 
 
 def inserted(table: str, row: dict[str, object]) -> tuple[str, dict[str, object]]:
-    """The statement that inserts a row into a table, and its values."""
+    """Return the SQL statement that inserts a row into a table, and its values."""
     names = ", ".join(row)
     return f"INSERT INTO {table} ({names}) VALUES ({', '.join(':' + name for name in row)})", row
 

@@ -18,7 +18,7 @@ LEVELS = np.array([-1.645, -1.036, -0.674, -0.385, -0.126, 0.126, 0.385, 0.674, 
 
 
 def outlook(known: Known, rated_Ah: float, flights: int) -> Outlook:
-    """The outlook of a pack of `rated_Ah` after so many flights."""
+    """Return the outlook of a pack of `rated_Ah` [Ah] after so many flights."""
     sd = np.sqrt(np.diag(known.covariance))
     ohm = np.exp(known.mean[0] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[0], SHARED_SD[0]))
     charge = np.exp(known.mean[1] + np.array([0.0, -1.0, 1.0]) * INTERVAL_SD * math.hypot(sd[1], SHARED_SD[1]))
@@ -43,7 +43,10 @@ def outlook(known: Known, rated_Ah: float, flights: int) -> Outlook:
 
 
 def retirement(known: Known, rated_Ah: float) -> tuple[float, float, float]:
-    """Flights until the capacity is RETIRED_AT of the rated one: median, 5 %, 95 % points; infinite beyond sight."""
+    """Return the flights left until the capacity is RETIRED_AT of the rated one [Ah]: median, 5 %, 95 % points.
+
+    A number beyond FARTHEST_FLIGHTS is given as infinite.
+    """
     left = known.mean[1] - math.log(RETIRED_AT * rated_Ah)
     level_sd, trend_sd = math.hypot(math.sqrt(known.covariance[1, 1]), SHARED_SD[1]), math.sqrt(known.covariance[3, 3])
     shared = known.covariance[1, 3] / level_sd

@@ -16,7 +16,7 @@ from uavbatt.records import NAN
 
 
 class Told(NamedTuple):
-    """The evidence of one flight about a pack: ln of ohms and of ampere-hours, their variances, what they share."""
+    """Told is the evidence of one flight about a pack: ln of ohms and of ampere-hours, variances and covariance."""
 
     log_ohm: float
     log_Ah: float
@@ -26,18 +26,18 @@ class Told(NamedTuple):
 
     @property
     def mean(self) -> Array:
-        """The mean [2]."""
+        """Return the mean [2]: ln of ohms, ln of ampere-hours."""
         return np.array([self.log_ohm, self.log_Ah])
 
     @property
     def matrix(self) -> Array:
-        """The covariance [2, 2]."""
+        """Return the covariance [2, 2]."""
         return np.array([[self.variance_ohm, self.covariance], [self.covariance, self.variance_Ah]])
 
 
 @dataclass(frozen=True, slots=True)
 class FlightRecord:
-    """One flight of one pack, whatever the flights before it were."""
+    """A FlightRecord holds one flight of one pack, whatever the flights before it were."""
 
     key: str  # made of the log's first rows: the same log again has it again
     told: Told
@@ -71,7 +71,7 @@ def _overlap(a: FlightRecord, b: FlightRecord) -> bool:
 
 
 class Known(NamedTuple):
-    """The belief about a pack after a flight: mean [4] and covariance [4, 4].
+    """Known is the belief about a pack after a flight: mean [4] and covariance [4, 4].
 
     ln of ohms, ln of ampere-hours, and the change of both from flight to flight.
     """
@@ -82,14 +82,14 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PackFinding:
-    """Something odd that a flight showed of its pack: `kind` for programs, `words` for people."""
+    """A PackFinding is something odd that a flight showed of its pack: `kind` for programs, `words` for people."""
 
     kind: str  # "sudden_ohms" | "sudden_loss" | "another_pack" | "weak_cell" | "charged_too_fast" | "counter"
     words: str
 
 
 class Remembered(NamedTuple):
-    """A flight of the ledger with what is believed after it, and what was odd about it."""
+    """Remembered holds a flight of the ledger, what is believed after it, and what was odd about it."""
 
     flight: FlightRecord
     known: Known
@@ -98,7 +98,7 @@ class Remembered(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """The outlook of a pack: its health with 90 % intervals, its trend, and when to retire it."""
+    """An Outlook tells of a pack's health with 90 % intervals, its trend, and when to retire it."""
 
     flights: int
     capacity_Ah: float
@@ -118,7 +118,7 @@ class Outlook:
 
 @dataclass(frozen=True, slots=True)
 class PackRow:
-    """One pack of the ledger, as it stands after its last flight."""
+    """A PackRow holds one pack of the ledger, as it stands after its last flight."""
 
     name: str
     cells: int

@@ -37,19 +37,19 @@ LOOKS = 5  # at the belief under load; more of them tell no more
 
 @dataclass(frozen=True, slots=True)
 class Taught:
-    """The result of looking at a flight for the ledger: a record, or the reason why there is none."""
+    """Taught holds what a flight says for the ledger: a record, or the reason why there is none."""
 
     record: FlightRecord | None
     why_not: str = ""
 
 
 def name_of(flight: Flight, stated: str = "") -> str:
-    """The name under which the flight's pack is known: as stated, else its serial; empty when nobody says."""
+    """Return the name under which the flight's pack is known: as stated, else its serial; empty when nobody says."""
     return stated or flight.identity.battery_serial
 
 
 def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) -> PackHealth | None:
-    """Return what is known of the flight's pack by the flights before it; None for a pack that nobody met."""
+    """Return what is known of the flight's pack by the flights before it; None for a pack without any."""
     if not name:
         return None
     last = ledger.before(name, flight.identity.start_utc_s, key_of(flight.samples))
@@ -57,15 +57,13 @@ def recalled(ledger: Ledger, name: str, flight: Flight, battery: BatteryFile) ->
 
 
 def key_of(samples: Sequence[Sample]) -> str:
-    """Return what a log is known by: a hash of its first rows, so that neither its name nor where it was cut
-    matters.
-    """
+    """Return the key of a log: a hash of its first rows, so that neither its name nor where it was cut matters."""
     text = ";".join(f"{s.voltage_V:.3f},{s.current_A:.2f}" for s in samples[:KEY_ROWS])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught:
-    """Return what a flight says of its pack by itself, and what it drew."""
+    """Return what a flight says of its pack by itself, whatever the ledger holds, or why it says nothing."""
     rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
     last_loaded = _last_loaded(rows)
     if last_loaded is None:

@@ -22,7 +22,7 @@ UPPER = np.triu_indices(4)
 
 
 class DamagedRow(Exception):
-    """A row that no ledger has written: a value is missing, of another kind, or not finite where it must be."""
+    """A row that no ledger wrote raises this: a value is missing, of another kind, or not finite where it must be."""
 
 
 @contextmanager
@@ -35,7 +35,7 @@ def _reading(row: sqlite3.Row) -> Iterator[None]:
 
 
 def flight_row(flight: FlightRecord) -> dict[str, Any]:
-    """The columns of a flight as it was flown."""
+    """Return the columns of a flight as it was flown."""
     row = asdict(flight)
     row.pop("told")
     row.update({f"told_{name}": value for name, value in flight.told._asdict().items()})
@@ -43,7 +43,7 @@ def flight_row(flight: FlightRecord) -> dict[str, Any]:
 
 
 def flight_of(row: sqlite3.Row) -> FlightRecord:
-    """A flight as it was flown. Raises DamagedRow."""
+    """Return a flight as it was flown. Raises DamagedRow."""
     with _reading(row):
         told = Told(*(float(row[f"told_{name}"]) for name in Told._fields))
         values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name != "told"}
@@ -52,14 +52,14 @@ def flight_of(row: sqlite3.Row) -> FlightRecord:
 
 
 def remembered_row(found: Remembered) -> dict[str, Any]:
-    """The columns of what is believed after a flight."""
+    """Return the columns of what is believed after a flight."""
     mean = dict(zip(KNOWN, (float(value) for value in found.known.mean), strict=True))
     upper = [float(f"{value:.6g}") for value in found.known.covariance[UPPER]]
     return {**mean, "known_covariance": json.dumps(upper), "findings": findings_text(found.findings)}
 
 
 def remembered_of(row: sqlite3.Row) -> Remembered:
-    """A flight, with what is believed after it. Raises DamagedRow."""
+    """Return a flight, with what is believed after it. Raises DamagedRow."""
     with _reading(row):
         covariance = np.zeros((4, 4))
         covariance[UPPER] = json.loads(row["known_covariance"])
@@ -71,14 +71,14 @@ def remembered_of(row: sqlite3.Row) -> Remembered:
 
 
 def pack_row(pack: PackRow) -> dict[str, Any]:
-    """The columns of a pack."""
+    """Return the columns of a pack."""
     row = {"name": pack.name, "cells": pack.cells, "rated_Ah": pack.rated_Ah, "type_ohm": pack.type_ohm}
     row |= {"last_utc_s": pack.last_utc_s, **asdict(pack.outlook), "findings": findings_text(pack.findings)}
     return {name: _stored(value) for name, value in row.items()}
 
 
 def pack_of(row: sqlite3.Row) -> PackRow:
-    """A pack as it stands. Raises DamagedRow."""
+    """Return a pack as it stands. Raises DamagedRow."""
     with _reading(row):
         outlook = {name: row[name] for name in OUTLOOK}
         outlook |= {name: math.inf for name in RETIRE if row[name] is None}
@@ -88,12 +88,12 @@ def pack_of(row: sqlite3.Row) -> PackRow:
 
 
 def findings_text(findings: tuple[PackFinding, ...]) -> str:
-    """Findings as JSON; empty text where there are none."""
+    """Return findings as JSON; empty text where there are none."""
     return json.dumps([asdict(f) for f in findings], ensure_ascii=False) if findings else ""
 
 
 def findings_of(text: str) -> tuple[PackFinding, ...]:
-    """Findings from their JSON."""
+    """Return findings from their JSON."""
     return tuple(PackFinding(**entry) for entry in json.loads(text)) if text else ()
 
 

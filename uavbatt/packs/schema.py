@@ -69,12 +69,12 @@ MIGRATIONS = (FIRST, AIRBORNE)
 
 
 def version(connection: sqlite3.Connection) -> int:
-    """Return how many steps the ledger has behind it; 0 for an empty file."""
+    """Return how many migrations the ledger has behind it; 0 for an empty file."""
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 def check_schema(connection: sqlite3.Connection, path: Path) -> int:
-    """The ledger's version; BadInput for another database, or a ledger of a later version."""
+    """Return the ledger's version. Raises BadInput for another database, or a ledger of a later version."""
     owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
     now = version(connection)
     is_empty = now == 0 and owner == 0 and connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
@@ -86,7 +86,7 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> int:
 
 
 def migrate(connection: sqlite3.Connection) -> None:
-    """Take the steps that are left, each whole or not at all; the connection must hold the write lock."""
+    """Apply the migrations that are left; the connection must hold the write lock, so that all are done or none."""
     for step in range(version(connection), len(MIGRATIONS)):
         for statement in filter(str.strip, MIGRATIONS[step].split(";")):
             connection.execute(statement)

@@ -13,7 +13,7 @@ STEADY = 0.002  # a flight: slower ageing is a season's, and no reason to look
 
 
 def retire_words(seen: Outlook) -> str:
-    """Return when to retire the pack: `retire in about 12 flights (5 to 40) at 80 %`."""
+    """Return when to retire the pack, in words: `retire in about 12 flights (5 to 40) at 80 %`."""
     at = f"at {RETIRED_AT:.0%}"
     median, soonest, latest = seen.retire_flights, seen.retire_lo_flights, seen.retire_hi_flights
     if median == 0.0:
@@ -27,14 +27,14 @@ def retire_words(seen: Outlook) -> str:
 
 
 def trend_words(trend: float, sd: float) -> str:
-    """Return how a number changes: `−1.6 % a flight`, `steady`, `cannot tell yet`."""
+    """Return how a number changes, in words: `−1.6 % a flight`, `steady`, `cannot tell yet`."""
     if abs(trend) > INTERVAL_SD * sd:
         return f"{100.0 * trend:+.1f} % a flight".replace("-", "\N{MINUS SIGN}")
     return "steady" if INTERVAL_SD * sd < STEADY else "cannot tell yet"
 
 
 def pack_lines(pack: PackRow) -> list[str]:
-    """One line of a pack, and one for each finding."""
+    """Return one line about a pack, and one for each finding."""
     seen = pack.outlook
     charge = f"{seen.capacity_Ah:.2f} Ah ({seen.capacity_lo_Ah:.2f} to {seen.capacity_hi_Ah:.2f})"
     ohm = f"{1000.0 * seen.resistance_ohm:.1f} mohm a cell ({seen.resistance_ohm / pack.type_ohm:.0%} of its type)"
@@ -47,7 +47,7 @@ def pack_lines(pack: PackRow) -> list[str]:
 
 
 def flight_line(after: Remembered) -> str:
-    """One line of a flight: what it said by itself, and what is believed after it."""
+    """Return one line about a flight: what it said by itself, and what is believed after it."""
     flight, mean = after.flight, after.known.mean
     has_date = 0.0 < flight.start_utc_s <= LATEST_UTC_S
     when = datetime.fromtimestamp(flight.start_utc_s, UTC).strftime("%Y-%m-%d %H:%M") if has_date else ""
