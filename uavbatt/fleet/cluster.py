@@ -15,7 +15,7 @@ WAIT_FOR_WORKERS_S = 30
 
 
 class Cluster(Generic[Row]):
-    """A crew of as many workers as the cluster has threads."""
+    """A Cluster is a crew of as many workers as a Dask cluster has threads."""
 
     def __init__(self, client: Any) -> None:
         from distributed import as_completed
@@ -26,13 +26,13 @@ class Cluster(Generic[Row]):
         self._coming = as_completed(loop=client.loop)
 
     def send(self, number: int, errand: Errand[Row]) -> None:
-        """Have an errand done."""
+        """Send an errand to the workers; `number` is that of its log."""
         future = self._client.submit(errand.done, pure=False, retries=1)
         self._under_way[future] = (number, errand)
         self._coming.add(future)
 
     def finished(self) -> tuple[int, Row]:
-        """The next row that comes back, with the number of its log."""
+        """Wait for the next row that comes back, and return it with the number of its log."""
         future = next(self._coming)
         number, errand = self._under_way.pop(future)
         row = self._row(future, errand)
@@ -53,7 +53,7 @@ class Cluster(Generic[Row]):
 
 @contextmanager
 def joined(scheduler: str) -> Iterator[Cluster[Any]]:
-    """The crew of a cluster.
+    """Yield the crew of a cluster.
 
     Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
     """

@@ -13,7 +13,7 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True, slots=True)
 class Errand(Generic[Row]):
-    """One log to be worked on; both functions can be pickled.
+    """An Errand is one log to be worked on by any worker; both functions can be pickled.
 
     work : makes the log's row, and never raises; lost : makes the row of a log whose worker died, from the reason.
     """

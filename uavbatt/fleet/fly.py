@@ -38,7 +38,7 @@ MANY_FLIGHTS = 20  # of 20 minutes: compiled code spares 0.2 s in each, and take
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One job: every log of a run is replayed with these settings."""
+    """A Job holds the settings with which every log of a run is replayed."""
 
     battery: BatteryFile
     options: PackOptions
@@ -54,7 +54,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class PackMet:
-    """The pack of one log by the ledger: what the flights before it taught, and what this one showed, in words."""
+    """PackMet holds what a ledger says of one log's pack: what earlier flights taught, what this one showed."""
 
     health: PackHealth | None = None
     findings: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ NOT_MET = PackMet()
 
 
 def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
-    """The row of one log; never raises for anything that a log can cause."""
+    """Return the row of one log; never raises for anything that a log can cause."""
     try:
         return _flown(read(log, job), log, job, met)
     except Unreadable as error:
@@ -85,19 +85,22 @@ def _reason(error: UavbattError, log: LogFile) -> str:
 
 
 def read(log: LogFile, job: Job) -> Flight:
-    """The flight of a log, as the job asks for it. Raises BadInput when it is none, Unreadable without its bytes."""
+    """Read the flight of a log, as the job asks for it.
+
+    Raises BadInput when it is none, Unreadable without its bytes.
+    """
     name, data = as_log(log.name, log.read())
     return bytes_joined(name, data, Wiring(job.join)) if job.join else read_bytes(name, data, job.instance)
 
 
 def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
-    """The row of a log that could not be flown."""
+    """Return the row of a log that could not be flown."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
 def lost(log: LogFile, reason: str, job: Job) -> FlightRow:
-    """The row of a log whose worker died, which the next run flies again."""
+    """Return the row of a log whose worker died, which the next run flies again."""
     return bad(log, job, reason, LOST)
 
 

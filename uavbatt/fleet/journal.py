@@ -52,7 +52,7 @@ def lesson_key(job: Job) -> str:
 
 
 class Journal(Generic[Row]):
-    """The journal of one output folder, open for the length of a run; only the places of its rows are in memory."""
+    """A Journal of one output folder is open for the length of a run; only the places of its rows are in memory."""
 
     def __init__(self, path: Path, keys: Mapping[str, int], row_of: Callable[[Mapping[str, Any]], Row]) -> None:
         """Open it; raises BadInput when its folder cannot be written.
@@ -92,7 +92,7 @@ class Journal(Generic[Row]):
         self._file.flush()
 
     def rows(self) -> Iterator[tuple[int, Row]]:
-        """(number of the log, its row) of this run in the order of its logs, one at a time."""
+        """Yield (number of the log, its row) of this run in the order of its logs, one at a time."""
         for number in sorted(self._places):
             self._file.seek(self._places[number])
             yield number, self._row_of(json.loads(self._file.readline()))
@@ -140,7 +140,7 @@ class Journal(Generic[Row]):
         self._index()
 
     def tidy(self) -> None:
-        """Leave only this run's rows in the file, when more of it is old than is in use."""
+        """Rewrite the file with only this run's rows, when more of it is old than is in use."""
         self._file.seek(0)
         if sum(1 for _ in self._file) <= 2 * len(self._places):
             return

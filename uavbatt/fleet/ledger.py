@@ -17,14 +17,14 @@ Numbered = tuple[int, Lesson]
 
 @dataclass(frozen=True, slots=True)
 class Filled:
-    """How many flights a ledger has taken in, and why it left out others: number of the log -> words."""
+    """Filled holds how many flights a ledger has taken in, and why it left out others: number of the log -> words."""
 
     saved: int
     left_out: dict[int, str]
 
 
 def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> Filled:
-    """Save what the flights taught of their packs."""
+    """Save what the flights taught of their packs; return how many were saved, and which were left out."""
     saved, left_out = 0, dict[int, str]()
     for name, flights in sorted(_by_pack(lessons).items()):
         teaching = [(number, lesson) for number, lesson in flights if lesson.taught is not None]

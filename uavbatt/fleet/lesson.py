@@ -46,7 +46,7 @@ class Lesson:
 
 
 def lesson_of(plain: Mapping[str, Any]) -> Lesson:
-    """The lesson of a dictionary that `Lesson.plain` made; ValueError when it is none."""
+    """Return the lesson of a dictionary that `Lesson.plain` made. Raises ValueError when it is none."""
     try:
         found = Lesson(
             file=msgspec.convert(plain["file"], str),
@@ -78,5 +78,5 @@ def learn(log: LogFile, job: Job) -> Lesson:
 
 
 def lost(log: LogFile, _: str) -> Lesson:
-    """The lesson of a log that could not be had, or whose worker died: the row of the flight will say why."""
+    """Return the lesson of a log that could not be read, or whose worker died; the flight's own row will say why."""
     return Lesson(file=log.name, status=LOST)

@@ -24,19 +24,19 @@ _CHANGED = ("mtime", "last_modified", "LastModified", "updated", "ETag", "etag",
 
 
 class Unreadable(BadInput):
-    """A log whose bytes cannot be had just now; the next run tries again."""
+    """A log whose bytes cannot be read just now raises this error; the next run tries again."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """A log to be flown: its path or address, its size [bytes] and when it changed, in whatever form is known."""
+    """A LogFile is a log to be flown: path or address, size [bytes] and when it changed, in whatever form is known."""
 
     name: str
     size: int
     changed: str
 
     def read(self) -> bytes:
-        """The bytes. Raises Unreadable when they cannot be had."""
+        """Return the bytes. Raises Unreadable when they cannot be read."""
         try:
             return _opened(self.name) if "://" in self.name else Path(self.name).read_bytes()
         except Exception as error:  # a remote file system raises whatever its library raises
@@ -44,7 +44,7 @@ class LogFile:
 
 
 def find_logs(patterns: Iterable[str], without: Iterable[str] = ()) -> list[LogFile]:
-    """Every log that the patterns name, each once, by name.
+    """Return every log that the patterns name, each once, by name.
 
     without : patterns of what is left out, of a log's whole path or address, or of its file name alone
     Raises UsageError for a pattern that names nothing, and when nothing is left.

@@ -33,7 +33,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class Task(NamedTuple):
-    """An errand, and how often it has been tried."""
+    """A Task is an errand with the number of its log, and how often it has been tried."""
 
     number: int
     errand: Errand[Any]
@@ -41,7 +41,7 @@ class Task(NamedTuple):
 
 
 class Worker:
-    """One process, with the log that it is on."""
+    """A Worker is one process, with the log that it is working on."""
 
     def __init__(self) -> None:
         self.line, theirs = _SPAWN.Pipe()
@@ -66,7 +66,7 @@ class Worker:
         return pages * os.sysconf("SC_PAGE_SIZE")
 
     def end(self) -> int | None:
-        """Its exit code, once it is gone."""
+        """Kill the process, and return its exit code."""
         self.line.close()
         self._process.kill()
         self._process.join()
@@ -74,7 +74,7 @@ class Worker:
 
 
 class Processes(Generic[Row]):
-    """A crew of `size` workers; no more than `limit_bytes` of memory for each."""
+    """Processes is a crew of `size` workers on this machine; each may take `limit_bytes` [bytes] of memory."""
 
     def __init__(self, size: int, limit_bytes: float | None = None) -> None:
         self.size = size
@@ -84,12 +84,12 @@ class Processes(Generic[Row]):
         self._workers = [Worker() for _ in range(size)]
 
     def send(self, number: int, errand: Errand[Row]) -> None:
-        """Have an errand done."""
+        """Send an errand to the workers; `number` is that of its log."""
         self._queue.append(Task(number, errand))
         self._hand_out()
 
     def finished(self) -> tuple[int, Row]:
-        """The next row that comes back, with the number of its log."""
+        """Wait for the next row that comes back, and return it with the number of its log."""
         return next(found for found in self._rows() if found is not None)
 
     def _rows(self) -> Iterator[tuple[int, Row] | None]:
@@ -107,7 +107,7 @@ class Processes(Generic[Row]):
                 yield found
 
     def close(self) -> None:
-        """End the workers, whatever they are on."""
+        """End the workers, whatever they are working on."""
         for worker in self._workers:
             worker.end()
 
@@ -140,7 +140,7 @@ class Processes(Generic[Row]):
 
 
 def machine_bytes() -> float:
-    """The memory of the machine, or of the container that this runs in."""
+    """Return the memory of the machine, or of the container that this runs in [bytes]."""
     size = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     try:
         return min(size, float(Path("/sys/fs/cgroup/memory.max").read_text("ascii")))

@@ -26,7 +26,7 @@ CHECKPOINTS = ("half", "360", "240", "120", "60")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightRow:
-    """The result of one flight. `status`: OK, or BAD or LOST with the reason in words."""
+    """A FlightRow holds the result of one flight. `status`: OK, or BAD or LOST with the reason in words."""
 
     file: str
     status: str = OK
@@ -79,12 +79,12 @@ class FlightRow:
     size_bytes: int = 0
 
     def plain(self) -> dict[str, Any]:
-        """As a dictionary of plain values; NaN becomes None."""
+        """Return it as a dictionary of plain values; NaN becomes None."""
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(self).items()}
 
 
 def row_of(plain: Mapping[str, Any]) -> FlightRow:
-    """The row of a dictionary that `FlightRow.plain` made; keys that this version does not know are left out.
+    """Return the row of a dictionary that `FlightRow.plain` made; keys that this version does not know are left out.
 
     Raises ValueError when it is no row: a name is missing, a value is of another type or fits no table.
     """

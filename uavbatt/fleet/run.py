@@ -29,20 +29,20 @@ _UNDER_WAY_PER_WORKER = 3
 
 
 class Crew(Protocol[Row]):
-    """The workers that read the logs."""
+    """A Crew is the workers that read the logs."""
 
     size: int
 
     def send(self, number: int, errand: Errand[Row]) -> None:
-        """Have an errand done."""
+        """Send an errand to the workers; `number` is that of its log."""
 
     def finished(self) -> tuple[int, Row]:
-        """The next row that comes back, with the number of its log."""
+        """Wait for the next row that comes back, and return it with the number of its log."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """One log done: its row, how many are done by now (those of earlier runs included), and of how many.
+    """Finished holds one done log: its row, how many are done by now (those of earlier runs too), and of how many.
 
     dropped: damaged rows of earlier runs that were taken out of the journal.
     """
@@ -66,7 +66,7 @@ def check_extra(scheduler: str | None = None) -> None:
 
 @contextmanager
 def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew[Any]]:
-    """The crew of an existing Dask cluster, or of `workers` processes on this machine that end with the block.
+    """Yield the crew of an existing Dask cluster, or of `workers` processes here that end with the block.
 
     Raises UavbattError when the cluster does not answer, has no workers, or runs another version of uavbatt.
     """
@@ -83,7 +83,7 @@ def connected(workers: int, scheduler: str | None = None) -> Iterator[Crew[Any]]
 def learn_all(
     crew: AbstractContextManager[Crew[Lesson]], logs: Sequence[LogFile], job: Job, folder: Path
 ) -> Iterator[Finished]:
-    """Work out what each flight says of its pack, for all logs of which `folder` does not have it yet.
+    """Work out what each flight says of its pack, for all logs that `folder` does not have yet; yield each when done.
 
     crew and errors as in `run_fleet`; `lessons` gives what was found.
     """
@@ -98,7 +98,7 @@ def learn_all(
 
 
 def lessons(folder: Path, logs: Sequence[LogFile], job: Job) -> Iterator[tuple[int, Lesson]]:
-    """(number of the log, what its flight says of its pack) of a finished first pass."""
+    """Yield (number of the log, what its flight says of its pack) of a finished first pass."""
     with Journal(folder / LESSONS, _numbers(_lesson_keys(logs, job)), lesson_of) as done:
         yield from done.rows()
 
@@ -130,7 +130,7 @@ def run_fleet(
 
 
 def rows(folder: Path, logs: Sequence[LogFile], job: Job, met: Sequence[PackMet] = ()) -> Iterator[FlightRow]:
-    """The rows of a finished run, one at a time."""
+    """Yield the rows of a finished run, one at a time."""
     with Journal(folder / JOURNAL, _numbers(_keys(logs, job, met)), row_of) as done:
         yield from (row for _, row in done.rows())
 
