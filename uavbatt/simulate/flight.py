@@ -36,7 +36,7 @@ LONGEST_S = 6 * 3600.0
 
 @dataclass(frozen=True, slots=True)
 class SimulatedFlight:
-    """The flight to simulate: mean power [W], ambient [°C], charge at the start, rows a second, seed of the gusts."""
+    """A SimulatedFlight says what to simulate: mean power [W], ambient [°C], charge, rows a second, seed of gusts."""
 
     power_W: float
     ambient_C: float = 20.0
@@ -46,7 +46,10 @@ class SimulatedFlight:
 
 
 def with_effects(pack: Pack, effects: dict[str, float]) -> Pack:
-    """The pack with the first quantity of each named effect set to a value; UsageError for a name or value unknown."""
+    """Return the pack with the first quantity of each named effect set to a value.
+
+    Raises UsageError for a name that is unknown, or a value out of its bounds.
+    """
     cell, installation = pack.cell, pack.installation
     for name, value in effects.items():
         if name not in EFFECTS:
@@ -71,7 +74,7 @@ def simulate_flight(
     power_W: Callable[[float], float] | None = None,
     lands_s: float = math.inf,
 ) -> list[Sample]:
-    """Idle on the ground, then flight until it lands or the pack is below its cut-off, and a little on.
+    """Return the rows of a flight, on the ground and in the air, until it lands or is below its cut-off, and a bit on.
 
     power_W : power asked [W] at a time [s], before gusts; without it the mission's mean power all the time
     lands_s : when it lands [s], if ever
@@ -145,7 +148,7 @@ def _row(
 
 
 def write_log(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight | None = None) -> None:
-    """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix; UsageError for another one."""
+    """Write the flight as `.tlog`, `.BIN` or `.csv`, by the suffix. Raises UsageError for another one."""
     parameters = (PARAMETERS if route is not None else {}) | {
         "BATT_MONITOR": 4.0,
         "BATT_CAPACITY": round(float(pack.installation.capacity_Ah) * 1000.0),

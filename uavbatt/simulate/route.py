@@ -38,7 +38,7 @@ Watts = Callable[[float, float, Phase], float]  # airspeed [m/s], climb [m/s], p
 
 @dataclass(frozen=True, slots=True)
 class RouteFlight:
-    """Legs in their order, when each begins [s], and the wind."""
+    """A RouteFlight holds legs in their order, when each begins [s], when it lands [s], and the wind."""
 
     mission: Mission
     home: Home
@@ -48,7 +48,7 @@ class RouteFlight:
     lands_s: float
 
     def power_W(self, time_s: float, watts: Watts) -> float:
-        """Power asked [W] in the air."""
+        """Return the power that is asked [W] at a time [s] in the air; `watts` is the aircraft's power law."""
         leg = self._leg(time_s)
         position = self.position(time_s)
         return watts(position.airspeed_ms, position.up_ms, leg.phase)
@@ -69,7 +69,7 @@ class RouteFlight:
         )  # fmt: skip
 
     def flown(self, end_s: float) -> FlownRoute:
-        """The rows of a log until `end_s` [s], one a second."""
+        """Return the rows of a log until `end_s` [s], one a second, with the mission and the wind."""
         rows = [self._row(k * ROW_PERIOD_S) for k in range(int(end_s / ROW_PERIOD_S) + 1)]
         return FlownRoute(self.home, self.mission, self.wind, rows)
 
