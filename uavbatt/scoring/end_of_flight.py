@@ -28,7 +28,7 @@ def end_of_flight(
     cutoff_V: float,
     min_current_A: float = -math.inf,
 ) -> float:
-    """First time [s] at which the pack's voltage under load is below `cutoff_V`; NaN if it never is.
+    """Return the first time [s] at which the voltage under load is below `cutoff_V` [V]; NaN if it never is.
 
     Judged by the trailing 5 s mean, by the centred 3-row median where rows are slower than 5 s, and only at
     rows whose current exceeds `min_current_A`. Rows without a voltage are passed over. The first 5 s, and

@@ -23,7 +23,7 @@ Z90 = 1.6448536269514722
 
 
 def crps_quantiles(truth: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
-    """CRPS of the split normal through the 5, 50 and 95 % points; |truth - median| when they coincide.
+    """Return the CRPS of the split normal through the 5, 50 and 95 % points; |truth - median| when they coincide.
 
     integral of (F - step)^2 = s_lo G(-|d|/s_lo) + s_hi G(0) + s_lo (G(|d|/s_lo) - G(0)) for d = truth - median
     below 0, mirrored above; G(z) = z Phi^2 + 2 Phi phi - Phi(z sqrt 2)/sqrt(pi) is the integral of Phi^2.
@@ -52,7 +52,7 @@ def _half_widths(lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> tuple[Float
 
 
 def mass_within(a: ArrayLike, b: ArrayLike, lo: ArrayLike, median: ArrayLike, hi: ArrayLike) -> FloatArray:
-    """Probability of the split normal between `a` and `b`; 0 where the median is NaN."""
+    """Return the probability of the split normal between `a` and `b`; 0 where the median is NaN."""
     s_lo, s_hi = _half_widths(lo, median, hi)
 
     def cdf(x: ArrayLike) -> FloatArray:
@@ -63,7 +63,7 @@ def mass_within(a: ArrayLike, b: ArrayLike, lo: ArrayLike, median: ArrayLike, hi
 
 
 def binomial_interval(hits: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson interval of a share of `hits` in `trials`; (0, 1) without trials."""
+    """Return the Clopper-Pearson interval of a share of `hits` in `trials`; (0, 1) without trials."""
     tail = (1.0 - confidence) / 2.0
     low = float(betaincinv(hits, trials - hits + 1, tail)) if hits > 0 else 0.0
     high = float(betaincinv(hits + 1, trials - hits, 1.0 - tail)) if hits < trials else 1.0
@@ -71,9 +71,10 @@ def binomial_interval(hits: int, trials: int, confidence: float = 0.95) -> tuple
 
 
 def fixed_percentage(truth_s: ArrayLike, forecast_s: ArrayLike, hits: int) -> tuple[float, float]:
-    """The plain rival of an interval: forecast +- p of itself, p the least that covers `hits` truths.
+    """Return (p, mean width [s]) of the plain rival of an interval: forecast +- p of itself.
 
-    Gives (p, mean width [s]). A forecast of 0 (a refusal) is never covered.
+    p is the least share that covers `hits` truths. A forecast of 0 (a refusal) is never covered. Raises ValueError
+    unless `hits` is 1 to the number of truths.
     """
     truth, forecast = np.asarray(truth_s, float), np.nan_to_num(np.asarray(forecast_s, float))
     with np.errstate(divide="ignore", invalid="ignore"):

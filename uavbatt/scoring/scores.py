@@ -48,7 +48,7 @@ NAN = math.nan
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """The forecast in force at one instant; `inside` is None where the method gives no interval."""
+    """An Instant holds the forecast in force at one time; `inside` is None where the method gives no interval."""
 
     truth_s: float
     forecast_s: float  # NaN: refused
@@ -58,13 +58,13 @@ class Instant:
 
     @property
     def error_s(self) -> float:
-        """Forecast - truth [s]; a refusal counts as the forecast 0."""
+        """Return forecast - truth [s]; a refusal counts as the forecast 0."""
         return (0.0 if math.isnan(self.forecast_s) else self.forecast_s) - self.truth_s
 
 
 @dataclass(frozen=True, slots=True)
 class FlightScore:
-    """All scores of one flight. Shares and means are over its lines; times in seconds."""
+    """A FlightScore holds all scores of one flight. Shares and means are over its lines; times in seconds."""
 
     name: str
     group: str
@@ -83,47 +83,47 @@ class FlightScore:
 
     @property
     def alarm_early_s(self) -> float:
-        """Seconds by which the alarm came before two true minutes; negative: late."""
+        """Return how long before two true minutes the alarm came [s]; negative: late."""
         return self.alarm_at_s - ALARM_S
 
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Forecast lines as columns; `points` holds median, 5 % and 95 % point as rows, NaN where refused."""
+    """Lines holds forecast lines as columns; `points` has median, 5 % and 95 % point as rows, NaN where refused."""
 
     time_s: FloatArray
     points: FloatArray
     interval: bool
 
     def in_force(self, at_s: FloatArray) -> Lines:
-        """The forecasts that a display shows at the instants `at_s`, none before the first line."""
+        """Return the forecasts that a display shows at the instants `at_s` [s]; NaN before the first line."""
         row = np.searchsorted(self.time_s, at_s + 1e-6, side="right") - 1
         age_s = np.where(row < 0, NAN, at_s - self.time_s[row])
         shown = np.where(age_s <= MAX_AGE_S, np.maximum(self.points[:, row] - age_s, 0.0), NAN)
         return Lines(at_s, shown, self.interval)
 
     def as_scored(self) -> FloatArray:
-        """`points` with a refusal as a sure 0 s, and a median that has no interval as a sure median."""
+        """Return `points` with a refusal as a sure 0 s, and a median that has no interval as a sure median."""
         median, lo, hi = np.where(np.isnan(self.points[0]), NAN, self.points)
         median = np.nan_to_num(median, nan=0.0)
         return np.stack([median, np.where(np.isnan(lo), median, lo), np.where(np.isnan(hi), median, hi)])
 
     def inside(self, truth_s: FloatArray) -> FloatArray:
-        """1 where the interval holds the truth, else 0; NaN throughout for a method without intervals."""
+        """Return 1 where the interval holds the truth, else 0; NaN throughout for a method without intervals."""
         _, lo, hi = np.where(np.isnan(self.points[0]), NAN, self.points)
         return np.where(self.interval, (lo <= truth_s) & (truth_s <= hi), NAN)
 
     def width_s(self) -> FloatArray:
-        """hi - lo; NaN where there is none."""
+        """Return the width hi - lo [s] of every line; NaN where there is none."""
         return np.where(self.interval & np.isfinite(self.points[0]), self.points[2] - self.points[1], NAN)
 
     def crps_s(self, truth_s: FloatArray) -> FloatArray:
-        """CRPS of every line."""
+        """Return the CRPS [s] of every line."""
         median, lo, hi = self.as_scored()
         return crps_quantiles(truth_s, lo, median, hi)
 
     def mass(self, truth_s: FloatArray, half_band_s: FloatArray | float) -> FloatArray:
-        """Probability of truth +- half band."""
+        """Return the probability of truth +- half band of every line; 0 where it is refused."""
         median, lo, hi = self.as_scored()
         within = mass_within(truth_s - half_band_s, truth_s + half_band_s, lo, median, hi)
         return np.where(np.isnan(self.points[0]), 0.0, within)  # near the end even 0 s would lie in the band
@@ -220,7 +220,7 @@ def _alarm_at_s(time_s: FloatArray, remaining_s: FloatArray, end_s: float) -> fl
 
 @dataclass(frozen=True, slots=True)
 class ScoreRow:
-    """One instant over all flights that reach it; `_se` is the standard error over flights."""
+    """A ScoreRow holds one instant over all flights that reach it; `_se` is the standard error over flights."""
 
     label: str
     flights: int
@@ -238,7 +238,7 @@ class ScoreRow:
 
 @dataclass(frozen=True, slots=True)
 class PooledScores:
-    """Scores over flights; a pair is (mean, standard error over flights)."""
+    """PooledScores holds scores over flights; a pair is (mean, standard error over flights)."""
 
     flights: int
     rows: tuple[ScoreRow, ...]
@@ -253,9 +253,10 @@ class PooledScores:
 
 
 def pool(scores: Iterable[FlightScore]) -> PooledScores:
-    """All flights together. A flight counts once in each row, so lines of one flight never pass for evidence.
+    """Pool the scores of all flights. A flight counts once in each row, so lines of one flight never pass for evidence.
 
-    Flights of one aircraft are not independent either: pool each group too and look at the difference.
+    Flights of one aircraft are not independent either: pool each group too and look at the difference. Raises
+    ValueError without a score.
     """
     every = tuple(scores)
     if not every:
