@@ -18,7 +18,7 @@ def _completed(words: list[str], commands: Collection[str | None]) -> list[str]:
 
 
 def main() -> None:
-    """Entry point of `uavbatt`: one line for what went wrong, and the exit code of its kind."""
+    """Run `uavbatt`; end with one line for what went wrong, and the exit code of its kind."""
     # Small matrices: a second thread of the linear algebra only gets in the way of the first.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(50_000)  # rows are values without circles: looking for some took a seventh of a replay

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Which flights to follow, and with which effects left out."""
+    """Asked says which flights to follow, and which effects to leave out."""
 
     instance: int | None
     without: tuple[str, ...]

@@ -24,7 +24,7 @@ Size = tuple[int, float, float]  # cells, capacity [Ah], cut-off [V]
 
 @contextmanager
 def reason_written(json_file: Path | None) -> Iterator[None]:
-    """Where the records cannot tell, the reason is written to the JSON as well, and raised."""
+    """Write the reason to the JSON as well, where the block raises NotEnoughData; it is raised again."""
     from uavbatt.files import write_json
 
     try:
@@ -36,7 +36,7 @@ def reason_written(json_file: Path | None) -> Iterator[None]:
 
 
 def one_size(sizes: set[Size]) -> Size:
-    """The size that all records share. Raises NotEnoughData when they are of different packs."""
+    """Return the size that all records share. Raises NotEnoughData when they are of different packs."""
     if len(sizes) > 1:
         listed = ", ".join(f"{n}S {q:g} Ah" for n, q, _ in sorted(sizes))
         raise NotEnoughData(f"the records are of different packs ({listed}): expected records of one")
@@ -44,7 +44,7 @@ def one_size(sizes: set[Size]) -> Size:
 
 
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
-    """The rows of a flight as a record. Raises NotEnoughData when it has no current."""
+    """Return the rows of a flight as a record. Raises NotEnoughData when it has no current."""
     from uavbatt.fitting import observed
 
     if not any(math.isfinite(s.current_A) for s in flight.samples):
@@ -53,7 +53,7 @@ def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
 
 
 def distinct(flights: list[Flight]) -> list[Flight]:
-    """UsageError when a log is named twice: it would count as two pieces of evidence."""
+    """Return the flights. Raises UsageError when a log is named twice: it would count as two pieces of evidence."""
     seen: dict[object, str] = {}
     for flight in flights:
         key = (len(flight.samples), flight.samples[0], flight.samples[-1])
@@ -64,7 +64,7 @@ def distinct(flights: list[Flight]) -> list[Flight]:
 
 
 def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Size:
-    """The size of a flight's pack, whose rows must not deny it. Raises UsageError in words."""
+    """Return the size of a flight's pack. Raises UsageError when the rows of the flight deny it."""
     from uavbatt.battery.sizing import resting
     from uavbatt.battery.statements import check_whole, size_from_rows
 
@@ -74,7 +74,10 @@ def flown_size(flight: Flight, content: BatteryFile, stated: PackOptions) -> Siz
 
 
 def tested_size(dataset: DataSet, content: BatteryFile, stated: PackOptions) -> Size:
-    """The size of a tested pack: a data set tells of its pack what a vehicle tells of its."""
+    """Return the size of a tested pack: a data set tells of its pack what a vehicle tells of its own.
+
+    Raises UsageError when there is none that fits.
+    """
     from uavbatt.battery.sizing import checked, size_of_pack
 
     said = PackFacts(capacity_Ah=dataset.capacity_Ah or math.nan, critical_voltage_V=dataset.cutoff_V)
@@ -91,7 +94,7 @@ def _rounded(size: PackSize) -> Size:
 
 
 class ProgressLine:
-    """The step at hand on stderr when it is a terminal."""
+    """ProgressLine shows the step at hand on stderr when that is a terminal."""
 
     def __enter__(self) -> ProgressLine:
         return self

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class BasePack(NamedTuple):
-    """The pack that effects are looked for on: as its type, or as worn as the flights before have shown.
+    """A BasePack is what effects are looked for on: new as its type, or as worn as the flights before have shown.
 
     file : the battery file with that wear; wear_sd : sd of its fade and of its growth; words : about it, for a person.
     """

@@ -30,7 +30,7 @@ NOT_FLOWN = {"filterpy.stats": ("logpdf",), "filterpy.discrete_bayes": ()}
 
 
 def run(config: Config) -> None:
-    """Until SIGTERM or SIGINT."""
+    """Run the companion process until SIGTERM or SIGINT."""
     load_filterpy()
     from uavbatt.battery import battery_file
     from uavbatt.live.daemon import Daemon
@@ -109,7 +109,7 @@ def _links(config: Config) -> tuple[Link, Sequence[Link]]:
 
 
 def stated(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
-    """The pack and the forecasts as the configuration states them, for the estimator."""
+    """Return the pack and the forecasts as the configuration states them. Raises UsageError for `--load log`."""
     from uavbatt.battery import vehicle_file
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.prediction.forecaster import ForecastSettings
@@ -130,7 +130,7 @@ def stated(pack: PackSection) -> tuple[PackOptions, ForecastSettings]:
 
 
 def main() -> int:
-    """Entry point; what went wrong in one line, and the exit code of its kind."""
+    """Run the process of $UAVBATT_LIVE; print what went wrong in one line, and return the exit code of its kind."""
     import msgspec
 
     from uavbatt.live.config import Config

@@ -23,7 +23,7 @@ SystemOption = Annotated[
 
 
 def asked_flight(log: Path, instance: int | None, join: str, system: int | None = None) -> Flight:
-    """The flight as the options ask for it; UsageError when they contradict each other or the log."""
+    """Read the flight as the options ask for it. Raises UsageError when they contradict each other or the log."""
     from uavbatt.telemetry import read_log
     from uavbatt.telemetry.join import Wiring, read_joined
 
@@ -32,7 +32,7 @@ def asked_flight(log: Path, instance: int | None, join: str, system: int | None 
 
 
 def check_join(instance: int | None, join: str) -> None:
-    """UsageError for a wiring that is none, or beside a single battery."""
+    """Raise UsageError for a wiring that is none, or one beside a single battery."""
     from uavbatt.telemetry.join import Wiring
 
     if join and join not in tuple(Wiring):

@@ -23,7 +23,7 @@ STANDARD_OUTPUT = Path("-")
 
 
 def check_ending(path: Path | None, option: str, ending: str) -> None:
-    """UsageError for an output whose name promises another kind of file than is written."""
+    """Raise UsageError for an output whose name promises another kind of file than is written."""
     if path is not None and path != STANDARD_OUTPUT and path.suffix.lower() != ending:
         raise UsageError(f"{option} {path}: expected a name that ends in {ending}")
 
@@ -56,7 +56,7 @@ FASTEST_WIND_MS = 100.0
 
 
 def positive_or_nan(value: float | None, option: str) -> float:
-    """NaN for an option that was not given; UsageError unless it is positive and finite."""
+    """Return the value, or NaN for an option that was not given. Raises UsageError unless it is positive and finite."""
     if value is None:
         return NAN
     if not (math.isfinite(value) and value > 0.0):
@@ -65,7 +65,7 @@ def positive_or_nan(value: float | None, option: str) -> float:
 
 
 def stated_wind(text: str) -> Wind:
-    """The wind of `SPEED@FROM_DEG` ([m/s], degrees from north, where it comes from); UsageError for anything else."""
+    """Return the wind of `SPEED@FROM_DEG` [m/s, degrees from north, where it comes from]. Raises UsageError if bad."""
     from uavbatt.navigation import Wind
 
     speed, at, bearing = text.partition("@")
@@ -81,7 +81,7 @@ def stated_wind(text: str) -> Wind:
 def stated_pack(
     cells: int | None, capacity_ah: float | None, cutoff_voltage: float | None, reserve_soc: float = 0.0
 ) -> PackOptions:
-    """The pack as the options state it. Raises UsageError when it, or the reserve, cannot be."""
+    """Return the pack as the options state it. Raises UsageError when it, or the reserve, cannot be."""
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.limits import OPTIONS, check_stated
 
@@ -94,7 +94,7 @@ def stated_pack(
 
 
 def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), makes: Path | None = None) -> None:
-    """UsageError before any work when an output can not be written, or would overwrite another or what is read.
+    """Raise UsageError before any work if an output cannot be written, or would overwrite another or an input.
 
     `makes` is a folder that the command itself will make.
     """
@@ -115,13 +115,13 @@ def check_writable(*targets: Path | None, reads: Iterable[Path | None] = (), mak
 
 
 def check_named(*targets: Path | None) -> None:
-    """UsageError for `-`: a battery or vehicle file goes by its name."""
+    """Raise UsageError for `-`: a battery or vehicle file goes by its name."""
     if STANDARD_OUTPUT in targets:
         raise UsageError("-: expected a file name to write")
 
 
 def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) -> None:
-    """UsageError when two outputs are one file, or an output is a file that is read."""
+    """Raise UsageError when two outputs are one file, or an output is a file that is read."""
     read = {os.path.realpath(path) for path in reads if path is not None}
     taken: set[str] = set()
     for target in targets:
@@ -136,7 +136,7 @@ def check_apart(targets: Iterable[Path | None], reads: Iterable[Path | None]) ->
 
 
 def say(line: str, *outputs: Path | None) -> None:
-    """A line for a person: on stdout, but on stderr when an output goes there, which is nothing but data then.
+    """Print a line for a person on stdout, but on stderr when an output goes to stdout, which then is nothing but data.
 
     A reader who leaves (`uavbatt ... | head`) misses the other lines, and the files are written all the same.
     """
@@ -148,12 +148,12 @@ def say(line: str, *outputs: Path | None) -> None:
 
 
 def remark(line: str) -> None:
-    """A line beside the result, on stderr."""
+    """Print a line beside the result, on stderr."""
     print(terminal_line(line), file=sys.stderr)
 
 
 def read_battery(name: str, allow_uncertified: bool) -> BatteryFile:
-    """The battery file that the options name; one that was let through is told, whatever else the command prints."""
+    """Read the battery file that the options name; a caveat about an edited one is printed on stderr."""
     from uavbatt.battery import battery_file
 
     content = battery_file.read_battery(name, allow_uncertified=allow_uncertified)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """The fate of a flight in the ledger: lines for a person, fields for a program."""
+    """Learned tells what became of a flight in the ledger: lines for a person, fields for a program."""
 
     lines: tuple[str, ...] = ()
     fields: dict[str, Any] = field(default_factory=dict)
@@ -29,7 +29,7 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class PackMemory:
-    """A ledger that is open, or none at all, and the name that the caller gives the pack."""
+    """PackMemory holds an open ledger, or none at all, and the name that the caller gives the pack."""
 
     ledger: Ledger | None
     stated: str = ""
@@ -43,7 +43,7 @@ class PackMemory:
         return recalled(self.ledger, name_of(flight, self.stated), flight, battery)
 
     def recalled_now(self, battery: BatteryFile) -> PackHealth | None:
-        """Return what is known today of the pack that --pack names. UsageError when the ledger does not know it."""
+        """Return what is known today of the pack that --pack names. Raises UsageError for a pack it does not know."""
         from uavbatt.packs.ledger import prior
 
         if self.ledger is None:
@@ -56,7 +56,7 @@ class PackMemory:
         return prior(last, time.time(), battery.certificate.content_sha256)
 
     def learn(self, flight: Flight, battery: BatteryFile, options: PackOptions) -> Learned:
-        """Save what the flight taught of its pack."""
+        """Save what the flight taught of its pack, and return the words about it."""
         from uavbatt.packs.findings import ANOTHER
         from uavbatt.packs.ledger import AnotherSize
         from uavbatt.packs.remembering import name_of, taught
@@ -90,7 +90,7 @@ class PackMemory:
 
 @contextmanager
 def opened(packs: Path | None, pack: str = "", *, only_read: bool = False) -> Iterator[PackMemory]:
-    """The ledger that the options name. UsageError for a name without a ledger."""
+    """Open the ledger that the options name, for a block. Raises UsageError for a name without a ledger."""
     if packs is None:
         if pack:
             raise UsageError(f"--pack {pack}: expected --packs FILE as well, the ledger that remembers it")

@@ -70,7 +70,7 @@ def plan_mission(
 
 
 def clock(seconds: float) -> str:
-    """Minutes and seconds."""
+    """Return a time [s] in minutes and seconds, `12:05`; `unknown` if it is not finite."""
     if not math.isfinite(seconds):
         return "unknown"
     minutes, rest = divmod(round(seconds), 60)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Method(StrEnum):
-    """The method of judging."""
+    """Method says how the tests are judged."""
 
     ISO = "iso"
     PAPER = "paper"
