@@ -46,7 +46,7 @@ print(ready_s, float(peak_kB) / 1024)
 
 
 def engine_rows(python: str) -> Iterator[engine.Row]:
-    """Filter, forecast, replay, growth."""
+    """Yield the rows of filter, forecast, accuracy, replay and growth."""
     took_s, words = engine.progpy_s(python)
     if took_s != took_s:
         print(f"ProgPy left out: {words}; pip install progpy, or --progpy-python", file=sys.stderr)
@@ -58,7 +58,7 @@ def engine_rows(python: str) -> Iterator[engine.Row]:
 
 
 def cli_rows(repeats: int) -> Iterator[engine.Row]:
-    """Whole commands in new processes: replay of a 20-minute flight and of a short one, diagnosis."""
+    """Yield the rows of whole commands in new processes: replay of a 20-minute flight and of a short one, diagnosis."""
     with tempfile.TemporaryDirectory() as folder:
         logs = {name: Path(folder) / f"{name}.csv" for name in ("20 min at 10 Hz", "8 min at 1 Hz")}
         write_log(logs["20 min at 10 Hz"], engine.flight(20.0), engine.pack())
@@ -78,7 +78,7 @@ def cli_rows(repeats: int) -> Iterator[engine.Row]:
 
 
 def plan_row(repeats: int) -> engine.Row:
-    """The plan of a mission of many items in a new process; the budget is 2 s."""
+    """Return the row of a plan of a mission of many items in a new process; the budget is 2 s."""
     with tempfile.TemporaryDirectory() as folder:
         survey, quad = Path(folder) / "survey.waypoints", Path(folder) / "quad.vehicle.toml"
         missions.write_survey(survey)
@@ -100,7 +100,7 @@ def _with_and_without(name: str, arguments: list[str], repeats: int) -> Iterator
 
 
 def daemon_rows(repeats: int) -> Iterator[engine.Row]:
-    """What a live process needs: ready to estimate, and its memory after 200 rows."""
+    """Yield the rows of a live process: the time until it can estimate, and its memory after 200 rows."""
     runs = [
         subprocess.run([sys.executable, "-c", DAEMON], capture_output=True, text=True, check=True).stdout.split()
         for _ in range(repeats)

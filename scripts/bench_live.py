@@ -34,19 +34,21 @@ WARM_S, WARM_ON_ROUTE_S = 5.0, 25.0  # on a route nothing is said of the way hom
 
 
 def rss_MB(pid: int) -> float:
-    """Resident memory of a process [MB]."""
+    """Return the resident memory of a process [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time a process has used [s]."""
+    """Return the processor time that a process has used [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 class Vehicle(threading.Thread):
-    """A 4S quad at a steady 12 A: BATTERY_STATUS at 10 Hz, a heartbeat at 1 Hz, ATTITUDE to fill up `rate` [1/s].
+    """A Vehicle is a 4S quad at a steady 12 A: it sends BATTERY_STATUS at 10 Hz, a heartbeat at 1 Hz, and ATTITUDE.
+
+    ATTITUDE fills up to `rate` messages a second.
 
     With `is_on_route` it tells five times a second where it is on the mission of `bench.missions`.
     """
@@ -87,7 +89,7 @@ class Vehicle(threading.Thread):
 
 
 def ready(command: list[str], env: dict[str, str]) -> tuple[subprocess.Popen[bytes], float]:
-    """Start the daemon; (process, seconds until READY=1)."""
+    """Start the daemon; return (process, time until READY=1 [s])."""
     path = tempfile.mktemp(prefix="uavbatt-notify-")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(path)
@@ -102,7 +104,7 @@ def ready(command: list[str], env: dict[str, str]) -> tuple[subprocess.Popen[byt
 
 
 def measure(feed: str, rate: float, seconds: float, mission: Path | None = None) -> dict[str, float]:
-    """Run daemon, vehicle and ground station; what they took. With a mission file the vehicle flies along it."""
+    """Run daemon, vehicle and ground station; return what they took. With a mission file the vehicle flies along it."""
     station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     station.bind(STATION)
     station.settimeout(1.0)

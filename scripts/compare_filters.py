@@ -37,7 +37,10 @@ SETS = ("reference/r0", "practice/p1")
 
 
 def unscented_close(pack, state, _):
-    """`recursion._close` with filterpy's unscented transform for both steps; the linear maps it is handed go unused."""
+    """Do what `recursion._close` does, with filterpy's unscented transform for both steps.
+
+    The linear maps that it is handed go unused.
+    """
     block, at = state.block, state.moments
     mean_A = block.charge_As / block.duration_s
     points = MerweScaledSigmaPoints(SIZE, alpha=0.3, beta=2.0, kappa=0.0)
@@ -70,7 +73,7 @@ def unscented_close(pack, state, _):
 
 
 def score(battery: battery_file.BatteryFile) -> tuple[float, float, float]:
-    """(soc RMSE over the eight flights, the worst flight's, microseconds a sample)."""
+    """Return (soc RMSE over the eight flights, the worst flight's, microseconds a sample)."""
     errors, spent, rows = [], 0.0, 0
     for folder in SETS:
         for number in (1, 2, 3, 4):

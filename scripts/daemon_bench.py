@@ -20,7 +20,7 @@ OPTIONS = PackOptions(capacity_Ah=5.0, cells=4)
 
 
 class FakeLink:
-    """A link whose other side is the caller."""
+    """A FakeLink is a link without a socket: the caller puts in what it reads, and looks at what it writes."""
 
     is_stream, problem = False, ""
 
@@ -43,7 +43,7 @@ class FakeLink:
 
 
 class Bench:
-    """A daemon, its links and its clocks."""
+    """A Bench holds a daemon, its links and its clocks."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class Bench:
         self.link.incoming.append((self.framed(message, system, component), sender))
 
     def fly(self, seconds: float, volts: float = 16.0, used: float = 0.0) -> None:
-        """A flight at 12 A with telemetry at 5 Hz; `used` [Ah] was drawn before."""
+        """Fly at 12 A with telemetry at 5 Hz for so many seconds; `used` [Ah] was drawn before."""
         rate_Hz, amps = 5.0, 12.0
         for k in range(int(seconds * rate_Hz)):
             if k % int(rate_Hz) == 0:
@@ -85,7 +85,7 @@ class Bench:
             self.now_s += 1.0 / rate_Hz
 
     def play(self, samples: Iterable[Sample]) -> None:
-        """Rows at their own times, a heartbeat before each."""
+        """Play rows at their own times, a heartbeat before each."""
         last_s: float | None = None
         for sample in samples:
             self.now_s += sample.time_s - last_s if last_s is not None else 0.0

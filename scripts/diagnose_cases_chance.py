@@ -29,32 +29,32 @@ Right = Callable[[Observed], Observed]
 
 
 def gain(size: float) -> Right:
-    """A current that was read `size` times too large."""
+    """Return the correction of a current that was read `size` times too large."""
     return lambda r: replace(r, current_A=r.current_A / size)
 
 
 def offset(size_A: float) -> Right:
-    """A current with a constant added."""
+    """Return the correction of a current to which `size_A` [A] was added."""
     return lambda r: replace(r, current_A=r.current_A - size_A)
 
 
 def load(size_W: float) -> Right:
-    """A load that the sensor did not see."""
+    """Return the correction of a load of `size_W` [W] that the sensor did not see."""
     return lambda r: replace(r, current_A=r.current_A + size_W / r.voltage_V)
 
 
 def volts(size: float) -> Right:
-    """A voltage that was read `size` times too large."""
+    """Return the correction of a voltage that was read `size` times too large."""
     return lambda r: replace(r, voltage_V=r.voltage_V / size)
 
 
 def leads(size_ohm: float) -> Right:
-    """Leads between the pack and the sensor."""
+    """Return the correction for leads of `size_ohm` [ohm] between the pack and the sensor."""
     return lambda r: replace(r, voltage_V=r.voltage_V + size_ohm * r.current_A)
 
 
 def warmth(size_K: float) -> Right:
-    """A temperature with a constant added."""
+    """Return the correction of a temperature to which `size_K` [K] was added."""
     return lambda r: replace(r, temp_C=r.temp_C - size_K)
 
 

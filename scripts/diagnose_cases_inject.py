@@ -29,7 +29,7 @@ HEAT_JPK, COOLING_WPK = 28.0 * CAPACITY_AH, 0.074 * CAPACITY_AH  # one cell of t
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight: reported voltage, current and temperature, true charge and current, OCV of the cell."""
+    """A Flown holds one flight: reported voltage, current and temperature, true charge and current, OCV of the cell."""
 
     name: str
     time_s: Array
@@ -42,18 +42,18 @@ class Flown:
     ohm: tuple[Array, Array]  # how resistance goes with charge
 
     def sag_V(self) -> Array:
-        """What the load takes from the pack's voltage, without the sensor's noise."""
+        """Return the voltage [V] that the load takes from the pack, without the sensor's noise."""
         return _lag(np.maximum(CELLS * self.open_V(self.true_soc) - self.voltage_V, 0.0), self.time_s, 2.0, 0.0)
 
     def open_V(self, soc: Array) -> Array:
-        """OCV of one cell, straight on below empty."""
+        """Return the OCV of one cell [V] at a state of charge, straight on below empty."""
         knots, volts = self.ocv
         low = (volts[1] - volts[0]) / (knots[1] - knots[0])
         inside: Array = np.interp(soc, knots, volts) + low * np.minimum(soc - knots[0], 0.0)
         return inside
 
     def observed(self) -> Observed:
-        """As diagnosis takes it, up to the end of flight."""
+        """Return the flight as diagnosis takes it, up to the end of flight."""
         width = int(BELOW_S / np.median(np.diff(self.time_s)))
         mean_V = np.convolve(self.voltage_V, np.ones(width) / width, mode="same")
         under = np.flatnonzero((mean_V < AFTER_END_V) & (self.time_s > 60.0))
@@ -66,7 +66,7 @@ Change = Callable[[Flown], Flown]
 
 
 def flights(log_folder: Path, answer_folder: Path, battery: BatteryFile) -> list[Flown]:
-    """The flights of one case with their truth at every row."""
+    """Read the flights of one case with their truth at every row."""
     table = battery.parameters
     ocv = (np.array(table.ocv_soc), np.array(table.ocv_V))
     ohm = (np.array(table.resistance_soc), np.array(table.resistance_ohmAh))
@@ -92,57 +92,60 @@ def _lag(target: Array, time_s: Array, tau_s: float, start: float) -> Array:
 
 
 def current_gain(size: float) -> Change:
-    """The current sensor reads `size` times the current."""
+    """Return a change: the current sensor reads `size` times the current."""
     return lambda f: replace(f, current_A=f.current_A * size)
 
 
 def current_offset(size_A: float) -> Change:
-    """The current sensor adds a constant, also on the ground; it shows nothing below zero."""
+    """Return a change: the current sensor adds a constant [A], also on the ground; it shows nothing below zero."""
     return lambda f: replace(f, current_A=np.maximum(f.current_A + size_A, 0.0))
 
 
 def unmetered(size_W: float) -> Change:
-    """The sensor misses what a load of constant power draws."""
+    """Return a change: the sensor misses what a load of constant power [W] draws."""
     return lambda f: replace(f, current_A=np.maximum(f.current_A - size_W / f.voltage_V, 0.0))
 
 
 def voltage_gain(size: float) -> Change:
-    """The voltage sensor reads `size` times the voltage."""
+    """Return a change: the voltage sensor reads `size` times the voltage."""
     return lambda f: replace(f, voltage_V=f.voltage_V * size)
 
 
 def voltage_offset(size_V: float) -> Change:
-    """The voltage sensor adds a constant."""
+    """Return a change: the voltage sensor adds a constant [V]."""
     return lambda f: replace(f, voltage_V=f.voltage_V + size_V)
 
 
 def temperature_offset(size_K: float) -> Change:
-    """The temperature sensor adds a constant."""
+    """Return a change: the temperature sensor adds a constant [K]."""
     return lambda f: replace(f, temp_C=f.temp_C + size_K)
 
 
 def temperature_lag(tau_s: float) -> Change:
-    """A sensor that follows late."""
+    """Return a change: the temperature sensor follows late, with the time constant `tau_s` [s]."""
     return lambda f: replace(f, temp_C=_lag(f.temp_C, f.time_s, tau_s, float(np.mean(f.temp_C[:5]))))
 
 
 def current_delay(size_s: float) -> Change:
-    """The current of `size_s` ago."""
+    """Return a change: the current is that of `size_s` [s] ago."""
     return lambda f: replace(f, current_A=np.interp(f.time_s - size_s, f.time_s, f.current_A))
 
 
 def harness(size_ohm: float) -> Change:
-    """Leads between the pack and the voltage sensor."""
+    """Return a change: there are leads of `size_ohm` [ohm] between the pack and the voltage sensor."""
     return lambda f: replace(f, voltage_V=f.voltage_V - f.true_A * size_ohm)
 
 
 def fade(share: float) -> Change:
-    """A pack with less charge: the same cells, smaller, flown at the same C-rate, give the same voltage exactly."""
+    """Return a change: the pack holds less charge.
+
+    The same cells, smaller, flown at the same C-rate, give the same voltage exactly.
+    """
     return lambda f: replace(f, current_A=f.current_A * (1.0 - share), true_A=f.true_A * (1.0 - share))
 
 
 def resistance_growth(share: float) -> Change:
-    """More of the sag that was recorded, and its heat in the core."""
+    """Return a change: more of the sag that was recorded, by `share`, and its heat in the core."""
 
     def grown(f: Flown) -> Flown:
         sag_V = f.sag_V()
@@ -154,7 +157,7 @@ def resistance_growth(share: float) -> Change:
 
 
 def lower_charge(of: Callable[[Flown], Array], cells: int = CELLS) -> Change:
-    """`cells` of the series at the charge that `of` gives, the others as they were."""
+    """Return a change: `cells` of the series are at the charge that `of` gives, the others as they were."""
 
     def lowered(f: Flown) -> Flown:
         soc = of(f)
@@ -166,17 +169,17 @@ def lower_charge(of: Callable[[Flown], Array], cells: int = CELLS) -> Change:
 
 
 def weak_cell(deficit: float) -> Change:
-    """One cell with less charge, full when the others are."""
+    """Return a change: one cell holds less charge by the share `deficit`, full when the others are."""
     return lower_charge(lambda f: 1.0 - (1.0 - f.true_soc) / (1.0 - deficit), cells=1)
 
 
 def initial_charge(missing: float) -> Change:
-    """Packs that were not charged to full."""
+    """Return a change: the pack was charged to less than full, by `missing` of its charge."""
     return lower_charge(lambda f: f.true_soc - missing)
 
 
 def rate_capacity(gain_h: float) -> Change:
-    """A share of the current, growing with it, that does no work."""
+    """Return a change: a share of the current, growing with it, does no work."""
 
     def drained(f: Flown) -> Array:
         rate = f.true_A / CAPACITY_AH
@@ -187,14 +190,17 @@ def rate_capacity(gain_h: float) -> Change:
 
 
 def hysteresis(size_V: float) -> Change:
-    """A branch that is reached after a few percent of the charge, in a straight line."""
+    """Return a change: a voltage branch `size_V` [V] lower is reached after 6 % of the charge, in a straight line."""
     return lambda f: replace(
         f, voltage_V=f.voltage_V - CELLS * size_V * np.clip((f.true_soc[0] - f.true_soc) / 0.06, 0.0, 1.0)
     )
 
 
 def charge_transfer(factor: float) -> Change:
-    """The reaction of both electrodes is `factor` times as fast: Butler and Volmer's law, not our approximation."""
+    """Return a change: the reaction of both electrodes is `factor` times as fast.
+
+    By Butler and Volmer's law, not our approximation.
+    """
 
     def slower(f: Flown) -> Flown:
         share = f.true_A / CAPACITY_AH / 0.8
@@ -206,12 +212,12 @@ def charge_transfer(factor: float) -> Change:
 
 
 def slow_voltage(ohm: float, tau_s: float = 150.0) -> Change:
-    """Voltage that gives way over minutes beyond what the file says."""
+    """Return a change: the voltage gives way over minutes beyond what the file says."""
     return lambda f: replace(f, voltage_V=f.voltage_V - CELLS * _lag(ohm * f.true_A, f.time_s, tau_s, 0.0))
 
 
 def cooled(share: float) -> Change:
-    """Air in flight takes `share` more heat than the bench did."""
+    """Return a change: the air in flight takes `share` more heat than the bench did."""
 
     def cooler(f: Flown) -> Flown:
         rise, out, cold = f.temp_C - np.mean(f.temp_C[:5]), np.empty_like(f.temp_C), 0.0
@@ -225,5 +231,5 @@ def cooled(share: float) -> Change:
 
 
 def both(first: Change, second: Change) -> Change:
-    """Two effects; the sensor's after the cell's."""
+    """Return two changes, one after the other: the sensor's after the cell's."""
     return lambda f: second(first(f))

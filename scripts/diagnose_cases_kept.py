@@ -41,7 +41,7 @@ EQUIVALENT = (
 
 @dataclass(frozen=True)
 class Case:
-    """An effect, how to plant it at a size, its size, the flights it is planted into, quantity of a sensor effect."""
+    """A Case is an effect, how to plant it at a size, its size, the flights it is planted into, and its quantity."""
 
     effect: str
     change: Callable[[float], Change]
@@ -51,7 +51,7 @@ class Case:
     quantity: str = ""
 
     def at(self, share: float) -> Change:
-        """The effect at a share of its size."""
+        """Return the change that plants the effect at a share of its size."""
         return self.change(self.neutral + share * (self.size - self.neutral))
 
 
@@ -86,21 +86,21 @@ PAIRS = (
 
 
 def battery_of_the_truth() -> BatteryFile:
-    """Fitted on the laboratory's tests and the effect-free reference flights."""
+    """Fit a battery on the laboratory's tests and the effect-free reference flights."""
     logs = [read_log(p) for p in sorted((DATA / "truth" / "reference" / "r0").glob("*.tlog"))]
     size = Size("truth", plant.CELLS, plant.CAPACITY_AH, plant.CUTOFF_V)
     return fit_battery(size, [dataset.load(DATA / "truth" / "lab")], logs).file
 
 
 def pools(battery: BatteryFile) -> dict[str, list[Flown]]:
-    """The effect-free flights by the name of their case."""
+    """Return the effect-free flights by the name of their case."""
     places = {"r0": "reference/r0", "p1": "practice/p1"}
     truth = DATA / "truth"
     return {k: plant.flights(truth / v, truth / "answers" / v, battery) for k, v in places.items()}
 
 
 def run(flown: list[Flown], change: Change, battery: BatteryFile, *without: str) -> Diagnosis:
-    """The diagnosis of the flights with the change in them."""
+    """Return the diagnosis of the flights with the change in them."""
     records = [change(f).observed() for f in flown]
     return diagnose(
         records,
@@ -112,19 +112,19 @@ def run(flown: list[Flown], change: Change, battery: BatteryFile, *without: str)
 
 
 def kin(effect: str) -> set[str]:
-    """Effects that no reading of voltage, current and temperature tells from this one."""
+    """Return the effects that no reading of voltage, current and temperature tells from this one."""
     return {effect}.union(*(c for c in EQUIVALENT if effect in c))
 
 
 def confident(found: Diagnosis) -> str:
-    """The name that is stated alone and without doubt, or nothing."""
+    """Return the name that is stated alone and without doubt; empty if there is none."""
     if found.verdict == "effect_found" and len(found.classes) == 1 and len(found.classes[0].members) == 1:
         return found.classes[0].members[0]
     return ""
 
 
 def words(found: Diagnosis, quantity: str = "") -> str:
-    """Verdict and classes in one cell of a table."""
+    """Return verdict and classes in one cell of a table."""
     listed = " + ".join("/".join(c.members) for c in found.classes) or "–"
     mark = {"undeclared_effect": "undeclared: ", "effect_found": "", "no_missing_effect": "none: "}[found.verdict]
     told = found.classes[0].parameters.get(quantity) if found.classes else None
@@ -132,17 +132,17 @@ def words(found: Diagnosis, quantity: str = "") -> str:
 
 
 def first_has(found: Diagnosis, effect: str) -> bool:
-    """Whether the truth is among the members of the first class."""
+    """Return True if the truth is among the members of the first class."""
     return bool(found.classes) and effect in found.classes[0].members
 
 
 def mark(good: bool) -> str:
-    """For a table."""
+    """Return the mark of a table cell: a tick if good, else a cross."""
     return "✓" if good else "✗"
 
 
 def singles(battery: BatteryFile, pool: dict[str, list[Flown]], only: str) -> None:
-    """Table of the planted effects: whole, half, and with the true effect withheld."""
+    """Print the table of the planted effects: whole, half, and with the true effect withheld."""
     print("\n| planted | flights | whole size | half size | withheld |\n|---|---|---|---|---|")
     whole, halves, wrong, kindred, cases = 0, 0, 0, 0, [c for c in CASES if only in c.effect]
     for case in cases:
@@ -165,7 +165,7 @@ def singles(battery: BatteryFile, pool: dict[str, list[Flown]], only: str) -> No
 
 
 def effect_free(battery: BatteryFile, pool: dict[str, list[Flown]]) -> None:
-    """Flights with nothing planted, in several combinations."""
+    """Print flights with nothing planted, in several combinations."""
     p, r = pool["p1"], pool["r0"]
     sets = {"p1": p, "r0": r, "p1 1, 2 and r0 3, 4": p[:2] + r[2:], "r0 1, 2 and p1 3, 4": r[:2] + p[2:],
             "p1 1 to 3": p[:3], "p1 2 and 4": [p[1], p[3]], "all eight": p + r}  # fmt: skip
@@ -179,7 +179,7 @@ def effect_free(battery: BatteryFile, pool: dict[str, list[Flown]]) -> None:
 
 
 def pairs(battery: BatteryFile, pool: dict[str, list[Flown]]) -> None:
-    """Two effects at once."""
+    """Print what becomes of two effects at once."""
     print("\n| two planted | flights | diagnosis |\n|---|---|---|")
     good = 0
     for one, other, change, name in PAIRS:
@@ -192,7 +192,7 @@ def pairs(battery: BatteryFile, pool: dict[str, list[Flown]]) -> None:
 
 
 def invariances(battery: BatteryFile, pool: dict[str, list[Flown]]) -> None:
-    """Renamed and shuffled files; an effect of no size."""
+    """Print what becomes of renamed and shuffled files, and of an effect of no size."""
     change, flown = plant.current_gain(1.08), pool["p1"]
     first = run(flown, change, battery)
     second = run([replace(flown[i], name=f"log {i}") for i in (2, 0, 3, 1)], change, battery)

@@ -43,14 +43,14 @@ HEAD = "| data | plain model | found | voltage, left out [mV] | left unexplained
 
 
 def columns(path: Path) -> dict[str, Array]:
-    """The columns of a CSV file, NaN where empty."""
+    """Return the columns of a CSV file, NaN where empty."""
     with path.open() as stream:
         rows = list(csv.DictReader(stream))
     return {k: np.array([float(r[k] or "nan") for r in rows]) for k in rows[0]}
 
 
 def plain(name: str, ocv: tuple[Array, Array], ohm_Ah: float, capacity_Ah: float, cutoff_V: float) -> BatteryFile:
-    """A battery file of one cell with an open-circuit voltage, one resistance and no effect."""
+    """Return a battery file of one cell with an open-circuit voltage, one resistance and no effect."""
     return BatteryFile(
         battery=Battery(
             name=name, chemistry="", cells_series=1, cutoff_V=cutoff_V, capacity_Ah=capacity_Ah, low_V=cutoff_V
@@ -76,7 +76,7 @@ def plain(name: str, ocv: tuple[Array, Array], ohm_Ah: float, capacity_Ah: float
 
 
 def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutoff_V: float) -> str:
-    """One line of the table: the diagnosis of the records, each left out in turn for the error."""
+    """Return one line of the table: the diagnosis of the records, each left out in turn for the error."""
     pack = pack_from(file, PackOptions(records[0].cells, records[0].capacity_Ah, cutoff_V))
     try:
         found = diagnose(records, file, pack, engine=engine_for(is_long=True))
@@ -90,7 +90,7 @@ def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutof
 
 
 def words(found: Diagnosis) -> str:
-    """Verdict and classes, the first member with its values."""
+    """Return verdict and classes, the first member with its values."""
     parts = []
     for one in found.classes:
         values = ", ".join(f"{k} {v.value:.3g} [{v.lo:.3g}, {v.hi:.3g}]" for k, v in one.parameters.items())
@@ -99,7 +99,7 @@ def words(found: Diagnosis) -> str:
 
 
 def study() -> None:
-    """The study's tables over temperature: isothermal, then self-heating and a steeper cold resistance."""
+    """Print the study's tables over temperature: isothermal, then self-heating and a steeper cold resistance."""
     loop = temperatures.close_loop(read_once(dataset.load(STUDY)), Limits())
     if loop is None:
         return
@@ -112,7 +112,7 @@ def study() -> None:
 
 
 def enertech_records(rates: tuple[str, ...]) -> list[Observed]:
-    """Discharges of the pouch cell at these C-rates."""
+    """Read discharges of the pouch cell at these C-rates."""
     records = []
     for rate in rates:
         c = columns(DATA / "bench" / f"enertech_pouch_{rate}C.csv")
@@ -124,7 +124,7 @@ def enertech_records(rates: tuple[str, ...]) -> list[Observed]:
 
 
 def enertech() -> None:
-    """The pouch cell: OCV from 0.1 C, one resistance from 0.5 C."""
+    """Print the pouch cell: OCV from 0.1 C, one resistance from 0.5 C."""
     slow = columns(DATA / "bench" / "enertech_pouch_0.1C.csv")
     knots = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
     soc = 1.0 - slow["time_s"] * slow["current_a"] / 3600.0 / ENERTECH_AH
@@ -138,7 +138,7 @@ def enertech() -> None:
 
 
 def turnigy_records() -> list[Observed]:
-    """The drive cycle in PIECES of equal charge."""
+    """Read the drive cycle in PIECES of equal charge."""
     c = columns(DATA / "bench" / "turnigy_la92_25c.csv")
     current_A = c["current_a"] if float(np.mean(c["current_a"])) > 0.0 else -c["current_a"]
     drawn = np.abs(c["ah"])
@@ -152,7 +152,7 @@ def turnigy_records() -> list[Observed]:
 
 
 def turnigy() -> None:
-    """The drive cycle in pieces: OCV as others derived it, one resistance from the first piece."""
+    """Print the drive cycle in pieces: OCV as others derived it, one resistance from the first piece."""
     table = columns(DATA / "bench" / "turnigy_soc_ocv_derived.csv")
     at = table["T"] == 25.0
     ocv = (table["SOC"][at][::-1], table["OCV"][at][::-1])
@@ -166,7 +166,7 @@ def turnigy() -> None:
 
 
 def m100_flights() -> dict[str, list[Flight]]:
-    """The flights of each aircraft."""
+    """Read the flights of each aircraft."""
     with (DATA / "flights" / "m100" / "index.csv").open() as stream:
         index = list(csv.DictReader(stream))
     by_aircraft: dict[str, list[Flight]] = {}
@@ -176,7 +176,7 @@ def m100_flights() -> dict[str, list[Flight]]:
 
 
 def m100() -> None:
-    """Two aircraft teach the battery, the third is diagnosed."""
+    """Print each aircraft's diagnosis: two aircraft teach the battery, the third is diagnosed."""
     flights = m100_flights()
     for aircraft, own in flights.items():
         others = [f for name, flown in flights.items() if name != aircraft for f in flown]

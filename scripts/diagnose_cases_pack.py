@@ -22,7 +22,7 @@ CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 
 
 class Ready(NamedTuple):
-    """A battery file, the pack that it makes, and what simulates it: the arguments of `diagnose`."""
+    """Ready holds a battery file, the pack that it makes, and what simulates it: the arguments of `diagnose`."""
 
     file: BatteryFile
     pack: Pack

@@ -22,7 +22,7 @@ from uavbatt.diagnosis.diagnosis import diagnose
 
 
 def chosen(names: list[str], only: str) -> list[str]:
-    """Names of cases that were asked for, numbered ones by odd and even."""
+    """Return the names of cases that were asked for, numbered ones by odd and even."""
     if only in ("odd", "even"):
         return [n for n in names if int("".join(c for c in n if c.isdigit())) % 2 == (only == "odd")]
     return [n for n in names if not only or n in only.split(",")]

@@ -33,7 +33,7 @@ FLIGHTS, ROUNDS, PASSES, SEATS = 3, 3, 0.02, 3
 
 
 class Single(NamedTuple):
-    """One effect on its own: its name, worth, and size with its standard error; by chi-square."""
+    """A Single is one effect on its own: its name, worth, and size with its standard error; by chi-square."""
 
     name: str
     worth: Worth
@@ -41,13 +41,13 @@ class Single(NamedTuple):
     sd: float
 
     def value(self, share: float) -> float:
-        """Return what it is worth were the stated errors `share` of what they are."""
+        """Return what it is worth if the stated errors were `share` of what they are."""
         known = self.worth.known / (self.worth.known + share**2 * (1.0 - self.worth.known))
         return min(float(np.sum(self.worth.gains)), self.worth.most) * known
 
 
 def singles(tried: Trial) -> list[Single]:
-    """The effects of a trial that do not stand at a bound."""
+    """Return the effects of a trial that do not stand at a bound."""
     pairs = zip(tried.fits, tried.worths, strict=True)
     return [
         Single(f.candidate.name, w, float(f.values()[0][0]), float(f.errors()[0])) for f, w in pairs if not at_bound(f)
@@ -55,7 +55,7 @@ def singles(tried: Trial) -> list[Single]:
 
 
 def told(found: list[Single], share: float, level: float) -> list[str]:
-    """Names of the rivals by chi-square, nothing below the level."""
+    """Return the names of the rivals by chi-square, nothing below the level."""
     most = max(s.value(share) for s in found)
     return [s.name for s in found if most > level and s.value(share) > max(0.5 * level, RIVAL_SHARE * most)]
 

@@ -29,7 +29,7 @@ QUANTITIES = {
 
 
 def labels() -> dict[str, tuple[str, str]]:
-    """Case -> (effect, size)."""
+    """Return case -> (effect, size)."""
     told: dict[str, tuple[str, str]] = {}
     for path in (TRUTH / "practice" / "labels.json", TRUTH / "cases" / "labels.json"):
         for name, entry in json.loads(path.read_text()).items():
@@ -38,19 +38,19 @@ def labels() -> dict[str, tuple[str, str]]:
 
 
 def kind(effect: str, size: str) -> str:
-    """The row of the counts that a case belongs to."""
+    """Return the row of the counts that a case belongs to."""
     if effect in ("none", "undeclared"):
         return effect
     return "pair" if "+" in effect else size
 
 
 def wanted(effect: str) -> list[str]:
-    """Names of the one or two effects of a label, as a diagnosis tells them."""
+    """Return the names of the one or two effects of a label, as a diagnosis tells them."""
     return [SAME.get(name, name) for name in effect.split("+")]
 
 
 def right(effect: str, found: dict[str, Any]) -> bool:
-    """Whether the diagnosis says what the label says."""
+    """Return True if the diagnosis says what the label says."""
     classes = [set(c["members"]) for c in found["classes"]]
     if effect == "none":
         return bool(found["verdict"] == "no_missing_effect")
@@ -64,12 +64,12 @@ def right(effect: str, found: dict[str, Any]) -> bool:
 
 
 def hiding(found: dict[str, Any]) -> bool:
-    """Whether nothing was told as found, and names only as what small effect may hide."""
+    """Return True if nothing was told as found, and names only as what small effect may hide."""
     return bool(found["verdict"] == "no_missing_effect" and found["classes"])
 
 
 def wrong_names(effect: str, found: dict[str, Any]) -> int:
-    """Classes that are told as if they were sure and hold no label."""
+    """Return how many classes are told as if they were sure and hold no label."""
     names = set(wanted(effect))
     return sum(c["probability"] > SURE and not names & set(c["members"]) for c in found["classes"])
 
@@ -87,7 +87,7 @@ def true_value(effect: str, label: dict[str, Any]) -> float | None:
 
 
 def values_inside(label: dict[str, Any], found: dict[str, Any]) -> list[bool]:
-    """Whether the label's value is in the 95 % interval, for each effect that is first in its class and has one."""
+    """Return for each effect that is first in its class: True if the label's value is in its 95 % interval."""
     inside = []
     for c in found["classes"]:
         name, told = c["members"][0], next(iter(c["parameters"].values()))
@@ -98,7 +98,7 @@ def values_inside(label: dict[str, Any], found: dict[str, Any]) -> list[bool]:
 
 
 def words(found: dict[str, Any]) -> str:
-    """The classes in one cell."""
+    """Return the classes in one cell of a table."""
     told = []
     for c in found["classes"]:
         name, value = next(iter(c["parameters"].items()))

@@ -32,7 +32,7 @@ GOOD_EVERY_S = 0.2
 
 
 def mutated(dice: random.Random, good: list[bytes]) -> bytes:
-    """One piece of damage."""
+    """Return one of the good frames damaged in some way, or random bytes."""
     frame = bytearray(dice.choice(good))
     kind = dice.randrange(8)
     if kind == 0:
@@ -60,7 +60,7 @@ def mutated(dice: random.Random, good: list[bytes]) -> bytes:
 
 
 def is_sound(sample: Sample) -> bool:
-    """Whether somebody sent this row."""
+    """Return True if somebody sent this row."""
     return abs(sample.voltage_V - VOLTAGE_V) < 1e-6 and abs(sample.current_A - CURRENT_A) < 1e-6
 
 

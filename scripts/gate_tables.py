@@ -21,7 +21,7 @@ DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] /
 
 
 def claims(result: Validation) -> None:
-    """One line a claim at the gated temperature: verdict, largest bias and half width, limit."""
+    """Print one line a claim at the gated temperature: verdict, largest bias and half width, limit."""
     print(f"\n{result.dataset.name}: {result.verdict} at {result.ambient_C:g} °C")
     for claim in result.claims:
         if claim.ambient_C != result.ambient_C:
@@ -40,7 +40,7 @@ def claims(result: Validation) -> None:
 
 
 def loop(result: Validation) -> None:
-    """Error before and after each effect, over temperature."""
+    """Print the error before and after each effect, over temperature."""
     if result.temperatures is None:
         return
     print("\nclosing the loop over temperature")
@@ -54,7 +54,7 @@ def loop(result: Validation) -> None:
 
 
 def main() -> None:
-    """The study's tables, then the simulated laboratory when it is there."""
+    """Print the study's tables, then those of the simulated laboratory when it is there."""
     study = validate(dataset.load())
     claims(study)
     loop(study)

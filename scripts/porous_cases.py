@@ -34,7 +34,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Cell:
-    """How the cell differs from the one on the bench."""
+    """A Cell says how the cell differs from the one on the bench."""
 
     capacity: float = 1.0
     exchange: float = 1.0
@@ -46,7 +46,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Sensors:
-    """How the readings differ from the truth."""
+    """Sensors says how the readings differ from the truth."""
 
     current_gain: float = 1.0
     current_offset_A: float = 0.0
@@ -63,7 +63,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its label, size, cell, sensors; flights of group `group` where the cell is as on the bench."""
+    """A Case has its label, size, cell and sensors; flights are of group `group` where the cell is as on the bench."""
 
     effect: str
     size: str
@@ -73,7 +73,7 @@ class Case:
 
 
 def cases() -> list[Case]:
-    """Every case in order; the groups of healthy flights go round."""
+    """Return every case in order; the groups of healthy flights go round."""
     c, s = Cell, Sensors
     listed = [
         Case("none", "clear"), Case("none", "clear"), Case("none", "clear"), Case("none", "clear"),
@@ -162,7 +162,7 @@ QUARTERS = (
 
 
 def drawn(seed: int) -> list[Case]:
-    """Forty cases about as a user would meet them: effect, sign and size are drawn."""
+    """Return forty cases about as a user would meet them: effect, sign and size are drawn."""
     random = np.random.default_rng(seed)
     every, quarters = (
         random.permutation(list(CLEAR)),
@@ -197,7 +197,7 @@ def _drawn(names: tuple[str, ...], size: str, random: np.random.Generator) -> Ca
 
 
 def load_A(random: np.random.Generator) -> Array:
-    """A multirotor's current at 1 Hz [A]: legs of a minute or two, gusts of twenty seconds, after the idle."""
+    """Return a multirotor's current at 1 Hz [A]: legs of a minute or two, gusts of twenty seconds, after the idle."""
     count = int(LONGEST_S)
     legs = np.repeat(random.normal(0.0, 0.09, 60), random.integers(40, 130, 60))[:count]
     legs = np.resize(legs, count)
@@ -216,7 +216,7 @@ def load_A(random: np.random.Generator) -> Array:
 
 
 def cell_V(cell: Cell, amps: Array, air_C: float) -> tuple[Array, Array, Array]:
-    """Times [s], voltage of one cell [V] and its temperature [degC] under the pack's current, to its end."""
+    """Return times [s], voltage of one cell [V] and its temperature [degC] under the pack's current, to its end."""
     import pybamm
 
     pybamm.set_logging_level("ERROR")
@@ -246,7 +246,7 @@ def _scale(values: dict[str, Callable[..., object]], name: str, factor: float) -
 
 
 def flown(folder: Path, cell: Cell, seed: int) -> Array:
-    """Time, voltage, current, temperature of one flight of the pack [rows, 4]; from the folder if it was flown."""
+    """Return time, voltage, current, temperature of one flight of the pack [rows, 4]; read from the folder if there."""
     path = folder / f"{'-'.join(f'{v:g}' for v in vars(cell).values())}-{seed}.csv"
     if not path.exists():
         random = np.random.default_rng(seed)
@@ -264,7 +264,7 @@ def flown(folder: Path, cell: Cell, seed: int) -> Array:
 
 
 def readings(true: Array, sensors: Sensors, random: np.random.Generator) -> Array:
-    """Show what the sensors show at 2 Hz [rows, 4]."""
+    """Return what the sensors show at 2 Hz [rows, 4]."""
     time_s = np.arange(0.0, true[-1, 0], ROW_S)
     volts, amps, core_C = (np.interp(time_s, true[:, 0], true[:, k]) for k in (1, 2, 3))
     drawn = np.cumsum(amps) * ROW_S / 3600.0 / CAPACITY_AH
@@ -306,7 +306,7 @@ def _other(name: str, time_s: Array, volts: Array, amps: Array, temps: Array) ->
 
 
 def write(path: Path, table: Array) -> None:
-    """One flight as telemetry CSV."""
+    """Write one flight as telemetry CSV."""
     path.parent.mkdir(parents=True, exist_ok=True)
     header = "time_s,voltage_V,current_A,temp_C"
     np.savetxt(path, table, fmt=("%.1f", "%.3f", "%.2f", "%.2f"), delimiter=",", header=header, comments="")
@@ -336,13 +336,13 @@ def main() -> int:
 
 
 def changed(values: Cell | Sensors) -> dict[str, object]:
-    """The fields that are not as they should be."""
+    """Return the fields that are not as they should be."""
     usual = type(values)()
     return {name: value for name, value in vars(values).items() if value != getattr(usual, name)}
 
 
 def write_healthy(folder: Path) -> None:
-    """Flights in which nothing is wrong, one file each."""
+    """Write flights in which nothing is wrong, one file each."""
     seeds = [100 * g + k for g in range(HEALTHY_GROUPS) for k in range(1, FLIGHTS + 1)]
     seeds += [5_000 + k for k in range(HEALTHY_MORE)]
     for seed in seeds:

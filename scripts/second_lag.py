@@ -58,7 +58,7 @@ SECOND = Effect(
 
 
 class Part(NamedTuple):
-    """Records to fit, how free each is, the effects that are fitted, and the records that are kept back."""
+    """A Part holds records to fit, how free each is, the effects that are fitted, and the records kept back."""
 
     name: str
     fitted: list[Observed]
@@ -70,7 +70,7 @@ class Part(NamedTuple):
 def run_with_second(
     stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, own: Array
 ) -> Trajectory:
-    """`solve.run`, and a further RC pair on top: v' = (c R k - v)/tau."""
+    """Run `solve.run` with a further RC pair on top: v' = (c R k - v)/tau."""
     shown = RUN(stack, slots, effects, x, own)
     at = {s.name: i for i, s in enumerate(slots)}
     each = np.repeat(x, own.shape[1], axis=0)
@@ -89,14 +89,14 @@ RUN = solve.run
 
 @contextmanager
 def second_lag() -> Iterator[tuple[str, ...]]:
-    """Fits with a further RC pair."""
+    """Let fits in the block have a further RC pair; yield the effects that they need besides."""
     with mock.patch.dict(EFFECTS, {SECOND.name: SECOND}), mock.patch.object(solve, "run", run_with_second):
         yield (SECOND.name,)
 
 
 @contextmanager
 def surface_charge() -> Iterator[tuple[str, ...]]:
-    """Fits in which the surface of the particles may lack charge."""
+    """Let the surface of the particles lack charge in the fits of the block; no further effect is yielded."""
     old = EFFECTS["slow_diffusion"]
     free = tuple(replace(q, fitted=True) for q in old.quantities)
     with mock.patch.dict(EFFECTS, {old.name: replace(old, quantities=free)}):
@@ -105,12 +105,12 @@ def surface_charge() -> Iterator[tuple[str, ...]]:
 
 @contextmanager
 def as_it_is() -> Iterator[tuple[str, ...]]:
-    """Fits as `uavbatt fit` makes them."""
+    """Change nothing: fits are as `uavbatt fit` makes them; no further effect is yielded."""
     yield ()
 
 
 def left_V(part: Part, found: BatteryFit) -> float:
-    """Size of what the model leaves on the records kept back [V]."""
+    """Return the size of what the model leaves on the records kept back [V]."""
     stack = observed.stack(part.kept)
     guess = np.where(stack.rested, 1.0, np.clip(solve.start_guess(stack), 0.1, 1.0))
     tried = [np.where(stack.rested, 1.0, np.minimum(guess + d, 1.0)) for d in STARTS]
@@ -131,7 +131,7 @@ def _size_V(stack: Stack, shown: Trajectory, j: int) -> float:
 
 
 def truth() -> Iterator[Part]:
-    """Bench tests and four flights of the porous-electrode pack; healthy flights kept back."""
+    """Yield one part: bench tests and four flights of the porous-electrode pack; healthy flights kept back."""
     bench = observed.from_dataset(dataset.load(TRUTH / "lab"), TRUTH_AH)
 
     def flights(name: str) -> list[Observed]:
@@ -144,7 +144,7 @@ def truth() -> Iterator[Part]:
 
 
 def m100() -> Iterator[Part]:
-    """Two aircraft teach the battery, the third is kept back."""
+    """Yield three parts: two aircraft teach the battery, the third is kept back."""
     flights = {name: [from_flight(f, M100_CELLS, M100_AH) for f in flown] for name, flown in m100_flights().items()}
     for aircraft, mine in flights.items():
         others = [r for name, flown in flights.items() if name != aircraft for r in flown]
@@ -153,14 +153,14 @@ def m100() -> Iterator[Part]:
 
 
 def turnigy() -> Iterator[Part]:
-    """Two pieces of the drive cycle, the two others kept back."""
+    """Yield one part: two pieces of the drive cycle to fit, the two others kept back."""
     one, two, three, four = turnigy_records()
     own = [solve.FLEET] * 2
     yield Part("Turnigy: pieces 2 and 4 kept back", [one, three], own, prior.BASE_EFFECTS, [two, four])
 
 
 def enertech() -> Iterator[Part]:
-    """Two discharges, the fastest kept back."""
+    """Yield one part: two discharges to fit, the fastest kept back."""
     slow, half, full = enertech_records(("0.1", "0.5", "1"))
     yield Part("Enertech: 1 C kept back", [slow, half], [OwnPrior()] * 2, prior.BASE_EFFECTS, [full])
 

@@ -27,13 +27,13 @@ FLIGHT_S, GROUND_S = 900.0, 60.0
 
 
 def rss_MB() -> float:
-    """Resident memory of this process [MB]."""
+    """Return the resident memory of this process [MB]."""
     gc.collect()
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def frames(in_flight_s: float, dice: random.Random, bench: Bench) -> list[bytes]:
-    """One turn's frames, as a bad radio delivers them."""
+    """Return one turn's frames, as a bad radio delivers them."""
     flying = in_flight_s > GROUND_S
     amps = (12.0 if flying else 0.2) * dice.uniform(0.9, 1.1)
     drawn_Ah = max(in_flight_s - GROUND_S, 0.0) * 12.0 / 3600.0

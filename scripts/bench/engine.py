@@ -42,12 +42,12 @@ LOAD_SPREAD = 0.15  # of the power that the forecasts are asked about
 
 
 def pack() -> Pack:
-    """A 4S 5 Ah pack of the packaged file."""
+    """Return a 4S 5 Ah pack of the packaged file."""
     return pack_of(battery_file.read_battery("lipo-generic"), 4, 5.0, 13.2, 14.0)
 
 
 def flight(minutes: float, rate_Hz: float = 10.0) -> list[Sample]:
-    """A flight that long and not to the end of its pack, which is as large as it takes."""
+    """Return a flight of so many minutes, before the end of its pack, which is as large as it takes."""
     capacity_Ah = 5.0 * minutes / 20.0
     made = pack_of(battery_file.read_battery("lipo-generic"), 4, capacity_Ah, 13.2, 14.0)
     if minutes <= 30.0:
@@ -65,7 +65,7 @@ def flight(minutes: float, rate_Hz: float = 10.0) -> list[Sample]:
 
 
 def in_turn(works: list[Callable[[], Any]], repeats: int) -> list[float]:
-    """Median seconds of each, taken in turn; the first round only warms up."""
+    """Return the median time [s] of each work, taken in turn; the first round only warms up."""
     spent: list[list[float]] = [[] for _ in works]
     for n in range(repeats + 1):
         for work, times in zip(works, spent, strict=True):
@@ -77,7 +77,7 @@ def in_turn(works: list[Callable[[], Any]], repeats: int) -> list[float]:
 
 
 def filterpy_step() -> Callable[[], None]:
-    """One predict and update of filterpy's extended filter of our size, whose model costs nothing."""
+    """Return one predict and update of filterpy's extended filter of our size, whose model costs nothing."""
     from filterpy.kalman import ExtendedKalmanFilter
 
     kalman = ExtendedKalmanFilter(dim_x=SIZE, dim_z=2)
@@ -92,7 +92,7 @@ def filterpy_step() -> Callable[[], None]:
 
 
 def filter_rows() -> Iterator[Row]:
-    """Microseconds a row: filterpy alone, our filter on filterpy, the twin."""
+    """Yield the time of a row [us]: filterpy alone, our filter on filterpy, the twin."""
     peer = filterpy_step()
     for name, rows in (("10 Hz", flight(20.0)), ("a row every 2 s", flight(100.0, 0.5))):
 
@@ -133,12 +133,12 @@ def filter_rows() -> Iterator[Row]:
 
 
 def bank() -> SocFilter:
-    """The filter as it flies: a member for each capacity."""
+    """Return the filter as it flies: a member for each capacity."""
     return SocFilter(pack(), capacities=capacities(pack()))
 
 
 def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
-    """The twin alone: columns in, as a reader gives them, columns out."""
+    """Return a call of the twin alone: columns in, as a reader gives them, columns out."""
     from uavbatt.compiled.filter import most_moments, run
     from uavbatt.compiled.jit import as_numbers
     from uavbatt.estimation.recursion import start
@@ -152,7 +152,7 @@ def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
 
 
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
-    """A forecast whose end is `minutes` away, and from what it is made."""
+    """Return a forecast whose end is `minutes` away, and the belief and forecaster that it is made from."""
     forecaster = Forecaster(
         pack(),
         ForecastSettings(ConstantLoad(pack().installation.capacity_Ah * 14.8 * 0.9 * 60.0 / minutes, LOAD_SPREAD)),
@@ -170,7 +170,7 @@ def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:
 
 
 def forecast_rows(progpy_s: float) -> Iterator[Row]:
-    """Milliseconds a forecast whose end is 10 minutes away, with a horizon of 20, and one whose end is 20 away."""
+    """Yield the time of a forecast [ms] whose end is 10 minutes away, and of one whose end is 20 minutes away."""
     for minutes in (10.0, 20.0):
         yield from _one_forecast(minutes, progpy_s if minutes == 20.0 else float("nan"))
 
@@ -191,7 +191,7 @@ def _one_forecast(minutes: float, progpy_s: float) -> Iterator[Row]:
 
 
 def accuracy_rows(progpy_words: str) -> Iterator[Row]:
-    """Median and 90 % interval of that forecast against 4096 draws in steps of 1 s; ProgPy's against its own model."""
+    """Yield median and 90 % interval of that forecast against 4096 draws in 1 s steps, and ProgPy's against its own."""
     asked, belief, forecaster = question()
     found, truth_s = forecaster.forecast(belief, 0.0), np.quantile(reference_ends_s(belief, asked), (0.05, 0.5, 0.95))
     assert found is not None
@@ -201,7 +201,7 @@ def accuracy_rows(progpy_words: str) -> Iterator[Row]:
 
 
 def reference_ends_s(belief: Belief, asked: Question, draws: int = 4096) -> Any:
-    """Ends of a flight of the bench's load, drawn anew and simulated in fine steps."""
+    """Return the ends [s] of a flight of the bench's load, drawn anew and simulated in fine steps."""
     random, steps = np.random.default_rng(7), int(asked.horizon_s)
     x = random.multivariate_normal(belief.mean, belief.covariance, draws).T
     x[X.SOC] = np.clip(x[X.SOC], 0.0, 1.02)
@@ -213,7 +213,10 @@ def reference_ends_s(belief: Belief, asked: Question, draws: int = 4096) -> Any:
 
 
 def progpy_s(python: str) -> tuple[float, str]:
-    """Seconds of ProgPy's unscented prediction of 20 minutes, and what it found; NaN where it is not installed."""
+    """Return ProgPy's time [s] for an unscented prediction of 20 minutes, and what it found.
+
+    NaN and its error message where it does not run.
+    """
     done = subprocess.run([python, str(PROGPY)], capture_output=True, text=True, check=False)
     if done.returncode:
         return float("nan"), done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "it failed"
@@ -222,7 +225,7 @@ def progpy_s(python: str) -> tuple[float, str]:
 
 
 def replay_rows() -> Iterator[Row]:
-    """A 20-minute flight at 10 Hz in memory: its estimates alone over arrays; all rows and a forecast every 5 s."""
+    """Yield a 20-minute flight at 10 Hz in memory: its estimates alone over arrays; all rows, a forecast every 5 s."""
     if HAS_TWIN:
         (alone_s,) = in_turn([twin(flight(20.0), capacities(pack()))], 15)
         told = f"{1.0 / alone_s:.0f} flights/s a core"
@@ -236,14 +239,14 @@ def replay_rows() -> Iterator[Row]:
 
 
 def replayed(flight: Flight, engine: Engine) -> int:
-    """Rows of a replay."""
+    """Return the number of rows of a replay."""
     options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     estimator = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine)
     return sum(1 for _ in steps(flight, estimator))
 
 
 def growth_rows() -> Iterator[Row]:
-    """Cost of flights 1, 10 and 100 times as long."""
+    """Yield the cost of flights 1, 10 and 100 times as long."""
     base = 0.0
     for minutes in (2.0, 20.0, 200.0):
         whole = Flight("simulated", "csv", tuple(flight(minutes)))
@@ -268,7 +271,7 @@ def _ratio(theirs: float, ours: float) -> str:
 
 
 def run_cli(arguments: list[str], plain: bool) -> float:
-    """Wall seconds of a whole `uavbatt` command in a new process: in numpy, or compiled however short it is."""
+    """Return the wall time [s] of a whole `uavbatt` command in a new process: in numpy, or compiled, however short."""
     code = "from uavbatt.log_replay import run; run.MANY_ROWS = 0; from uavbatt.cli import main; main()"
     environment = {**os.environ, **({"XDG_CACHE_HOME": f"{os.devnull}/none"} if plain else {})}
     begin = time.perf_counter()

@@ -89,8 +89,11 @@ if __name__ == "__main__":
 
 
 class Measured(NamedTuple):
-    """A whole run [s]; flights a second once the workers are warm; most memory of the main process and a worker; and
-    how many cores other work on the machine kept busy meanwhile, without which the times mean little."""
+    """Measured holds the time of a whole run [s], flights a second, memory at its most, and what else ran.
+
+    Flights a second count once the workers are warm; memory is that of the main process and of a worker; `others` is
+    how many cores other work on the machine kept busy meanwhile, without which the times mean little.
+    """
 
     whole_s: float
     per_s: float
@@ -100,7 +103,7 @@ class Measured(NamedTuple):
 
 
 def measured(logs: Path, workers: int) -> Measured:
-    """One fleet in processes of its own, from nothing to its tables."""
+    """Return how one fleet does in processes of its own, from nothing to its tables."""
     with tempfile.TemporaryDirectory() as output:
         script = Path(output) / "fleet_run.py"
         script.write_text(RUN, encoding="utf-8")
@@ -122,7 +125,7 @@ def _others_s() -> float:
 
 
 def lines(flights: int = FLIGHTS, repeats: int = REPEATS) -> Iterator[str]:
-    """The fleet on 1 and 2 workers, in words; and the memory of a small one beside it. The runs take turns."""
+    """Yield the fleet on 1 and 2 workers, in words, and the memory of a small one beside it. The runs take turns."""
     with tempfile.TemporaryDirectory() as folder:
         few, many = Path(folder) / "few", Path(folder) / "many"
         fewer = max(flights // 4, 4)

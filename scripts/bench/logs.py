@@ -42,7 +42,7 @@ LETTERS = {"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "N": "16s", "n": "4
 
 
 def make_bin(path: Path, seed: int = 7) -> int:
-    """Write the DataFlash log to `path`; returns the number of records."""
+    """Write the DataFlash log to `path`; return the number of records."""
     random = np.random.default_rng(seed)
     kinds = [("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"), ("PARM", "QNf", "TimeUS,Name,Value")]
     kinds += [("BAT", "QBfffffcfB", "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res,RemPct")]
@@ -78,7 +78,7 @@ def make_bin(path: Path, seed: int = 7) -> int:
 
 
 def make_tlog(path: Path, seed: int = 7, rows: int = BATTERY_ROWS, per_row: int = 26) -> int:
-    """Write the telemetry log to `path`; returns the number of frames."""
+    """Write the telemetry log to `path`; return the number of frames."""
     frames = 0
     pool = _pool(seed)
     with path.open("wb") as file:

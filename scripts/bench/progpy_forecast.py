@@ -20,7 +20,7 @@ model = BatteryCircuit()
 
 
 def load(time_s: float, state: object = None) -> object:
-    """Constant current."""
+    """Return a constant current of 2 A."""
     return model.InputContainer({"i": 2.0})
 
 
@@ -38,7 +38,7 @@ for _ in range(4):
 
 
 def drawn_end_s(values: np.ndarray) -> float:
-    """End of its own simulation from one draw of the belief."""
+    """Return the end [s] of ProgPy's own simulation from one draw of the belief."""
     start = model.StateContainer(dict(zip(labels, values, strict=True)))
     return float(model.simulate_to_threshold(load, x=start, dt=1, save_freq=1e9, horizon=2 * AHEAD_S).times[-1])
 

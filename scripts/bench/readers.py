@@ -38,7 +38,7 @@ Reader = Callable[[str], Any]
 
 
 def ours(path: str) -> NDArray[np.float64]:
-    """Battery rows by our readers, as columns."""
+    """Read battery rows by our readers, as columns."""
     from uavbatt.telemetry.read import read_columns
 
     rows = read_columns(path)
@@ -46,14 +46,14 @@ def ours(path: str) -> NDArray[np.float64]:
 
 
 def ours_samples(path: str) -> tuple[Any, ...]:
-    """Battery rows by our readers, an object a row, with all else that a replay needs."""
+    """Read battery rows by our readers, an object a row, with all else that a replay needs."""
     from uavbatt.telemetry.read import read_log
 
     return read_log(path).samples
 
 
 def pymavlink_bin(path: str) -> Rows:
-    """Battery rows of a DataFlash log by pymavlink, its index in C."""
+    """Read battery rows of a DataFlash log by pymavlink, its index in C."""
     from pymavlink import DFReader
 
     log, rows = DFReader.DFReader_binary(path), []
@@ -63,7 +63,7 @@ def pymavlink_bin(path: str) -> Rows:
 
 
 def pymavlink_tlog(path: str) -> Rows:
-    """Battery rows of a telemetry log by pymavlink, its index and a filter by type."""
+    """Read battery rows of a telemetry log by pymavlink, its index and a filter by type."""
     from pymavlink import mavutil
 
     log, rows = mavutil.mavlink_connection(path), []
@@ -81,7 +81,7 @@ def pymavlink_tlog(path: str) -> Rows:
 
 
 def pyulog(path: str) -> Rows:
-    """Battery rows of a ULog by pyulog, only that topic asked for."""
+    """Read battery rows of a ULog by pyulog, only that topic asked for."""
     from pyulog import ULog
 
     data = ULog(path, ["battery_status"]).data_list[0].data
@@ -95,7 +95,7 @@ PEERS: dict[str, tuple[str, Callable[[str], Rows]]] = {
 
 
 def warm_s(reads: Sequence[Reader], path: str, repeats: int) -> list[float]:
-    """Median processor time [s] of each reader in this process, after one that does not count; they take turns."""
+    """Return the median processor time [s] of each reader in this process, in turn, after one that does not count."""
     for read in reads:
         read(path)
     turns = [[_timed(partial(read, path)) for read in reads] for _ in range(repeats)]
@@ -103,17 +103,17 @@ def warm_s(reads: Sequence[Reader], path: str, repeats: int) -> list[float]:
 
 
 def cold_s(names: Sequence[str], path: str, repeats: int) -> list[float]:
-    """Median processor time [s] of a new process for each function of `names`: its imports, then the file."""
+    """Return the median processor time [s] of a new process for each function of `names`: its imports, the file."""
     code = "import sys; sys.path.insert(0, {!r})\nfrom bench.readers import {}; {}({!r})"
     here = str(Path(__file__).parents[1])
     return new_processes_s([code.format(here, name, name, path) for name in names], repeats)
 
 
 def new_processes_s(codes: Sequence[str], repeats: int) -> list[float]:
-    """Median processor time [s] of a new process for each of `codes`, after one that does not count; they take turns.
+    """Return the median processor time [s] of a new process for each of `codes`, after one that does not count.
 
-    All find their bytecode compiled, as installed packages do: ours would be compiled in every process of an
-    environment that forbids to write it.
+    The codes take turns. All find their bytecode compiled, as installed packages do: ours would be compiled in every
+    process of an environment that forbids to write it.
     """
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": folder}
@@ -138,7 +138,7 @@ def _spent_s() -> float:
 
 
 def same(a: NDArray[np.float64], other: Rows) -> bool:
-    """The same rows: equal values, times by their differences to the first row."""
+    """Return True if the rows are the same: equal values, times by their differences to the first row."""
     if len(a) != len(other):
         return False
     b = np.array(other)
@@ -156,7 +156,7 @@ IMPORTS = (
 
 
 def import_line(name: str, statement: str, repeats: int) -> str:
-    """Processor time [ms] of an import in a new process less that of none, and the memory [MB] that it then holds."""
+    """Return the processor time [ms] of an import in a new process less that of none, and the memory [MB] then held."""
     told = f"{statement}\nprint(int(open('/proc/self/status').read().split('VmHWM:')[1].split()[0]) / 1024)"  # its own
     none_s, all_s = new_processes_s(("", statement), repeats)
     peak = subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True).stdout
@@ -164,7 +164,7 @@ def import_line(name: str, statement: str, repeats: int) -> str:
 
 
 def lines(repeats: int = REPEATS) -> Iterator[str]:
-    """Every reader beside its peer, in words."""
+    """Yield every reader beside its peer, in words."""
     data = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
     with tempfile.TemporaryDirectory() as folder:
         made = {".BIN": Path(folder) / "big.BIN", ".tlog": Path(folder) / "big.tlog", ".ulg": data / ULOG}

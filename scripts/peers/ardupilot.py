@@ -32,7 +32,7 @@ def predict(
     usable_Ah: float | None = None,
     tau_s: float = TAU_S,
 ) -> FloatArray:
-    """Time left [s] at every sample; NaN without a current that flows.
+    """Return the time left [s] at every sample; NaN without a current that flows.
 
     capacity_Ah : BATT_CAPACITY; usable_Ah : what a calibrated pilot writes there instead; `cells` is not used
     """
@@ -46,7 +46,7 @@ def predict(
 
 
 def low_pass(time_s: FloatArray, values: FloatArray, tau_s: float) -> FloatArray:
-    """First-order filter with the steps as they come; unknown values are passed over."""
+    """Return values after a first-order filter with the steps as they come; unknown values are passed over."""
     smooth = np.full_like(values, math.nan)
     state, last_s = math.nan, math.nan
     for row, (now_s, value) in enumerate(zip(time_s, values, strict=True)):

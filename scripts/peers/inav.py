@@ -34,7 +34,7 @@ def predict(
     *,
     usable_Wh: float | None = None,
 ) -> FloatArray:
-    """Time left [s] at every sample; NaN until something was drawn, and where the current is unknown.
+    """Return the time left [s] at every sample; NaN until something was drawn, and where the current is unknown.
 
     capacity_Ah : rated, turned into energy at 3.7 V a cell; usable_Wh : energy drawn to the end of earlier flights
     """
@@ -51,7 +51,7 @@ def predict(
 
 
 def impedance(time_s: FloatArray, voltage_V: FloatArray, current_A: FloatArray) -> FloatArray:
-    """Pack impedance [ohm] from load steps, as known at every row; 0 before the first step."""
+    """Return the pack impedance [ohm] from load steps, as known at every row; 0 before the first step."""
     known = np.zeros_like(time_s)
     inner = outer = 0.0
     last_s = math.nan

@@ -45,7 +45,7 @@ LEAST_CURRENT_A = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """BATn_V_EMPTY, BATn_V_CHARGED [V a cell], BATn_R_INTERNAL [ohm a cell, < 0: RLS], BAT_AVRG_CURRENT [A]."""
+    """PX4 has BATn_V_EMPTY, BATn_V_CHARGED [V a cell], BATn_R_INTERNAL [ohm a cell, < 0: RLS], BAT_AVRG_CURRENT [A]."""
 
     v_empty_V: float = 3.6
     v_charged_V: float = 4.05
@@ -55,7 +55,7 @@ class Parameters:
 
 @dataclass(slots=True)
 class Rls:
-    """theta = (OCV [V], R [ohm]) of the pack and its symmetric covariance (p00, p01, p11)."""
+    """Rls holds theta = (OCV [V], R [ohm]) of the pack and its symmetric covariance (p00, p01, p11)."""
 
     ocv_V: float
     r: float
@@ -65,15 +65,15 @@ class Rls:
 
     @classmethod
     def reset(cls, voltage_V: float, cells: int) -> Rls:
-        """The state during the first 2 s of a connection."""
+        """Return the state during the first 2 s of a connection."""
         return cls(voltage_V, R_CELL_START * cells, 1.5 * cells, 0.0, 0.1 * cells)
 
     def norm(self) -> float:
-        """Frobenius norm of P."""
+        """Return the Frobenius norm of P."""
         return math.sqrt(self.p00**2 + 2.0 * self.p01**2 + self.p11**2)
 
     def update(self, voltage_V: float, current_A: float) -> bool:
-        """Take one sample; False if it was rejected."""
+        """Take one sample; return False if it was rejected."""
         x1 = -current_A
         px0, px1 = self.p00 + self.p01 * x1, self.p01 + self.p11 * x1
         scale = FORGETTING + px0 + x1 * px1
@@ -94,7 +94,7 @@ class Rls:
 
 @dataclass(slots=True)
 class Battery:
-    """The library's state between calls; `capacity_Ah` <= 0 or NaN means unknown."""
+    """Battery holds the library's state between calls; `capacity_Ah` <= 0 or NaN means unknown."""
 
     capacity_Ah: float
     cells: int
@@ -108,7 +108,7 @@ class Battery:
     average_A: float = math.nan
 
     def call(self, step_s: float, voltage_V: float, current_A: float, flying: bool) -> None:
-        """One pass of the library; an unknown current is NaN."""
+        """Run one pass of the library; an unknown current is NaN."""
         known = math.isfinite(current_A)
         self._connect(step_s, voltage_V, current_A if known else 0.0)
         if known and step_s > 0.0:
@@ -125,7 +125,7 @@ class Battery:
         self._average(step_s, current_A if known else 0.0, flying)
 
     def remaining_s(self) -> float:
-        """Time left [s]; NaN without a capacity."""
+        """Return the time left [s]; NaN without a capacity."""
         if not self.capacity_Ah > 0.0:
             return math.nan
         return self.soc * self.capacity_Ah / self.average_A * 3600.0
@@ -172,7 +172,7 @@ def predict(
     parameters: Parameters | None = None,
     step_s: float = 0.01,
 ) -> FloatArray:
-    """Time left [s] at every sample; NaN until the battery has been connected for 2 s.
+    """Return the time left [s] at every sample; NaN until the battery has been connected for 2 s.
 
     capacity_Ah : BATn_CAPACITY; usable_Ah : what a calibrated pilot writes there instead
     step_s : longest step of the library [s]; a row without voltage repeats nothing and is passed over

@@ -29,12 +29,12 @@ PX4_FACTOR, PX4_MARGIN_S = 1.1, 100.0
 
 
 def px4_turn_s(remaining_s: FloatArray, home_s: FloatArray) -> FloatArray:
-    """Seconds until PX4 returns by itself, from its time left and the planned way home [s]."""
+    """Return the time until PX4 returns by itself [s], from its time left and the planned way home [s]."""
     return remaining_s - (PX4_FACTOR * home_s + PX4_MARGIN_S)
 
 
 def inav_turn_s(remaining_s: FloatArray, flown_s: FloatArray, run_s: FloatArray) -> FloatArray:
-    """Seconds until INAV's rule says to turn, from its time left without a home, the time flown and the run home [s].
+    """Return the time [s] until INAV's rule says to turn, from its time left, the time flown and the run home [s].
 
     At the flight's mean power P the energy E is P (flown + left), so that its margin is a share of that time.
     """

@@ -16,7 +16,7 @@ M100_CELLS, M100_CUTOFF_V, M100_LOADED_A = 6, 21.6, 8.0
 
 
 def folder() -> Path:
-    """`$UAVBATT_DATA`, else `../shared/data` beside the checkout; BadInput when there is none."""
+    """Return `$UAVBATT_DATA`, else `../shared/data` beside the checkout. Raises BadInput when there is none."""
     default = Path(__file__).resolve().parents[3] / "shared" / "data"
     found = Path(os.environ.get("UAVBATT_DATA", default))
     if not (found / "flights").is_dir():
@@ -26,7 +26,7 @@ def folder() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class M100:
-    """One flight of the benchmark; `end_s` is NaN where the log does not reach the cut-off."""
+    """An M100 flight belongs to the benchmark; `end_s` is NaN where the log does not reach the cut-off."""
 
     name: str
     aircraft: str
@@ -35,12 +35,12 @@ class M100:
 
     @property
     def start_s(self) -> float:
-        """The first row under load [s]."""
+        """Return the time of the first row under load [s]."""
         return next(s.time_s for s in self.flight.samples if s.current_A > M100_LOADED_A)
 
 
 def m100(data: Path) -> list[M100]:
-    """All flights of the three aircraft; the aircraft is the last part of the file's name."""
+    """Read all flights of the three aircraft; the aircraft is the last part of the file's name."""
     paths = sorted((data / "flights" / "m100").glob("m100_*.csv"))
     if not paths:
         raise BadInput(data / "flights" / "m100", "", "flights m100_*.csv")
@@ -61,5 +61,5 @@ def _m100(path: Path) -> M100:
 
 
 def ended(flights: list[M100]) -> list[M100]:
-    """Those whose end is in the log."""
+    """Return the flights whose end is in the log."""
     return [f for f in flights if math.isfinite(f.end_s)]

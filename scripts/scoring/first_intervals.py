@@ -41,7 +41,7 @@ M100_PACK = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CU
 
 @dataclass(frozen=True, slots=True)
 class Set:
-    """Logs that are flown alike. `ends_s` are known by the name of the log; others are looked for in it."""
+    """A Set holds logs that are flown alike. `ends_s` are known by the name of the log; others are looked for in it."""
 
     name: str
     paths: tuple[Path, ...]
@@ -53,7 +53,7 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class First:
-    """The early intervals of one flight [log time, s], and where it ended: an instant, or the last interval."""
+    """First holds a flight's early intervals [log time, s], and where it ended: an instant, or the last interval."""
 
     of: str
     name: str
@@ -62,13 +62,13 @@ class First:
     is_end: bool
 
     def misses(self, k: int) -> bool:
-        """True if the interval does not contain the end, or does not meet the last interval."""
+        """Return True if the interval does not contain the end, or does not meet the last interval."""
         interval = self.shown[k]
         return interval is not None and (interval[1] < self.end_s[0] or interval[0] > self.end_s[1])
 
 
 def generic(data: Path) -> Iterator[Set]:
-    """Every shared flight, by the packaged battery and an aircraft that nobody knows."""
+    """Yield every shared flight, by the packaged battery and an aircraft that nobody knows."""
     battery, load = battery_file.read_battery("lipo-generic"), UnknownAircraft()
     packs, missions = _pack_ends_s(data), _mission_ends_s(data)
     for name, places, pack, ends_s in (
@@ -83,7 +83,7 @@ def generic(data: Path) -> Iterator[Set]:
 
 
 def fitted(data: Path) -> Iterator[Set]:
-    """Flights with a battery and a vehicle file that the scored aircraft, or flights, had no part in."""
+    """Yield flights with a battery and a vehicle file that the scored aircraft, or flights, had no part in."""
     logs = {path: read_log(path) for path in _paths(data, ("flights/m100_routes/*.tlog",))}
     for aircraft in sorted({path.stem[-3:] for path in logs}):
         others = [flight for path, flight in logs.items() if not path.stem.endswith(aircraft)]
@@ -104,7 +104,7 @@ def fitted(data: Path) -> Iterator[Set]:
 
 
 def firsts(flown: Set, is_wanted: Callable[[int], bool], say: Callable[[str], None]) -> Iterator[First]:
-    """The early intervals of the wanted flights of a set, chosen by their number in it."""
+    """Yield the early intervals of the wanted flights of a set, chosen by their number in it."""
     for number, path in enumerate(flown.paths):
         if is_wanted(number):
             say(f"{flown.name}: {path.parent.name}/{path.name}")

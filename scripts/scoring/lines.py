@@ -20,7 +20,7 @@ from uavbatt.scoring.scores import FlightScore, score_flight
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Seconds left by row; `lo_s` and `hi_s` are None for a method without an interval."""
+    """Lines holds the time left [s] by row; `lo_s` and `hi_s` are None for a method without an interval."""
 
     time_s: FloatArray
     remaining_s: FloatArray
@@ -29,7 +29,7 @@ class Lines:
     alarm_s: FloatArray | None = None
 
     def scored(self, name: str, group: str, start_s: float, end_s: float) -> FlightScore:
-        """The scores of these lines against the end."""
+        """Return the scores of these lines against the end."""
         return score_flight(
             name,
             self.time_s,
@@ -46,12 +46,12 @@ class Lines:
 def replayed(
     flight: Flight, battery: BatteryFile, options: PackOptions, settings: ForecastSettings | None = None
 ) -> list[ReplayedRow]:
-    """Every row of the flight through a fresh estimator."""
+    """Replay every row of the flight through a fresh estimator."""
     return list(steps(flight, Estimator(battery, options, settings)))
 
 
 def ours(run: Sequence[ReplayedRow]) -> Lines:
-    """The forecast lines of a replay; the alarm looks at the time that is undercut at its stated risk."""
+    """Return the forecast lines of a replay; the alarm looks at the time that is undercut at its stated risk."""
     said = [s.remaining for s in run]
     return Lines(
         time_s=np.array([r.time_s for r in said]),
@@ -63,6 +63,6 @@ def ours(run: Sequence[ReplayedRow]) -> Lines:
 
 
 def logged(flight: Flight) -> LoggedLoad:
-    """The flight's own later power (`--load log`): it tests the battery alone."""
+    """Return the flight's own later power (`--load log`): it tests the battery alone."""
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     return LoggedLoad(np.array([s.time_s for s in rows]), np.array([max(s.voltage_V * s.current_A, 0.0) for s in rows]))

@@ -42,7 +42,7 @@ AUTOPILOT = "autopilot"
 
 @dataclass(frozen=True, slots=True)
 class Extra:
-    """A frame that is sent just before the first row at or after `time_s`."""
+    """An Extra is a frame that is sent just before the first row at or after `time_s` [s]."""
 
     time_s: float
     message: Any  # of pymavlink
@@ -53,7 +53,7 @@ class Extra:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the feeds show when a row has been taken in; NaN is unknown, `status` empty before the first report."""
+    """Shown holds what the feeds show after a row; NaN is unknown, `status` empty before the first report."""
 
     time_s: float
     remaining_s: float = NAN
@@ -69,7 +69,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A STATUSTEXT as the ground station received it."""
+    """A Text is a STATUSTEXT as the ground station received it."""
 
     time_s: float
     severity: int
@@ -77,20 +77,20 @@ class Text:
 
     @property
     def left_s(self) -> float:
-        """The time left that it speaks of [s]; NaN when it speaks of something else."""
+        """Return the time left that it speaks of [s]; NaN when it speaks of something else."""
         said = TIME_LEFT.search(self.text)
         return 60.0 * int(said[1]) + int(said[2]) if said else NAN
 
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """A row of output for every row of input, and all that was said; times are those of the rows."""
+    """Flown holds a row of output for every row of input, and all that was said; times are those of the rows."""
 
     rows: tuple[Shown, ...]
     texts: tuple[Text, ...]
 
     def alarm_s(self, threshold_s: float = 120.0) -> float:
-        """When the ground station was first told that so much time was left, or less; NaN if never."""
+        """Return when the ground station was first told that so much time was left, or less [s]; NaN if never."""
         return next((t.time_s for t in self.texts if t.left_s <= threshold_s), NAN)
 
 
@@ -127,7 +127,7 @@ def flown_live(
 
 
 class Flight:
-    """A daemon between a vehicle and a ground station, on sockets of this machine."""
+    """A Flight runs a daemon between a vehicle and a ground station, on sockets of this machine."""
 
     def __init__(self, battery: BatteryFile, options: PackOptions, is_px4: bool, sections: Mapping[str, Any]) -> None:
         self.texts: list[Text] = []
@@ -146,7 +146,7 @@ class Flight:
         )  # fmt: skip
 
     def send(self, message: Any, system: int = 1, component: int = 1, sender: str = AUTOPILOT) -> None:
-        """A frame of the vehicle, or of whoever sends it."""
+        """Send a frame of the vehicle, or of whoever sends it."""
         self._packer.srcSystem, self._packer.srcComponent = system, component
         frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
@@ -155,7 +155,7 @@ class Flight:
         self._vehicles[sender].sendto(frame, self._at_daemon)
 
     def send_extra(self, extra: Extra) -> None:
-        """A frame besides the rows."""
+        """Send a frame besides the rows."""
         self.send(extra.message, extra.system, extra.component, extra.sender)
 
     def turn_until(self, time_s: float) -> None:
@@ -167,7 +167,7 @@ class Flight:
         self._time_s = time_s
 
     def turn(self) -> None:
-        """One pass of the loop; the ground station takes what it is sent."""
+        """Run one pass of the loop; the ground station takes what it is sent."""
         self._daemon.turn()
         while True:
             try:
@@ -179,7 +179,7 @@ class Flight:
                 self.texts.append(Text(self._time_s or 0.0, said.severity, said.text))
 
     def shown(self, time_s: float) -> Shown:
-        """What the battery that speaks for the vehicle shows now."""
+        """Return what the battery that speaks for the vehicle shows now."""
         board = self._daemon.board
         if not board.reports:
             return Shown(time_s, notes=board.notes)
@@ -197,14 +197,14 @@ class Flight:
 
 
 def heartbeat(armed: bool, is_px4: bool) -> Any:
-    """HEARTBEAT of a multicopter."""
+    """Return a HEARTBEAT of a multicopter."""
     autopilot = dialect.MAV_AUTOPILOT_PX4 if is_px4 else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
     mode = dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
     return dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_QUADROTOR, autopilot, mode, 0, 4, 3)
 
 
 def parameter(name: str, value: float, is_px4: bool = False) -> Any:
-    """PARAM_VALUE; PX4 sends an `int` as the bits of 32."""
+    """Return a PARAM_VALUE; PX4 sends an `int` as the bits of 32."""
     kind = dialect.MAV_PARAM_TYPE_REAL32
     if is_px4 and isinstance(value, int):
         kind, (value,) = dialect.MAV_PARAM_TYPE_INT32, struct.unpack("<f", struct.pack("<i", value))

@@ -31,7 +31,7 @@ OPTIONS = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTO
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """What the two other aircraft teach."""
+    """A Fold holds what the two other aircraft teach."""
 
     aircraft: str
     battery: BatteryFile
@@ -41,7 +41,7 @@ class Fold:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One method on one flight."""
+    """A Result is one method on one flight."""
 
     flight: M100
     lines: Lines
@@ -49,7 +49,7 @@ class Result:
 
 
 def fold(flights: list[M100], aircraft: str) -> Fold:
-    """Battery, vehicle and calibration from every flight of the other aircraft."""
+    """Learn battery, vehicle and calibration from every flight of the other aircraft."""
     others = [f for f in flights if f.aircraft != aircraft]
     size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
     battery = fit_battery(size, [], [f.flight for f in others]).file
@@ -59,7 +59,7 @@ def fold(flights: list[M100], aircraft: str) -> Fold:
 
 
 def our_lines(known: Fold, flight: M100) -> dict[str, Lines]:
-    """The four ways to know the load, on one battery file."""
+    """Return the forecast lines of the four ways to know the load, on one battery file."""
     loads: dict[str, Load] = {
         LOG: logged(flight.flight),
         LEARNED: known.library,
@@ -73,7 +73,7 @@ def our_lines(known: Fold, flight: M100) -> dict[str, Lines]:
 
 
 def results(flights: list[M100], say: Callable[[str], None]) -> dict[str, list[Result]]:
-    """Every method on every flight that reaches its end, by method."""
+    """Return every method on every flight that reaches its end, by method."""
     found: dict[str, list[Result]] = {}
     for aircraft in sorted({f.aircraft for f in flights}):
         say(f"m100: learning from the aircraft other than {aircraft}")

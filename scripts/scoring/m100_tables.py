@@ -15,7 +15,7 @@ JUDGED = INSTANTS[:4]
 
 
 def tables(found: dict[str, list[Result]]) -> list[Table]:
-    """All tables of the benchmark."""
+    """Return all tables of the benchmark."""
     pooled = {name: pool(r.score for r in results) for name, results in found.items()}
     with_interval = {name: p for name, p in pooled.items() if p.rows[0].inside is not None}
     flights = len(next(iter(found.values())))

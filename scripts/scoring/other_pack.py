@@ -31,7 +31,7 @@ IDLE_W, ROW_S, END_MEAN_S = 5.0, 1.0, 5
 
 @dataclass(frozen=True, slots=True)
 class Make:
-    """One make of cells; ohms times Ah."""
+    """A Make describes one make of cells; its resistances are in ohms times Ah."""
 
     name: str
     ocv_V: tuple[float, ...]  # at SOC
@@ -62,7 +62,7 @@ MAKES = (LIPO, LIHV, FLAT)
 
 @dataclass
 class Pack:
-    """What a pack holds now; `step` draws from it."""
+    """A Pack knows what it holds now; `step` draws from it."""
 
     capacity_Ah: float = FULL_AH
     soc: float = 1.0
@@ -79,7 +79,7 @@ class Pack:
         self.temp_C = self.air_C
 
     def step(self, power_W: float, dt_s: float = ROW_S) -> tuple[float, float]:
-        """Pack voltage [V] and current [A] of the next `dt_s` under a power; then what it leaves behind."""
+        """Return the pack voltage [V] and current [A] of the next `dt_s` [s] under a power, and update what is left."""
         make = self.make
         surface = self.soc - (1.0 - make.share) * self.surface_less
         scale = self.resistance * math.exp(PER_K * (AIR_C - self.temp_C)) / self.size_Ah
@@ -100,7 +100,7 @@ class Pack:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """What a flight asks: a level power with gusts and, where it manoeuvres, climbs and descents."""
+    """Power says what a flight asks: a level power with gusts and, where it manoeuvres, climbs and descents."""
 
     level_W: float = POWER_W
     gust: float = 0.04  # sd of ln power
@@ -108,7 +108,7 @@ class Power:
     climb: float = 0.0  # a climb asks so much more than level flight; a descent asks half of that less
 
     def rows_W(self, seed: int) -> Iterator[float]:
-        """The power of each second, without end."""
+        """Yield the power of each second [W], without end."""
         dice, gust, share = np.random.default_rng(seed), 0.0, math.exp(-ROW_S / self.gust_s)
         factor, left_s = 1.0, 20.0
         while True:
@@ -128,7 +128,7 @@ class Power:
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """How the vehicle reads: sensor noise and last digits, and what is wrong with it from some time on."""
+    """Sensors says how the vehicle reads: noise and last digits, and what is wrong with it from some time on."""
 
     voltage_sd_V: float = 0.0
     current_sd_A: float = 0.0
@@ -146,7 +146,7 @@ ORDINARY = Sensors(voltage_sd_V=0.01, current_sd_A=0.15, voltage_digit_V=0.01, c
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """The rows as the vehicle sends them, and of each row the true charge, voltage [V] and current [A]."""
+    """Flown holds the rows as the vehicle sends them, and of each row the true charge, voltage [V] and current [A]."""
 
     rows: tuple[Sample, ...]
     soc: tuple[float, ...]
@@ -155,26 +155,26 @@ class Flown:
 
     @property
     def start_s(self) -> float:
-        """Take-off."""
+        """Return the time of take-off [s]."""
         return next(row.time_s for row in self.rows if row.armed)
 
     @property
     def end_s(self) -> float:
-        """The end of flight: the last row, of a flight flown to its end."""
+        """Return the end of flight [s]: the last row, of a flight flown to its end."""
         return self.rows[-1].time_s
 
     def flight(self, name: str = "another pack") -> Flight:
-        """The rows as a log."""
+        """Return the rows as a log."""
         return Flight(name, "csv", self.rows, duration_s=self.end_s - self.rows[0].time_s)
 
 
 def rested(pack: Pack, seconds: int, from_s: float, drawn_Ah: float = 0.0) -> list[Sample]:
-    """On the ground, the electronics on."""
+    """Return rows on the ground, the electronics on."""
     return list(drawn(pack, [IDLE_W] * seconds, from_s, drawn_Ah, armed=False).rows)
 
 
 def flown(pack: Pack, from_s: float, seconds: int = 3600, drawn_Ah: float = 0.0, seed: int = 3) -> list[Sample]:
-    """In the air until the end of flight or for so long, as an exact sensor reads it."""
+    """Return rows in the air until the end of flight or for so long, as an exact sensor reads it."""
     powers = (watts for _, watts in zip(range(seconds), Power().rows_W(seed), strict=False))
     return list(drawn(pack, powers, from_s, drawn_Ah).rows)
 
@@ -188,7 +188,7 @@ def drawn(
     armed: bool = True,
     cutoff_V: float = CUTOFF_V,
 ) -> Flown:
-    """The pack under one power after the other; armed it ends with the flight: a mean of 5 s below the cut-off."""
+    """Draw one power after the other from the pack; armed it ends with the flight: a mean of 5 s below the cut-off."""
     rows, soc, volts, currents = [], [], [], []
     for k, power_W in enumerate(powers_W):
         temp_C = pack.temp_C
@@ -213,7 +213,7 @@ def flight(
     seconds: int = 3600,
     cutoff_V: float = CUTOFF_V,
 ) -> Flown:
-    """On the ground, then in the air to the end, as the sensors read it."""
+    """Return a flight on the ground, then in the air to the end, as the sensors read it."""
     ground = drawn(pack, [IDLE_W] * ground_s, 0.0, armed=False)
     powers = (watts for _, watts in zip(range(seconds), power.rows_W(seed), strict=False))
     air = drawn(pack, powers, float(ground_s), ground.rows[-1].consumed_Ah, cutoff_V=cutoff_V)
@@ -227,7 +227,7 @@ def flight(
 
 
 def read(rows: Iterable[Sample], sensors: Sensors, seed: int = 0) -> list[Sample]:
-    """Exact rows as the sensors show them; the charge is counted from the currents shown, as an autopilot does."""
+    """Return exact rows as the sensors show them; charge is counted from the shown currents, as an autopilot does."""
     dice, made, drawn_Ah = np.random.default_rng(seed + 10_000), [], 0.0
     volts, amps = NAN, NAN
     for row in rows:

@@ -38,7 +38,7 @@ JUDGED_FROM = 3  # the first flight that two others came before
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the simulator says of one flight: true power to its end, and the pack's true capacity."""
+    """An Answer is what the simulator says of one flight: true power to its end, and the pack's true capacity."""
 
     time_s: FloatArray
     power_W: FloatArray
@@ -52,7 +52,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """Errors at the instants as shares of the flight, whether inside the 90 % interval, and that of the plan."""
+    """A Forecast holds errors at the instants (shares of the flight), if inside the 90 % interval, the plan's error."""
 
     errors: tuple[float, ...]
     inside: tuple[bool, ...]
@@ -61,7 +61,7 @@ class Forecast:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """One flight without and with the ledger, and what the ledger holds after it."""
+    """Flown holds one flight without and with the ledger, and what the ledger has after it."""
 
     pack: str
     number: int
@@ -73,14 +73,14 @@ class Flown:
 
 
 def fitted(data: Path) -> BatteryFile:
-    """The battery of all these packs, from its bench tests and reference flights."""
+    """Fit the battery of all these packs, from its bench tests and reference flights."""
     reference = [read_log(log) for log in sorted((data / "truth/reference/r0").glob("flight_*.tlog"))]
     size = Size("truth-lab", CELLS, CAPACITY_AH, CUTOFF_V)
     return fit_battery(size, [dataset.load(data / "truth/lab")], reference).file
 
 
 def flown(data: Path, pack: str, battery: BatteryFile, ledger: Ledger, say: Callable[[str], None]) -> list[Flown]:
-    """All flights of a pack in order, each forecast with what those before it taught."""
+    """Return all flights of a pack in order, each forecast with what those before it taught."""
     found = []
     for number, path in enumerate(sorted((data / "packs/practice" / pack).glob("flight_*.tlog")), 1):
         say(f"packs: {pack} flight {number}")
@@ -137,7 +137,7 @@ def _forecast(flight: Flight, answer: Answer, battery: BatteryFile, known: PackH
 
 
 def table(found: Sequence[Flown]) -> Table:
-    """Flight by flight."""
+    """Return the table of the flights, one by one."""
     head = ("flight", "true Ah", "known Ah after", "quarter", "half", "plan", "findings")
     rows = [_row(one) for one in found]
     note = (
@@ -165,7 +165,7 @@ CAPACITY_AH_STATED = 5.016  # by the vehicle, of which the truth is a share
 
 
 def summary(found: Sequence[Flown], kept_back: Sequence[str]) -> Table:
-    """Means of |error| from the third flight on, pack by pack."""
+    """Return the means of |error| from the third flight on, pack by pack."""
     head = ("pack", "quarter", "half", "plan", "inside", "capacity", "capacity inside")
     packs = list(dict.fromkeys(one.pack for one in found))
     rows = []

@@ -18,7 +18,7 @@ PX4_CALIBRATED, INAV_CALIBRATED = "PX4, calibrated", "INAV, calibrated"
 
 @dataclass(frozen=True, slots=True)
 class PeerPack:
-    """The pack as its nameplate says it, and as earlier flights to the end have shown it."""
+    """A PeerPack is the pack as its nameplate says it, and as earlier flights to the end have shown it."""
 
     cells: int
     rated_Ah: float

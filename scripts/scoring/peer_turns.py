@@ -12,7 +12,7 @@ from uavbatt.records import Flight
 
 
 def turn_lines(pack: PeerPack, flight: Flight) -> dict[str, Lines]:
-    """Return the seconds until one must turn back, by PX4's and by INAV's rule, both calibrated."""
+    """Return the time until one must turn back [s], by PX4's and by INAV's rule, both calibrated."""
     said = peer_lines(pack, flight.samples)
     px4, inav = said[PX4_CALIBRATED], said[INAV_CALIBRATED]
     home_s, run_s = home_times(flight.navigation_at, px4.time_s)

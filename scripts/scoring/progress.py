@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 def progress(began_s: float) -> Callable[[str], None]:
-    """A teller that writes each step to stderr, with the seconds since `began_s` (`time.monotonic`)."""
+    """Return a teller that writes each step to stderr, with the seconds since `began_s` (`time.monotonic`)."""
 
     def say(text: str) -> None:
         print(f"[{time.monotonic() - began_s:5.0f} s] {text}", file=sys.stderr, flush=True)

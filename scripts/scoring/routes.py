@@ -47,7 +47,7 @@ LATE_S = 15.0
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A battery and what the vehicle asks of it, and what the peers are told of the same flights."""
+    """Known holds a battery and what the vehicle asks of it, and what the peers are told of the same flights."""
 
     battery: BatteryFile
     pack: PackOptions
@@ -57,7 +57,7 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """One simulated mission with its answers, as it was forecast with its route."""
+    """A Mission is one simulated mission with its answers, as it was forecast with its route."""
 
     name: str
     answer: dict[str, Any]
@@ -66,7 +66,7 @@ class Mission:
 
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
-    """All tables of both sets."""
+    """Return all tables of both sets."""
     missions, scores = _missions(data, say)
     return [
         *_errors("M100 routes, one aircraft left out", _m100(data, say)),
@@ -195,14 +195,17 @@ def _turn_backs(missions: list[Mission]) -> Table:
 
 
 class TurnBackErrors(NamedTuple):
-    """Errors of one method on one flight [s]; NaN is no number. `alarm_s` is when it said to turn first."""
+    """TurnBackErrors holds the errors of one method on one flight [s]; NaN is no number.
+
+    `alarm_s` is when it said to turn first.
+    """
 
     errors_s: tuple[float, ...]
     alarm_s: float
 
     @property
     def cells(self) -> list[str]:
-        """The errors as they are printed."""
+        """Return the errors as they are printed."""
         return [*(figure(error_s, sign=True) for error_s in self.errors_s), f"{figure(self.alarm_s, sign=True)} s"]
 
 

@@ -25,7 +25,7 @@ PART = 0.6  # charge at the start where the beginning of the flight does not mat
 
 @dataclass(frozen=True)
 class Scenario:
-    """What the process is told; the last row is the end of flight."""
+    """A Scenario is what the process is told; the last row is the end of flight."""
 
     rows: Sequence[Sample]
     options: PackOptions = STATED
@@ -35,32 +35,32 @@ class Scenario:
 
 
 def flight(pack: Pack, from_s: float = 0.0, drawn_Ah: float = 0.0) -> list[Sample]:
-    """On the ground, then in the air to the end."""
+    """Return a flight on the ground, then in the air to the end."""
     ground = rested(pack, GROUND_S, from_s, drawn_Ah)
     return ground + flown(pack, from_s + GROUND_S, drawn_Ah=ground[-1].consumed_Ah)
 
 
 @cache
 def whole() -> tuple[Sample, ...]:
-    """The flight that is right in everything."""
+    """Return the flight that is right in everything."""
     return tuple(flight(Pack()))
 
 
 @cache
 def part() -> tuple[Sample, ...]:
-    """The same from a part of the charge: what is wrong is stated, or happens in the middle."""
+    """Return the same flight from a part of the charge: what is wrong is stated, or happens in the middle."""
     return tuple(flight(Pack(soc=PART)))
 
 
 def seen(
     rows: Sequence[Sample], change: Callable[[Sample], Sample], since_s: float, until_s: float = math.inf
 ) -> list[Sample]:
-    """The flight as a sensor shows it that is wrong for a while."""
+    """Return the flight as a sensor shows it that is wrong for a while."""
     return [change(row) if since_s <= row.time_s < until_s else row for row in rows]
 
 
 def counted(rows: Sequence[Sample]) -> list[Sample]:
-    """The rows with the charge as the autopilot counts it from the currents shown."""
+    """Return the rows with the charge as the autopilot counts it from the currents shown."""
     made, drawn_Ah = [], 0.0
     for row in rows:
         drawn_Ah += row.current_A / 3600.0 if math.isfinite(row.current_A) else 0.0
@@ -69,7 +69,7 @@ def counted(rows: Sequence[Sample]) -> list[Sample]:
 
 
 def another(first: Pack, air_s: int, silent_s: float, second: Pack, restarts: bool = True) -> list[Sample]:
-    """Some flight, a landing, and after a silence a flight to the end with another pack."""
+    """Return some flight, a landing, and after a silence a flight to the end with another pack."""
     before = rested(first, GROUND_S, 0.0)
     before += flown(first, float(GROUND_S), air_s, before[-1].consumed_Ah)
     before += rested(first, 20, before[-1].time_s + 1.0, before[-1].consumed_Ah)
@@ -78,7 +78,7 @@ def another(first: Pack, air_s: int, silent_s: float, second: Pack, restarts: bo
 
 
 def frozen(voltage: bool, current: bool, since_s: float = EARLY_S) -> list[Sample]:
-    """Sensors that show for ever what they showed a while after the start, a minute if nothing else is said."""
+    """Return a flight with sensors that show for ever what they showed a while after the start, by default a minute."""
     held = next(row for row in whole() if row.time_s >= since_s)
 
     def change(row: Sample) -> Sample:
@@ -92,37 +92,37 @@ def frozen(voltage: bool, current: bool, since_s: float = EARLY_S) -> list[Sampl
 
 
 def stated_by_vehicle(**changed: float) -> Scenario:
-    """Nothing stated by the caller; ArduPilot's parameters, some of them wrong."""
+    """Return a scenario where the caller states nothing; ArduPilot's parameters do, some of them wrong."""
     return Scenario(part(), UNSTATED, ARDUPILOT | changed)
 
 
 def px4_cells(cells: int) -> Scenario:
-    """PX4 states another count of cells; the cut-off is the caller's."""
+    """Return a scenario where PX4 states another count of cells; the cut-off is the caller's."""
     said = {"BAT1_N_CELLS": cells, "BAT1_CAPACITY": 5000.0}
     return Scenario(part(), replace(UNSTATED, cutoff_V=CUTOFF_V), said, is_px4=True)
 
 
 def forged(name: str, value: float) -> Scenario:
-    """One PARAM_VALUE that nobody asked for, in the air, with the autopilot's identity."""
+    """Return a scenario with one PARAM_VALUE that nobody asked for, in the air, with the autopilot's identity."""
     frame = Extra(MID_S, parameter(name, value), sender="elsewhere")
     return Scenario(part(), UNSTATED, ARDUPILOT, extras=[frame])
 
 
 def wrong_vehicle() -> Scenario:
-    """Three heartbeats of system 42 before the vehicle speaks."""
+    """Return a scenario with three heartbeats of system 42 before the vehicle speaks."""
     frames = [Extra(0.0, heartbeat(False, False), system=42, sender="other") for _ in range(3)]
     return Scenario(part(), extras=frames)
 
 
 def warm_pack(pack_C: float, air_C: float) -> list[Sample]:
-    """A pack that was kept warm, in cold air."""
+    """Return a flight of a pack that was kept warm, in cold air."""
     pack = Pack(air_C=air_C)
     pack.temp_C = pack_C
     return flight(pack)
 
 
 def twelve_cells() -> Scenario:
-    """A part-charged pack of 12 cells, which nobody states: it shows what a full one of 11 would."""
+    """Return a scenario of a part-charged pack of 12 cells, which nobody states: it shows what a full 11S would."""
     pack = Pack(soc=0.55, cells=12)
     ground = rested(pack, GROUND_S, 0.0)
     powers = (3.0 * watts for _, watts in zip(range(3600), Power().rows_W(3), strict=False))
@@ -131,7 +131,7 @@ def twelve_cells() -> Scenario:
 
 
 def payload_on_the_ground() -> list[Sample]:
-    """Half a C for ten minutes before the take-off, disarmed."""
+    """Return a flight with half a C for ten minutes before the take-off, disarmed."""
     pack = Pack()
     ground = drawn(pack, [40.0] * 600, 0.0, armed=False).rows
     return [*ground, *flown(pack, 600.0, drawn_Ah=ground[-1].consumed_Ah)]
@@ -187,7 +187,7 @@ SOUND = {
 
 
 def stated(rows: Sequence[Sample], **changed: float) -> Scenario:
-    """The caller states something wrong."""
+    """Return a scenario where the caller states something wrong."""
     return Scenario(rows, replace(STATED, **changed))  # type: ignore[arg-type]
 
 
@@ -215,20 +215,20 @@ MORE: dict[str, Callable[[], Scenario]] = {
 
 @cache
 def said(name: str) -> tuple[Flown, float]:
-    """What the process said of a scenario, and when the flight ended [s]."""
+    """Return what the process said of a scenario, and when the flight ended [s]."""
     told = (SCENARIOS | MORE)[name]()
     made = flown_live(told.rows, told.options, parameters=told.parameters, is_px4=told.is_px4, extras=told.extras)
     return made, told.rows[-1].time_s
 
 
 def is_heard(name: str, in_time_s: float = IN_TIME_S) -> bool:
-    """Whether the crew hears of the end in time, by an alarm or, where the number cannot be right, by a warning."""
+    """Return True if the crew hears of the end in time, by an alarm or, if the number cannot be right, a warning."""
     flown, end_s = said(name)
     return flown.alarm_s() <= end_s - in_time_s or (name not in SOUND and has_warned(flown, end_s))
 
 
 def has_warned(flown: Flown, end_s: float) -> bool:
-    """The number was withdrawn in time, in a text that the crew has heard on this flight."""
+    """Return True if the number was withdrawn in time, in a text that the crew has heard on this flight."""
     late_s = end_s - IN_TIME_S
     shown = [row for row in flown.rows if row.time_s <= late_s][-1]
     heard = [text for text in flown.texts if text.time_s <= late_s and math.isnan(text.left_s)]
@@ -236,7 +236,7 @@ def has_warned(flown: Flown, end_s: float) -> bool:
 
 
 def lo_excess_s(flown: Flown, end_s: float) -> float:
-    """How much too long the lower end was at worst in the last two minutes [s]; NaN when none was shown."""
+    """Return how much too long the lower end was at worst in the last two minutes [s]; NaN when none was shown."""
     last = [row for row in flown.rows if row.time_s > end_s - LAST_S]
     shown = [row.remaining_lo_s - (end_s - row.time_s) for row in last if math.isfinite(row.remaining_lo_s)]
     return max(shown, default=math.nan)

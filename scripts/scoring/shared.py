@@ -32,7 +32,7 @@ PLACES = ("flights/ardupilot/*", "flights/px4/*.ulg", "truth/reference/r0/*", "f
 
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
-    """All shared flights, and the pack that was flown empty."""
+    """Return the tables of all shared flights, and of the pack that was flown empty."""
     battery = battery_file.read_battery("lipo-generic")
     paths = [path for place in PLACES for path in sorted(data.glob(place))]
     rows: list[tuple[str, ...]] = []

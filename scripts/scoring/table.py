@@ -11,7 +11,7 @@ DASH = "–"
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table: the first column names the row, the others hold figures."""
+    """A Table has rows whose first column names the row; the others hold figures."""
 
     title: str
     head: tuple[str, ...]
@@ -19,7 +19,7 @@ class Table:
     note: str = ""
 
     def text(self) -> str:
-        """For a terminal."""
+        """Return the table for a terminal."""
         lines = [self.head, *self.rows]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.head))]
         made = [
@@ -30,7 +30,7 @@ class Table:
         return "\n".join([f"\n{self.title}", *ruled, *([self.note] if self.note else [])])
 
     def markdown(self) -> str:
-        """For a page."""
+        """Return the table for a page."""
         cells = [[c.replace("|", "\\|") for c in line] for line in (self.head, *self.rows)]
         ruler = "|---" + "|---:" * (len(self.head) - 1) + "|"
         made = ["| " + " | ".join(line) + " |" for line in cells]
@@ -39,22 +39,22 @@ class Table:
 
 
 def figure(value: float, decimals: int = 0, *, sign: bool = False) -> str:
-    """A number, or a dash when there is none."""
+    """Return a number in words, or a dash when there is none."""
     if not math.isfinite(value):
         return DASH if math.isnan(value) else "∞"
     return f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}"
 
 
 def with_error(value: float, error: float, *, sign: bool = False, decimals: int = 0) -> str:
-    """`value ± standard error`."""
+    """Return `value ± standard error`."""
     return f"{figure(value, decimals, sign=sign)} ± {figure(error, decimals)}"
 
 
 def share(value: float) -> str:
-    """A share in per cent."""
+    """Return a share in per cent; a dash when it is unknown."""
     return DASH if math.isnan(value) else f"{value:.0%}"
 
 
 def grid(title: str, columns: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], note: str = "") -> Table:
-    """A table with an unnamed first column."""
+    """Return a table with an unnamed first column."""
     return Table(title, ("", *columns), tuple((name, *cells) for name, cells in rows), note)

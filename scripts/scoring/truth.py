@@ -31,7 +31,7 @@ SETS = ("reference/r0", "practice/p1")
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the simulator says of one flight."""
+    """An Answer is what the simulator says of one flight."""
 
     time_s: FloatArray
     soc: FloatArray
@@ -42,7 +42,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One replay against its answer: errors [s], of the flight [-], and of the charge [-]."""
+    """Judged holds one replay against its answer: errors [s], of the flight [-], and of the charge [-]."""
 
     half_s: float
     half_share: float
@@ -52,7 +52,7 @@ class Judged:
 
 
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
-    """From the bench alone, and from bench and reference flights."""
+    """Return two tables: from the bench alone, and from bench and reference flights."""
     folder = data / "truth"
     flights = {name: _flights(folder, name) for name in SETS}
     lab = dataset.load(folder / "lab")

@@ -33,7 +33,7 @@ NEVER_S = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Instant:
-    """One forecast: the true time left [s], the points of each variant, errors of the belief in its own sds."""
+    """An Instant is one forecast: true time left [s], the points of each variant, errors of the belief in its sds."""
 
     before_s: float
     true_s: float
@@ -43,7 +43,7 @@ class Instant:
 
 
 def instants(case: Case) -> Iterator[Instant]:
-    """The forecasts of one flight; those before take-off are left out."""
+    """Yield the forecasts of one flight; those before take-off are left out."""
     flown = case.flown()
     pack = pack_of(battery(case.battery, case.make), CELLS, FULL_AH, CUTOFF_V, math.nan)
     forecaster = Forecaster(pack, ForecastSettings(forecast_period_s=NEVER_S))
@@ -107,7 +107,7 @@ def _ends(q: Question) -> FloatArray:
 
 
 def table(title: str, found: Sequence[Instant]) -> Table:
-    """One row a variant; in each column width [s], how many hold the truth, bias of the median [s]."""
+    """Return one row a variant; in each column width [s], how many hold the truth, bias of the median [s]."""
     columns = [[i for i in found if i.before_s == before_s] for before_s in BEFORE_END_S]
     names = list(found[0].points_s)
     rows = [(name, *(_cell(name, some) for some in columns)) for name in names]

@@ -48,7 +48,7 @@ HEALTHY = (
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One flight: what the pack is, of a stated 5 Ah, and how it is flown and read."""
+    """A Case is one flight: what the pack is, of a stated 5 Ah, and how it is flown and read."""
 
     name: str
     battery: str
@@ -65,17 +65,17 @@ class Case:
 
     @property
     def group(self) -> tuple[str, str, str]:
-        """The row of the table that the flight belongs to."""
+        """Return the row of the table that the flight belongs to."""
         return (self.battery, self.capacity_class, self.charge_class)
 
     def flown(self) -> Flown:
-        """The flight, to its end."""
+        """Return the flight, to its end."""
         pack = Pack(self.capacity_Ah, self.start_soc, FULL_AH, self.resistance, self.make, CELLS, self.air_C)
         return flight(pack, self.power, self.sensors, seed=self.seed)
 
     @property
     def words(self) -> str:
-        """What is flown, for who reruns it."""
+        """Return in words what is flown, for whoever reruns it."""
         ohms = self.resistance * self.make.ohmAh / PRIOR_OHMAH
         return (
             f"{self.make.name}, {self.capacity_Ah:.2f} of {FULL_AH:g} Ah, charged to {self.start_soc:.0%}, ohms "
@@ -85,7 +85,7 @@ class Case:
 
 
 def issue() -> list[Case]:
-    """The table of the issue: nothing else wrong than the capacity."""
+    """Return the cases of the issue's table: nothing else is wrong than the capacity."""
     return [
         Case(f"issue-{ah:.1f}Ah-{battery}", battery, "issue", "full", capacity_Ah=ah)
         for battery in (GENERIC, FITTED)
@@ -94,7 +94,7 @@ def issue() -> list[Case]:
 
 
 def sampled(each: int) -> list[Case]:
-    """So many flights of every group."""
+    """Return so many flights of every group."""
     spans = [(c, charge, (1.0, 1.0)) for c in CAPACITIES for charge in CHARGES]
     spans += [((name, 0.85, 1.0), CHARGES[0], (low, high)) for name, low, high in GAINS]
     return [
@@ -132,7 +132,7 @@ def _drawn(
 
 
 def fitted(make: Make) -> BatteryFile:
-    """A battery fitted to flights of healthy packs of a make."""
+    """Fit a battery to flights of healthy packs of a make."""
     flights = [
         flight(Pack(FULL_AH * share, 1.0, FULL_AH, ohms, make, CELLS, air_C), Power(level_W, climb=climb), seed=100 + k)
         for k, (share, ohms, air_C, level_W, climb) in enumerate(HEALTHY)

@@ -31,7 +31,7 @@ NAN = math.nan
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What was shown at an instant, and how long it really took [s]; NaN where refused."""
+    """Said holds what was shown at an instant, and how long it really took [s]; NaN where refused."""
 
     true_s: float
     median_s: float
@@ -40,13 +40,13 @@ class Said:
 
     @property
     def error_s(self) -> float:
-        """Positive is too long."""
+        """Return the error of the median [s]; positive is too long."""
         return self.median_s - self.true_s
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A flight in figures [s]; shares of its rows in the air."""
+    """Judged holds a flight in figures [s]; shares are of its rows in the air."""
 
     case: Case
     flown_s: float
@@ -63,29 +63,29 @@ class Judged:
 
 @cache
 def battery(name: str, make: Make) -> BatteryFile:
-    """The packaged generic battery, or one fitted to the make."""
+    """Return the packaged generic battery, or one fitted to the make."""
     return battery_file.read_battery("lipo-generic") if name == GENERIC else fitted(make)
 
 
 def estimator(case: Case) -> Estimator:
-    """A fresh estimator that is told what is stated of the pack."""
+    """Return a fresh estimator that is told what is stated of the pack."""
     options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
     return Estimator(battery(case.battery, case.make), options, ForecastSettings(forecast_period_s=PERIOD_S))
 
 
 def replayed(case: Case) -> tuple[Flown, list[ReplayedRow]]:
-    """The flight, and every row of it through an estimator."""
+    """Return the flight, and every row of it through an estimator."""
     flown = case.flown()
     return flown, list(steps(flown.flight(case.name), estimator(case)))
 
 
 def judged(case: Case) -> Judged:
-    """A flight, flown and in figures."""
+    """Return a flight, flown and in figures."""
     return judge(case, *replayed(case))
 
 
 def judge(case: Case, flown: Flown, run: Sequence[ReplayedRow]) -> Judged:
-    """The figures of what was said of a flight."""
+    """Return the figures of what was said of a flight."""
     lines, start_s, end_s = ours(run), flown.start_s, flown.end_s
     score = lines.scored(case.name, case.battery, start_s, end_s)
     columns = np.stack([lines.time_s, lines.remaining_s, *(c for c in (lines.lo_s, lines.hi_s) if c is not None)])

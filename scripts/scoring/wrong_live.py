@@ -16,7 +16,7 @@ NAN = math.nan
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What was shown and said on one flight; times are seconds before its end."""
+    """Heard holds what was shown and said on one flight; times are seconds before its end."""
 
     name: str
     flown_s: float
@@ -31,7 +31,7 @@ class Heard:
 
 
 def heard(name: str) -> Heard:
-    """Fly one scenario; what the process tells its journal is not shown."""
+    """Fly one scenario, and return what was heard; what the process tells its journal is not shown."""
     with redirect_stderr(StringIO()):
         flown, end_s = said(name)
     last = [row for row in flown.rows if row.time_s > end_s - LAST_S]
@@ -58,7 +58,7 @@ def _warning(flown: Flown) -> str:
 
 
 def table(every: list[Heard]) -> Table:
-    """One row a scenario."""
+    """Return one row a scenario."""
     head = (
         "scenario", "median too long by [s]", "5 % point too long by [s]", "refused", "alarm with [s] left",
         "first other text with [s] left", "and it says", "at the end",

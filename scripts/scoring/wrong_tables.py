@@ -21,7 +21,7 @@ IN_SERVICE = (0.70, 1.0)  # of the stated capacity: what the targets speak of
 
 
 def issue(every: Sequence[Judged]) -> Table:
-    """The table of the issue: one row a capacity and battery."""
+    """Return the table of the issue: one row a capacity and battery."""
     head = ("battery, true Ah of 5", "flown [s]", "120 s before", "20 s before", "5 s before", "alarm with [s] left")
     rows = [
         (
@@ -38,7 +38,7 @@ def issue(every: Sequence[Judged]) -> Table:
 
 
 def groups(every: Sequence[Judged]) -> Table:
-    """One row a battery, capacity and start charge."""
+    """Return one row a battery, capacity and start charge."""
     head = (
         "battery, capacity, charged", "flights", "half time", "120 s", "60 s", "20 s", "5 % point too long by at most",
         "inside 90 %", "alarm with [s] left", "with over 240 s", "NEES of soc", "soc RMSE", "refused",
@@ -55,7 +55,7 @@ def groups(every: Sequence[Judged]) -> Table:
 
 
 def worst(every: Sequence[Judged]) -> Table:
-    """The flights whose lower end was too long by most, or whose alarm came last."""
+    """Return the flights whose lower end was too long by most, or whose alarm came last."""
     order = sorted(every, key=lambda j: (-_or_zero(j.lo_excess_s), j.alarm_s))[:WORST]
     order += [j for j in sorted(every, key=lambda j: j.alarm_s)[:WORST] if j not in order]
     head = ("flight (--flight NAME)", "5 % point too long by", "alarm with", "at 60 s", "words with", "what")
@@ -76,7 +76,7 @@ def worst(every: Sequence[Judged]) -> Table:
 
 
 class Target(NamedTuple):
-    """One target of the issue and what is reached."""
+    """A Target names one target of the issue and what is reached."""
 
     words: str
     reached: str
@@ -84,7 +84,7 @@ class Target(NamedTuple):
 
 
 def targets(every: Sequence[Judged], faults: Sequence[Heard]) -> Table:
-    """Each target of the issue that these flights can tell."""
+    """Return each target of the issue that these flights can tell."""
     found = [*_fitted([j for j in every if _is_in_service(j, FITTED)])]
     found += _generic([j for j in every if _is_in_service(j, GENERIC)])
     for battery in (GENERIC, FITTED):

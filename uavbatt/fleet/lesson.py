@@ -20,7 +20,7 @@ from uavbatt.records import NAN
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
-    """A flight teaches this of its pack. `status`: OK, or BAD or LOST where the log could not be read.
+    """A Lesson holds what a flight says of its pack. `status`: OK, or BAD or LOST where the log could not be read.
 
     pack : the pack's serial, empty where the log has none; key : what the ledger knows the log by; start_utc_s : when
     the log began [s since 1970], NaN where no clock was set; taught : None where the flight says nothing.

@@ -42,7 +42,7 @@ class Crew(Protocol[Row]):
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """Finished holds one done log: its row, how many are done by now (those of earlier runs too), and of how many.
+    """Finished tells of one log that is done: its row, how many are done (those of earlier runs too), of how many.
 
     dropped: damaged rows of earlier runs that were taken out of the journal.
     """
