@@ -255,8 +255,7 @@ class PooledScores:
 def pool(scores: Iterable[FlightScore]) -> PooledScores:
     """Pool the scores of all flights. A flight counts once in each row, so lines of one flight never pass for evidence.
 
-    Flights of one aircraft are not independent either: pool each group too and look at the difference. Raises
-    ValueError without a score.
+    Flights of one aircraft are not independent either: pool each group too, and compare. Raises ValueError for none.
     """
     every = tuple(scores)
     if not every:
