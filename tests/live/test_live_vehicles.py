@@ -172,6 +172,10 @@ class Source:
         self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
         self.name = f"127.0.0.1:{self._line.getsockname()[1]}"
 
+    def count_from(self, number: int) -> None:
+        """Go on with this running number of frames, as another autopilot behind the same address would."""
+        self._link.seq = number % 256
+
     def send(self, *messages: Any) -> None:
         for message in messages:
             self._line.sendto(bytes(message.pack(self._link)), self._to)
@@ -228,6 +232,27 @@ def test_two_sources_of_one_battery_that_disagree_are_refused(what: str) -> None
         texts = [dialect.MAVLink(None).decode(bytearray(data)) for data in station.sent]
         said = [m.text for m in texts if m.get_type() == "STATUSTEXT"]
         assert said == ["Battery 0: time unknown, two senders disagree"]
+
+
+@pytest.mark.parametrize("same", [False, True])
+def test_two_vehicles_of_one_number_behind_one_address_are_told_apart(same: bool) -> None:
+    """A router or a radio passes both on: each counts its own frames. One autopilot on two ways agrees with itself."""
+    with two_sources() as (daemon, now_s, source, _, _):
+        counts = {"first": 0, "second": 100}
+        for k in range(100):
+            for who in ("first", "second") if k >= 20 else ("first",):
+                volts = 15.8 if same or who == "first" else 15.2
+                source.count_from(counts[who])
+                source.send(heartbeat(True), row(volts))
+                counts[who] += 2
+            taken(daemon, 4 if k >= 20 else 2)
+            if k == 19 or (same and k > 19):
+                assert daemon.board.reports[0].at(now_s[0]).remaining_s > 0.0, k
+            now_s[0] += 0.25
+        if not same:
+            assert daemon.board.reports[0].at(now_s[0]).status == "refused"
+            note = content(daemon.board, now_s[0])["notes"][0]
+            assert f"disagree on battery 0: voltage (both behind {source.name})" in note
 
 
 def test_one_autopilot_on_two_ways_is_one() -> None:

@@ -204,7 +204,7 @@ class LiveReader:
         vehicle = self._vehicles.get((header.system, header.component))
         if vehicle is None:
             return self._of_a_part(header, stamp_s, message, frame)
-        time_s = vehicle.passes(stamp_s)
+        time_s, sender = vehicle.passes(stamp_s), vehicle.sender_of(frame, stamp_s, sender)
         battery = battery_fields(header.message_id, message) if header.message_id in BATTERY_IDS else None
         if battery is not None:
             vehicle.senders.compare(sender, battery, stamp_s)

@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from uavbatt.mavlink.fields import BatteryFields
+from uavbatt.telemetry.streams import Stream
 
 SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
 WORDLESS_S = 10.0  # without a word of batteries, while another has some
@@ -111,6 +112,9 @@ def _recent(rows: Iterable[SenderRow], time_s: float) -> list[SenderRow]:
 
 def _places(*senders: object) -> str:
     """Addresses in words, in a fixed order; streams have none."""
-    named = [f"{s[0]}:{s[1]}" if isinstance(s, tuple) else s for s in senders]
-    places = sorted(place for place in named if isinstance(place, str) and ":" in place)
-    return f" ({' and '.join(places)})" if places else ""
+    addresses = [s.sender if isinstance(s, Stream) else s for s in senders]
+    named = [f"{s[0]}:{s[1]}" if isinstance(s, tuple) else s for s in addresses]
+    places = sorted({place for place in named if isinstance(place, str) and ":" in place})
+    is_one = addresses[0] == addresses[1]
+    words = f"both behind {places[0]}" if is_one and places else "both on one link" if is_one else " and ".join(places)
+    return f" ({words})" if words else ""

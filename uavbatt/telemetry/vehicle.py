@@ -32,7 +32,8 @@ from uavbatt.telemetry.route.messages import (
     NavigationListener,
 )
 from uavbatt.telemetry.route.settings import NAMES
-from uavbatt.telemetry.senders import Senders
+from uavbatt.telemetry.senders import MOST_SENDERS, Senders
+from uavbatt.telemetry.streams import Counts
 
 FALLBACK_AFTER_S = 5.0
 ALONE_AFTER_S = 5.05  # no multiple of a usual period: the replay sums the same steps in another order
@@ -67,6 +68,7 @@ class Vehicle:
         self.route = NavigationListener(own=None if own_component is None else (system, own_component))
         self._transfer_words: list[bytes] = []  # frames of the mission transfer that is open
         self.senders = Senders()
+        self._counts: dict[object, Counts] = {}
         self.parameters = HeardParameters()
         self.voltages = PackVoltages()
         self.words: dict[bytes, bytes] = {}  # frames that a recording begins with: heartbeat, parameters, home, mission
@@ -94,6 +96,12 @@ class Vehicle:
     def armed(self) -> bool | None:
         """Return the armed bit of the last heartbeat; None before it."""
         return self._log.armed
+
+    def sender_of(self, frame: bytes, stamp_s: float, address: object) -> object:
+        """Return who sent a frame of its identity by an address: more than one may (`streams`)."""
+        if address not in self._counts and len(self._counts) >= MOST_SENDERS:
+            del self._counts[next(iter(self._counts))]  # the first that was heard
+        return self._counts.setdefault(address, Counts(address)).stream(framing.sequence(frame), stamp_s)
 
     def passes(self, stamp_s: float) -> float:
         """Note a frame of its system, received at `stamp_s` [s]; return the time from its first frame [s]."""

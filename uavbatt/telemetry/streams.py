@@ -1,0 +1,56 @@
+"""Two autopilots of one system number behind one address are told apart by the running numbers of their frames.
+
+Every sender numbers its frames 0..255, again and again. Frames of two senders that come by one address show two such
+counts, far from each other, that go on by turns. A lost frame makes a count jump, a frame that comes late makes it go
+back: neither lets two counts far apart both go on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+NUMBERS = 256
+LOST = 8  # so many frames may be missing within one count
+TURNS, WITHIN_S = 8, 10.0  # of the counts, until they are two
+
+
+class Stream(NamedTuple):
+    """The second count of frames that one sender's address shows."""
+
+    sender: object
+
+
+class Counts:
+    """The running numbers of one identity's frames from one address; `stream` tells whose a frame is."""
+
+    def __init__(self, sender: object) -> None:
+        self._streams: tuple[object, object] = (sender, Stream(sender))
+        self._last: list[int | None] = [None, None]
+        self._now = 0  # index of the count that the last frame went on with
+        self._turns: deque[float] = deque([-math.inf] * TURNS, maxlen=TURNS)
+
+    def stream(self, number: int, time_s: float) -> object:
+        """Return the sender of a frame with this running number: its address, or that address's second `Stream`.
+
+        time_s : of reception [s]. Until two counts have gone on by turns there is one.
+        """
+        before, self._now = self._now, self._of(number)
+        self._last[self._now] = number
+        if self._now != before and self._is_apart():
+            self._turns.append(time_s)
+        return self._streams[self._now if time_s - self._turns[0] <= WITHIN_S else 0]
+
+    def _of(self, number: int) -> int:
+        """Return the count that a number goes on with, else the one that has rested, which begins anew."""
+        steps = [NUMBERS if last is None else (number - last) % NUMBERS for last in self._last]
+        nearest = min((self._now, 1 - self._now), key=lambda k: steps[k])
+        return nearest if steps[nearest] <= LOST else 1 - self._now
+
+    def _is_apart(self) -> bool:
+        """Return True if the counts are so far from each other that no lost or late frame explains both."""
+        one, other = self._last
+        if one is None or other is None:
+            return False
+        return LOST < (one - other) % NUMBERS < NUMBERS - LOST
