@@ -17,6 +17,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
 PARAMETER_PAUSE_S = 0.1
 AGAIN_PAUSE_S = 1.0
 MOST_ASKED = 4
+OF_ARDUPILOT = ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS", "MONITOR")
 
 
 def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
@@ -26,7 +27,7 @@ def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
         if is_px4:
             names += [f"BAT{instance + 1}_{what}" for what in ("N_CELLS", "CAPACITY", "V_EMPTY")]
         else:
-            names += [ardupilot_prefix(instance) + what for what in ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS")]
+            names += [ardupilot_prefix(instance) + what for what in OF_ARDUPILOT]
     return names
 
 

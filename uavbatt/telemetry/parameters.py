@@ -14,7 +14,8 @@ from typing import NamedTuple
 from uavbatt.records import NAN, PackFacts
 
 _UNTOUCHED_CAPACITY_MAH = 3300.0
-VOLTAGE_ONLY = 3.0  # of BATT_MONITOR
+VOLTAGE_ONLY, SUM_OF_OTHERS = 3.0, 10.0  # of BATT_MONITOR
+_MOST_MONITORS = 16
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
 BATTERY_NAMES = ("BAT", "FS_BATT")  # how the names of battery parameters begin
@@ -125,6 +126,9 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
     cells = _px4(known, instance, "N_CELLS")
     empty_V = _px4(known, instance, "V_EMPTY")
     capacity_mAh = _first(known, prefix + "CAPACITY", _px4_name(known, instance, "CAPACITY"))
+    is_untouched = math.isnan(capacity_mAh) or capacity_mAh == _UNTOUCHED_CAPACITY_MAH
+    if is_untouched and known.get(prefix + "MONITOR") == SUM_OF_OTHERS:
+        capacity_mAh = _summed_mAh(known, instance)
     low_names = [prefix + "LOW_VOLT"] + (["FS_BATT_VOLTAGE"] if instance == 0 else [])
     critical_V = _first(known, prefix + "CRT_VOLT")
     options = known.get(prefix + "OPTIONS")
@@ -135,6 +139,23 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
         critical_voltage_V=critical_V if critical_V > 0 or not cells * empty_V > 0 else cells * empty_V,
         sag_compensated=None if options is None else is_telemetry and _has_bit(options),
     )
+
+
+def _summed_mAh(known: Mapping[str, float], instance: int) -> float:
+    """Return the capacity of what a monitor sums that has none of its own [mAh]; NaN while a part's is not known.
+
+    The parts: those of BATTn_SUM_MASK, else every other monitor that is on and sums nothing.
+    """
+    said = known.get(ardupilot_prefix(instance) + "SUM_MASK", 0.0)
+    mask = int(said) if math.isfinite(said) and said > 0.0 else -1
+    parts = [
+        ardupilot_prefix(other)
+        for other in range(_MOST_MONITORS)
+        if other != instance
+        and known.get(monitor_parameter(other), 0.0) not in (0.0, SUM_OF_OTHERS)
+        and mask >> other & 1
+    ]
+    return sum(_first(known, prefix + "CAPACITY") for prefix in parts) if parts else NAN
 
 
 def _has_bit(options: float) -> bool:
