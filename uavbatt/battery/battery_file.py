@@ -65,7 +65,7 @@ STEEPEST_V = 300.0  # volts per unit of charge: an emptied cell falls by 10 to 1
 
 
 def content_hash(file: BatteryFile) -> str:
-    """SHA-256 of the canonical JSON of everything but the hash itself, the date and the tool's version."""
+    """Return the SHA-256 of the canonical JSON of everything but the hash itself, the date and the tool's version."""
     content: dict[str, Any] = msgspec.to_builtins(file)
     for key in ("content_sha256", "date", "tool_version"):
         del content["certificate"][key]
@@ -79,7 +79,7 @@ def content_hash(file: BatteryFile) -> str:
 
 
 def sealed(file: BatteryFile) -> BatteryFile:
-    """The file with today's date, this version and the hash of its content."""
+    """Return the file with today's date, this version and the hash of its content."""
     dated = msgspec.structs.replace(file.certificate, date=date.today().isoformat(), tool_version=__version__)
     dated = msgspec.structs.replace(dated, content_sha256=content_hash(file))
     return msgspec.structs.replace(file, certificate=dated)
@@ -145,7 +145,7 @@ def _let_through(file: BatteryFile) -> BatteryFile:
 
 
 def packaged() -> list[str]:
-    """Names of the battery files that come with the package."""
+    """Return the names of the battery files that come with the package."""
     folder = resources.files("uavbatt") / "data" / "batteries"
     return sorted(entry.name.removesuffix(SUFFIX) for entry in folder.iterdir() if entry.name.endswith(SUFFIX))
 

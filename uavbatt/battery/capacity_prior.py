@@ -35,9 +35,9 @@ UNKNOWN_MAKE_PRIOR = ((0.53, 0.0, 0.03), (0.35, -0.14, 0.09), (0.12, -0.30, 0.35
 
 
 class Capacities(NamedTuple):
-    """Members of the prior, [members] each: ln of the capacity scale, its sd within the member, its weight.
+    """It holds the prior's members, [members] each: ln of the capacity scale, its sd within the member, its weight.
 
-    And ln of the resistance scale (of ohm times Ah) with its sd.
+    With them go ln of the resistance scale (of ohm times Ah) and its sd.
     """
 
     log_scale: Array
@@ -48,7 +48,7 @@ class Capacities(NamedTuple):
 
 
 def capacities(pack: Pack) -> Capacities:
-    """The prior of a pack that nobody measured; `pack.capacity_scale_sd` widens it."""
+    """Return the prior of a pack that nobody measured; `pack.capacity_scale_sd` widens it."""
     is_known = pack.capacity_short_sd == 0.0  # the make was measured
     prior, overlap = (PRIOR, OVERLAP) if is_known else (UNKNOWN_MAKE_PRIOR, UNKNOWN_MAKE_OVERLAP)
     widest = math.hypot(prior[1][2], pack.capacity_scale_sd)
@@ -72,6 +72,6 @@ def capacities(pack: Pack) -> Capacities:
 
 
 def known_capacity(pack: Pack) -> Capacities:
-    """One member, around what is stated: for a pack that was measured."""
+    """Return one member, around the stated capacity: for a pack that was measured."""
     capacity_sd, resistance_sd = np.full(1, pack.capacity_scale_sd), np.full(1, pack.resistance_scale_sd)
     return Capacities(np.zeros(1), capacity_sd, np.ones(1), np.zeros(1), resistance_sd)

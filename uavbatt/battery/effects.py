@@ -13,9 +13,10 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One parameter of an effect: what it is when the effect is on and nothing else is known.
+    """It holds one parameter of an effect, and what is assumed of it when the effect is on and nothing else is known.
 
-    `prior` and `prior_sd` in `unit`; with `log`, the sd is relative (a factor). `neutral` means "effect off".
+    `prior`, `prior_sd` and the bounds `low` and `high` are in `unit`; with `log`, the sd is relative (a factor).
+    `neutral` means "effect off".
     """
 
     name: str
@@ -31,7 +32,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A mechanism; `acts_on` says which record its parameters are fields of."""
+    """An effect is a mechanism that a battery file switches on; `acts_on` says which record has its parameters."""
 
     name: str
     summary: str
@@ -197,12 +198,12 @@ EFFECTS = {effect.name: effect for effect in CELL_EFFECTS + INSTALLATION_EFFECTS
 
 
 def unit_words(unit: str) -> str:
-    """A unit as it is shown: nothing for a pure number."""
+    """Return a unit as it is shown: empty for a pure number."""
     return "" if unit == "1" else unit
 
 
 def effect_named(name: str) -> Effect:
-    """The effect of that name; KeyError with the known names otherwise."""
+    """Return the effect of that name; raises KeyError with the known names if there is none."""
     try:
         return EFFECTS[name]
     except KeyError:

@@ -35,12 +35,12 @@ def is_on(value: Number) -> bool:
 
 
 def charge_step(soc: Number, c_rate: Number, dt_s: Number) -> Number:
-    """Coulomb counting: soc' = -c/3600."""
+    """Return the state of charge after `dt_s` [s] at `c_rate` [1/h], by coulomb counting: soc' = -c/3600."""
     return soc - c_rate * (dt_s / SECONDS_PER_HOUR)
 
 
 def decay(dt_s: Number, tau_s: Number) -> Number:
-    """Share of a deviation that a first-order lag has left after `dt_s`: exp(-dt/tau), for tau > 0."""
+    """Return the share of a deviation that a first-order lag has left after `dt_s`: exp(-dt/tau), for tau > 0."""
     return np.exp(-dt_s / tau_s)
 
 
@@ -50,27 +50,30 @@ def relax_to(value: Number, target: Number, share: Number) -> Number:
 
 
 def relax(value: Number, target: Number, dt_s: Number, tau_s: Number) -> Number:
-    """First-order lag towards a held target, exact: x' = (target - x)/tau, for tau > 0."""
+    """Return the value of a first-order lag after `dt_s`, target held, exact: x' = (target - x)/tau, for tau > 0."""
     return relax_to(value, target, decay(dt_s, tau_s))
 
 
 def arrhenius(temp_C: Number, activation_K: Number) -> Number:
-    """Factor on a resistance at `temp_C`, 1 at 25 °C: exp(E (1/T - 1/T_ref)), E = activation energy / R [K]."""
+    """Return the factor on a resistance at `temp_C` [°C]: exp(E (1/T - 1/T_ref)), 1 at 25 °C.
+
+    E = `activation_K` [K] is the activation energy over the gas constant.
+    """
     return np.exp(activation_K * (1.0 / (temp_C + KELVIN) - 1.0 / (REFERENCE_TEMP_C + KELVIN)))
 
 
 def load_factor(gain_h: Number, c_rate: Number) -> Number:
-    """Factor on what grows with the load in either direction: 1 + g |c|."""
+    """Return the factor on a quantity that grows with the load in either direction: 1 + g |c|."""
     return 1.0 + gain_h * np.abs(c_rate) if is_on(gain_h) else 1.0
 
 
 def settled_temperature(heat_W: Number, ambient_C: Number, cooling_WpK: Number) -> Number:
-    """Return the temperature of a lumped core at rest [°C]: of C T' = q - h (T - T_ambient), h > 0, per Ah."""
+    """Return the steady temperature [°C] of a lumped core: C T' = q - h (T - T_ambient) = 0, for h > 0, per Ah."""
     return ambient_C + heat_W / cooling_WpK
 
 
 def transfer_resistance(c_rate: Number, full_V: Number, half_rate: Number) -> Number:
-    """Resistance [ohm·Ah] of a reaction that has become sluggish: the drop c R_t saturates, half of it at `half_rate`.
+    """Return the resistance [ohm·Ah] of a sluggish reaction: its drop tends to `full_V`, half of it at `half_rate`.
 
     Butler and Volmer's overpotential is ohmic at small currents and a logarithm at large ones (Newman & Balsara 2021,
     section 8.3); of a reaction k times as slow, what comes on top therefore ends in a constant, (2RT/F) ln k.
@@ -79,18 +82,19 @@ def transfer_resistance(c_rate: Number, full_V: Number, half_rate: Number) -> Nu
 
 
 def hysteresis_fraction(drawn: Number, charge: Number) -> Number:
-    """Share of the way from the charge to the discharge branch after `drawn` of the charge, `charge` to 1/e.
+    """Return the share of the way from the charge to the discharge branch after `drawn` of the charge.
 
-    Plett's one-state hysteresis (2015, eq. 2.33) for a current that never turns back: h' = (1 - h) / charge.
+    It has come to 1 - 1/e after `charge`. Plett's one-state hysteresis (2015, eq. 2.33) for a current that never turns
+    back: h' = (1 - h) / charge.
     """
     return -np.expm1(-np.maximum(drawn, 0.0) / charge)
 
 
 def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> Number:
-    """Current that draws `power_W` from a source with inner resistance: the smaller root of (E - R I) I = P.
+    """Return the current [A] that draws `power_W` from behind an inner resistance: the smaller root of (E - R I) I = P.
 
-    Beyond the largest power that the source can give, E²/4R, the current of that largest power, E/2R. A source whose
-    voltage has turned round, far beyond empty, gives next to nothing.
+    Beyond the largest power that the source can give, E²/4R, it is the current of that largest power, E/2R. A source
+    whose voltage has turned round, far beyond empty, gives next to nothing.
     """
     emf_V = np.maximum(emf_V, LEAST_EMF_V)
     square_V2, four_ohm = emf_V * emf_V, 4.0 * resistance_ohm
@@ -100,12 +104,12 @@ def current_at_power(emf_V: Number, resistance_ohm: Number, power_W: Number) -> 
 
 
 def segment(position: Number, segments: float) -> Number:
-    """Index of the segment of a uniform grid that `position`, in grid steps, falls into; the end ones go on."""
+    """Return the index of the segment of a uniform grid that `position` [grid steps] falls into; the end ones go on."""
     return np.intp(np.minimum(np.maximum(position, 0.0), segments - 1.0))  # cut off: the floor of what is positive
 
 
 def interpolated(table: NDArray[np.float64], index: Number, share: Number) -> Number:
-    """Value at a share of the segment `index` of a table of its ends.
+    """Return a table's value at a `share` (0 to 1) of the way through its segment `index`; beyond it goes on straight.
 
     One table [G] serves any shape; tables [batch, G] need indices [batch].
     """

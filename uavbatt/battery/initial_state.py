@@ -25,14 +25,14 @@ SLOPE_WITHIN, LEAST_SLOPE_V = 0.04, 0.1  # the OCV's slope at a charge is that o
 
 
 class Charge(NamedTuple):
-    """State of charge and its standard deviation."""
+    """It holds a state of charge and its standard deviation."""
 
     soc: float
     sd: float
 
 
 def state_under_load(p: Parameters, soc: Number, temp_C: Number, c_rate: Number) -> State:
-    """A cell at `soc` that came down from full under `c_rate` [1/h], one temperature throughout [°C]."""
+    """Return the state of a cell that came down from full to `soc` under `c_rate` [1/h], at one temperature [°C]."""
     at_rest = model.rested(soc, temp_C)
     rate = np.maximum(c_rate, 1e-6)
     drained_s = np.maximum(1.0 - at_rest.soc, 0.0) * eq.SECONDS_PER_HOUR / rate
@@ -46,7 +46,7 @@ def state_under_load(p: Parameters, soc: Number, temp_C: Number, c_rate: Number)
 
 
 def charge_at(p: Parameters, emf_V: float, sd_V: float) -> Charge:
-    """The charge whose OCV is `emf_V` [V], known to `sd_V`: the sd comes from the slope there."""
+    """Return the charge whose OCV is `emf_V` [V], known to `sd_V` [V]; its sd comes from the slope there."""
     table = np.maximum.accumulate(np.asarray(model.open_circuit_voltage(p, SOC_GRID)) + 1e-9 * SOC_GRID)
     low, soc, high = np.interp([emf_V - sd_V, emf_V, emf_V + sd_V], table, SOC_GRID)
     return Charge(float(np.clip(soc, 0.0, 1.0)), float(max(0.5 * (high - low), 0.01)))
@@ -55,7 +55,7 @@ def charge_at(p: Parameters, emf_V: float, sd_V: float) -> Charge:
 def joint(
     p: Parameters, emf_V: float, reading_sd_V: float, bias_sd_V: float, may_be_full: bool, full_share: float = 1.0
 ) -> tuple[Array, Array]:
-    """Mean [2] and covariance [2, 2] of (charge, discrepancy [V]) after a reading of OCV(charge) + discrepancy.
+    """Return mean [2] and covariance [2, 2] of (charge, discrepancy [V]) after a reading of OCV(charge) + discrepancy.
 
     Before a flight (`may_be_full`) the habit of flying full packs weighs in: the mixture of "just charged" (FULL_SHARE,
     FULL_SD, `full_share` of the discrepancy) and "any charge", by its moments.

@@ -20,7 +20,7 @@ SURE_ROWS = 2  # one alone may be damaged
 
 
 class KnownSize(NamedTuple):
-    """A pack's size by the statements of caller and vehicle; `after` compares one more row with them.
+    """A pack's size is known by the statements of caller and vehicle; `after` compares one more row with them.
 
     size : None before the first voltage; stated_W : lowest and highest power [W] stated of this aircraft; counts : of
     cells that fit what was seen, the likeliest first, worked out when that or what the vehicle says has changed.
@@ -40,11 +40,11 @@ class KnownSize(NamedTuple):
 
     @property
     def refusal(self) -> str:
-        """Return the words of a contradiction that is certain; empty if there is none."""
+        """Return the words of a doubt that is certain; empty if there is none."""
         return self.doubts[0].words if self.doubts and self.doubts[0].is_certain else ""
 
     def with_facts(self, facts: PackFacts) -> KnownSize:
-        """Return the size by what the vehicle says from now on."""
+        """Return this with `facts`, what the vehicle says from now on; a size that was known is worked out anew."""
         known = self._replace(facts=facts)
         return known._counted()._sized() if self.size is not None else known
 
@@ -76,7 +76,7 @@ class KnownSize(NamedTuple):
         return size_of_pack(self.battery, self.options, self.facts, guessed, seen=Seen(first.voltage_V))
 
     def anew(self) -> KnownSize:
-        """Return the same size for a pack that has just been changed, so that no row of it was seen yet."""
+        """Return the same size for a pack that has just been changed: no row of the new one was seen yet."""
         return self._replace(statements=Statements(), counts=(), rested_V=NAN)
 
     def _counted(self) -> KnownSize:

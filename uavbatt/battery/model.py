@@ -36,7 +36,7 @@ MOST_STEPS = 720  # of a silence of more than an hour, in which a pack rests: lo
 
 
 class Parameters(NamedTuple):
-    """Per-cell parameters, normalised by capacity; the defaults are neutral ("effect off")."""
+    """These are the parameters of one cell, normalised by capacity; the defaults are neutral ("effect off")."""
 
     ocv_V: Array  # on SOC_GRID, or [batch, grid]
     r0_ohmAh: Array  # on SOC_GRID, or [batch, grid]; at 25 °C
@@ -61,7 +61,7 @@ class Parameters(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of a cell: soc [-], polarisation and diffusion overpotential [V], core and sensor [°C]."""
+    """A cell's state is its soc [-], polarisation and diffusion overpotential [V], core and sensor temperature [°C]."""
 
     soc: Number
     polarisation_V: Number
@@ -71,20 +71,20 @@ class State(NamedTuple):
 
 
 def rested(soc: Number, temp_C: Number) -> State:
-    """A cell at rest at `soc` with one temperature throughout [°C]."""
+    """Return the state of a cell at rest at `soc`, with one temperature throughout [°C]."""
     zero = np.zeros(np.broadcast_shapes(np.shape(soc), np.shape(temp_C)))
     return State(soc + zero, zero, zero, temp_C + zero, temp_C + zero)
 
 
 def open_circuit_voltage(p: Parameters, soc: Number) -> Number:
-    """OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
+    """Return OCV(soc) [V] of one cell on its way down from full; straight beyond the ends of its table."""
     position = (soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
     return _ocv_V(p, soc, eq.interpolated(p.ocv_V, index, position - index))
 
 
 def resistance(p: Parameters, soc: Number, core_C: Number) -> Number:
-    """R0(soc, T) [ohm·Ah]."""
+    """Return R0(soc, T) [ohm·Ah], the resistance at once of one cell; flat beyond the ends of its table."""
     position = (soc - LOWEST_SOC) / GRID_STEP
     index = eq.segment(position, LAST_POSITION)
     return _r0_ohmAh(p, eq.interpolated(p.r0_ohmAh, index, held_position(position) - index), core_C)
@@ -111,13 +111,13 @@ def source(p: Parameters, s: State) -> tuple[Number, Number]:
 
 
 def source_from(p: Parameters, s: State, charged_V: Number, new_ohmAh: Number) -> tuple[Number, Number]:
-    """Return `source` from `charged_V` and `new_ohmAh`, what the tables `ocv_V` and `r0_ohmAh` hold at this charge."""
+    """Return `source` from `charged_V` and `new_ohmAh`, the values of tables `ocv_V` and `r0_ohmAh` at this charge."""
     emf_V = _ocv_V(p, s.soc, charged_V) - s.polarisation_V - s.diffusion_V
     return emf_V, _r0_ohmAh(p, new_ohmAh, s.core_C)
 
 
 def held_position(position: Number) -> Number:
-    """Return the position [grid steps] at which a table that is flat beyond its ends is read."""
+    """Return the position [grid steps] kept within the table, for tables that are flat beyond their ends."""
     return np.minimum(np.maximum(position, 0.0), LAST_POSITION)
 
 
@@ -127,18 +127,18 @@ def electromotive_force(p: Parameters, s: State) -> Number:
 
 
 def cell_voltage(p: Parameters, s: State, c_rate: Number) -> Number:
-    """Terminal voltage of one cell [V] under `c_rate` [1/h]."""
+    """Return the terminal voltage of one cell [V] under `c_rate` [1/h]."""
     emf_V, r_ohmAh = source(p, s)
     return loaded_voltage(p, emf_V, r_ohmAh, c_rate)
 
 
 def loaded_voltage(p: Parameters, emf_V: Number, series_ohmAh: Number, c_rate: Number) -> Number:
-    """Return the voltage of `source` behind `series_ohmAh`, its own resistance included, under `c_rate` [V]."""
+    """Return the voltage [V] of `emf_V` behind `series_ohmAh`, the cell's own resistance included, under `c_rate`."""
     return voltage_under(emf_V, series_ohmAh, UnderLoad(c_rate, transfer_drop(p, c_rate)))
 
 
 def voltage_under(emf_V: Number, series_ohmAh: Number, under: UnderLoad) -> Number:
-    """Return `loaded_voltage` where what the reaction takes is known."""
+    """Return `loaded_voltage` [V] where the drop of a sluggish reaction is known already."""
     return emf_V - under.c_rate * series_ohmAh - under.transfer_V
 
 
@@ -150,17 +150,17 @@ def transfer_drop(p: Parameters, c_rate: Number) -> Number:
 
 
 class UnderLoad(NamedTuple):
-    """A cell under a load: its C-rate [1/h], and the drop that a sluggish reaction takes [V]."""
+    """It holds the load of a cell: its C-rate [1/h], and the drop that a sluggish reaction takes [V]."""
 
     c_rate: Number
     transfer_V: Number
 
 
 def under_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: Number) -> UnderLoad:
-    """Return what a power [W/Ah] makes of a cell behind `series_ohmAh`, its own resistance included.
+    """Return the C-rate and the drop of a sluggish reaction at which a cell gives a power [W/Ah].
 
-    The drop of a sluggish reaction hardly changes with the load: what it is at the rate that a cell without resistance
-    would have, is good to 1 mV.
+    `emf_V` stands behind `series_ohmAh`, the cell's own resistance included. The drop of the reaction hardly changes
+    with the load: its value at the rate that a cell without resistance would have is good to 1 mV.
     """
     if not eq.is_on(p.transfer_V):
         return UnderLoad(eq.current_at_power(emf_V, series_ohmAh, power_WpAh), 0.0)
@@ -169,7 +169,7 @@ def under_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: 
 
 
 def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
-    """Return what the voltage falls to when the surface of the particles lacks charge: OCV(soc) - OCV(soc - c h) [V].
+    """Return the drop [V] because the surface of the particles lacks charge: OCV(soc) - OCV(soc - c h).
 
     Diffusion in the particles carries the current from a surface that is emptier than their mean (Newman & Balsara
     2021, chapter 22); where the OCV is steep that costs most.
@@ -183,7 +183,7 @@ def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
 
 
 class Lags(NamedTuple):
-    """The share of a deviation that is left after one step, `equations.decay` for each lag."""
+    """It holds the share of a deviation that is left after one step, `equations.decay` for each lag."""
 
     polarisation: Number
     diffusion: Number
@@ -192,13 +192,13 @@ class Lags(NamedTuple):
 
 
 def lags(p: Parameters, dt_s: Number) -> Lags:
-    """The lags of a step of `dt_s`."""
+    """Return the decay of each lag over a step of `dt_s` [s]."""
     cell = cell_lags(p, dt_s)
     return Lags(cell.polarisation, cell.diffusion, cell.core, eq.decay(dt_s, p.sensor_lag_s))
 
 
 def cell_lags(p: Parameters, dt_s: Number) -> Lags:
-    """`lags` for `step_cell`, which leaves the sensor as it is."""
+    """Return `lags` with the sensor's left at 1, for `step_cell`, which leaves the sensor as it is."""
     return Lags(
         eq.decay(dt_s, p.polarisation_tau_s),
         eq.decay(dt_s, p.diffusion_tau_s),
@@ -208,19 +208,19 @@ def cell_lags(p: Parameters, dt_s: Number) -> Lags:
 
 
 def step(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number) -> State:
-    """One step with the current held; keep it under LONGEST_STEP_S (see `advance`)."""
+    """Return the state after one step with the current held; keep the step under LONGEST_STEP_S (see `advance`)."""
     return step_with_decay(p, s, c_rate, ambient_C, dt_s, lags(p, dt_s))
 
 
 def step_with_decay(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: Number, lags: Lags) -> State:
-    """`step` where the lags of `dt_s` are known already."""
+    """Return `step` where the lags of `dt_s` are known already."""
     return step_with_resistance(p, s, c_rate, resistance(p, s.soc, s.core_C), ambient_C, dt_s, lags)
 
 
 def step_with_resistance(
     p: Parameters, s: State, c_rate: Number, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """`step` from a known resistance [ohm·Ah]."""
+    """Return `step` where the lags of `dt_s` and the resistance [ohm·Ah] are known already."""
     later = step_cell(p, s, UnderLoad(c_rate, transfer_drop(p, c_rate)), r_ohmAh, ambient_C, dt_s, lags)
     sensor_C = eq.relax_to(s.sensor_C, later.core_C, lags.sensor)
     return State(later.soc, later.polarisation_V, later.diffusion_V, later.core_C, sensor_C)
@@ -229,7 +229,7 @@ def step_with_resistance(
 def step_cell(
     p: Parameters, s: State, under: UnderLoad, r_ohmAh: Number, ambient_C: Number, dt_s: Number, lags: Lags
 ) -> State:
-    """`step_with_resistance` with the sensor left as it is, which nobody reads in a forecast."""
+    """Return `step_with_resistance` with the sensor left as it is, which nobody reads in a forecast."""
     c_rate = under.c_rate
     drop_V = c_rate * r_ohmAh
     lost_V = drop_V + s.polarisation_V + s.diffusion_V + under.transfer_V
@@ -259,7 +259,7 @@ def _core_C(
 
 
 class Stride(NamedTuple):
-    """A step of any length as equal steps no longer than LONGEST_STEP_S, or as MOST_STEPS of them."""
+    """A stride divides a step of any length into equal steps of at most LONGEST_STEP_S, or into MOST_STEPS of them."""
 
     steps: int
     dt_s: float
@@ -267,18 +267,18 @@ class Stride(NamedTuple):
 
 
 def stride(p: Parameters, dt_s: float) -> Stride:
-    """The equal steps that make `dt_s`."""
+    """Return the equal steps that make `dt_s` [s]."""
     steps = min(max(1, int(np.ceil(dt_s / LONGEST_STEP_S - 1e-9))), MOST_STEPS)
     return Stride(steps, dt_s / steps, lags(p, dt_s / steps))
 
 
 def advance(p: Parameters, s: State, c_rate: Number, ambient_C: Number, dt_s: float) -> State:
-    """`dt_s` seconds at constant current, in the equal steps of `stride`."""
+    """Return the state after `dt_s` seconds at constant current, in the equal steps of `stride`."""
     return advance_by(p, s, c_rate, ambient_C, stride(p, dt_s))
 
 
 def advance_by(p: Parameters, s: State, c_rate: Number, ambient_C: Number, over: Stride) -> State:
-    """`advance` where the stride is known already."""
+    """Return `advance` where the stride is known already."""
     for _ in range(over.steps):
         s = step_with_decay(p, s, c_rate, ambient_C, over.dt_s, over.lags)
     return s

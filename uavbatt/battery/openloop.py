@@ -19,7 +19,7 @@ States = Callable[[Parameters, State, Array, Array, Number], State]
 
 
 class Trajectory(NamedTuple):
-    """Rows × batch: cell voltage [V], sensor and core temperature [°C], state of charge."""
+    """A trajectory holds cell voltage [V], sensor and core temperature [°C] and state of charge, [rows, batch] each."""
 
     voltage_V: Array
     sensor_C: Array

@@ -21,7 +21,7 @@ FULL_CELL_V = 4.0  # of a cell, in the mean of a gentle discharge: less
 
 
 class Installation(NamedTuple):
-    """The pack's size and everything between its cells and the telemetry; neutral by default."""
+    """It holds the pack's size and everything between its cells and the telemetry; the defaults are neutral."""
 
     cells: Number
     capacity_Ah: Number
@@ -40,37 +40,37 @@ class Installation(NamedTuple):
 
     @property
     def present_capacity_Ah(self) -> Number:
-        """Capacity today [Ah]."""
+        """Return the capacity that the pack has today [Ah]."""
         return self.capacity_Ah * (1.0 - self.fade)
 
 
 def most_energy_Wh(pack: Installation) -> Number:
-    """Return the energy of a full pack [Wh], rather too much: at FULL_CELL_V all the way."""
+    """Return the energy of a full pack [Wh], rather too much: every cell at FULL_CELL_V all the way."""
     return pack.present_capacity_Ah * pack.cells * FULL_CELL_V
 
 
 def true_current(pack: Installation, current_A: Number, voltage_V: Number) -> Number:
-    """Current that leaves the cells [A], from the metered one [A] and the metered voltage [V]."""
+    """Return the current that leaves the cells [A], from the metered one [A] and the metered voltage [V]."""
     return (current_A - pack.offset_A) / pack.gain_I + pack.unmetered_W / voltage_V
 
 
 def c_rate(pack: Installation, current_A: Number) -> Number:
-    """C-rate [1/h] of a true pack current [A]."""
+    """Return the C-rate [1/h] of a true pack current [A]."""
     return current_A / pack.present_capacity_Ah
 
 
 def grown(p: Parameters, pack: Installation) -> Parameters:
-    """The cell's parameters with the pack's resistance growth in them."""
+    """Return the cell's parameters with the pack's resistance growth in them."""
     return p._replace(resistance_gain=p.resistance_gain * (1.0 + pack.growth))
 
 
 def weak_soc(pack: Installation, soc: Number) -> Number:
-    """State of charge of the weakest cell: it gives the same charge out of (1 - deficit) of the capacity."""
+    """Return the state of charge of the weakest cell: it gives the same charge out of (1 - deficit) of the capacity."""
     return 1.0 - (1.0 - soc) / (1.0 - pack.deficit)
 
 
 def weak_voltage(pack: Installation, p: Parameters, s: State, c_rate: Number) -> Number:
-    """Terminal voltage of the weakest cell [V] where the others are in state `s` under `c_rate` [1/h].
+    """Return the terminal voltage of the weakest cell [V] where the others are in state `s` under `c_rate` [1/h].
 
     It is a smaller cell under the same current: its C-rate is higher, and with it every drop.
     """
@@ -80,19 +80,19 @@ def weak_voltage(pack: Installation, p: Parameters, s: State, c_rate: Number) ->
 
 
 def weak_lag(pack: Installation, p: Parameters, s: State, c_rate: Number, strong_V: Number) -> Number:
-    """Return the mean of the cells less the others' `strong_V` [V], as the weakest cell pulls it; never positive."""
+    """Return the mean voltage of all cells less `strong_V`, the others' [V], as the weakest cell pulls it down."""
     if not eq.is_on(pack.deficit):
         return 0.0
     return (weak_voltage(pack, p, s, c_rate) - strong_V) / pack.cells
 
 
 def series_resistance(pack: Installation, r_ohmAh: Number) -> Number:
-    """A cell's resistance with its share of the harness [ohm·Ah]."""
+    """Return a cell's resistance with its share of the harness [ohm·Ah]."""
     return r_ohmAh + pack.harness_ohm * pack.present_capacity_Ah / pack.cells
 
 
 def terminal_voltage(pack: Installation, p: Parameters, s: State, current_A: Number) -> Number:
-    """True voltage at the sensor's place [V] under a true current [A]."""
+    """Return the true voltage at the sensor's place [V] under a true current [A]."""
     rate = c_rate(pack, current_A)
     strong_V = model.cell_voltage(p, s, rate)
     return pack.cells * (strong_V + weak_lag(pack, p, s, rate, strong_V)) - current_A * pack.harness_ohm

@@ -36,7 +36,7 @@ Spread = Annotated[float, msgspec.Meta(ge=0.0, le=2.0)]
 
 
 class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The power asked over airspeed and climb; all but `hover_W` and `induced_ms` are shares of the hover.
+    """They give the power asked over airspeed and climb; all but `hover_W` and `induced_ms` are shares of the hover's.
 
     `climb` and `descent` are per m/s; the spreads are relative standard deviations between flights (`level_sd`: payload
     and pack; `fast_sd`: wind and attitude in fast flight or climb) and from row to row within a leg (`row_sd`).
@@ -60,7 +60,7 @@ class Powers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def shares(self) -> Array:
-        """The learned shares in the order of `TERMS`."""
+        """Return the learned shares [8] in the order of `TERMS`."""
         return np.array([getattr(self, term) for term in TERMS])
 
 
@@ -102,6 +102,6 @@ def power(powers: Powers, columns: Array) -> Array:
 
 
 def turning_power(powers: Powers, speed_ms: ArrayLike) -> Array:
-    """Return the mean power [W] over TURN_S in which an aircraft turns and gains `speed_ms` [m/s] over ground."""
+    """Return the mean power [W] over TURN_S in which an aircraft turns and gains the ground speed `speed_ms` [m/s]."""
     gained = powers.induced * np.square(speed_ms) / (2.0 * GRAVITY_MS2 * powers.induced_ms * TURN_S)
     return np.asarray(powers.hover_W * (1.0 + np.maximum(gained, 0.0)))

@@ -27,9 +27,10 @@ CAUSES = f"damaged, or {ANOTHER}"
 
 
 class PackHealth(NamedTuple):
-    """Health of one pack at 25 °C and half charge: ln of ohms per cell, ln of Ah, and their covariance [2, 2].
+    """It holds one pack's ln of ohms per cell and ln of Ah at 25 °C and half charge, and their covariance [2, 2].
 
-    In ohms and ampere-hours, so that it holds against any battery file and whatever capacity the vehicle states.
+    They are in ohms and ampere-hours, so that they hold against any battery file and whatever capacity the vehicle
+    states.
     """
 
     log_ohm: float
@@ -43,7 +44,10 @@ class PackHealth(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """ln of the resistance scale [of ohm·Ah] and of the capacity scale against a battery file: mean [2], covariance."""
+    """It holds ln of the resistance scale (of ohm·Ah) and ln of the capacity scale against a battery file.
+
+    They are a mean [2] and a covariance [2, 2].
+    """
 
     mean: Array
     covariance: Array
@@ -59,31 +63,31 @@ FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
 
 
 def type_ohm(pack: Pack) -> float:
-    """Resistance of one cell [ohm] as the battery file has it, at 25 °C and half charge."""
+    """Return the resistance of one cell [ohm] as the battery file has it, at 25 °C and half charge."""
     resistance_ohmAh = float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
     return resistance_ohmAh / float(pack.installation.capacity_Ah)
 
 
 def scales_of(pack: Pack, health: PackHealth) -> Scales:
-    """Ohms and ampere-hours against the battery file."""
+    """Return the remembered ohms and ampere-hours as scales against the battery file."""
     own = np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
     covariance = TO_SCALES @ health.covariance @ TO_SCALES.T
     return Scales(TO_SCALES @ (np.array(health[:2]) - own), covariance)
 
 
 def health_of(pack: Pack, scales: Scales) -> PackHealth:
-    """Scales against the battery file as ohms and ampere-hours."""
+    """Return scales against the battery file as ohms and ampere-hours."""
     log_ohm, log_Ah = FROM_SCALES @ scales.mean + np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
     return PackHealth(float(log_ohm), float(log_Ah), FROM_SCALES @ scales.covariance @ FROM_SCALES.T)
 
 
 def prior_of(pack: Pack, health: PackHealth | None) -> Capacities:
-    """The members of a pack that was met before, or of one that nobody knows."""
+    """Return the members of a pack that was met before, or of one that nobody knows."""
     return capacities(pack) if health is None or not health.may_be(pack) else remembered_capacities(pack, health)
 
 
 def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
-    """The pack with the part of its additional ohms that is a sluggish reaction: a drop that does not grow at the knee.
+    """Return the pack with part of its additional ohms as a sluggish reaction, whose drop does not grow at the knee.
 
     A resistance that grows with an emptying cell would end a warm flight early; a drop that does not would hide the
     cold. Which of the two ages a pack no flight of it tells apart, so that each gets its share.
@@ -110,7 +114,7 @@ def _without_reaction(log_resistance: float) -> float:
 
 
 def wear_of(pack: Pack, health: PackHealth) -> tuple[dict[str, dict[str, float]], tuple[float, float]]:
-    """Return what is remembered as effects of the battery file, and the sd of the fade and of the growth."""
+    """Return the remembered wear as effects of a battery file, and the sd of the fade and of the growth."""
     (log_resistance, log_capacity), covariance = scales_of(pack, health)
     growth = max(math.expm1(_without_reaction(float(log_resistance))), 0.0)  # packs age in one direction
     effects = {
@@ -123,7 +127,7 @@ def wear_of(pack: Pack, health: PackHealth) -> tuple[dict[str, dict[str, float]]
 
 
 def remembered_capacities(pack: Pack, health: PackHealth) -> Capacities:
-    """The members of a pack that was met before: around what is remembered, and the doubt about it."""
+    """Return the members of a pack that was met before: around what is remembered, and the doubt about it."""
     (log_resistance, log_capacity), covariance = scales_of(pack, health)
     log_resistance = _without_reaction(log_resistance)
     resistance_sd, capacity_sd = np.sqrt(np.diag(covariance)).tolist()

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Pack(NamedTuple):
-    """A battery file applied to one aircraft's pack."""
+    """It applies a battery file to one aircraft's pack: the parameters, limits [V] and standard deviations for it."""
 
     cell: Parameters
     installation: Installation
@@ -44,7 +44,7 @@ class Pack(NamedTuple):
     guess_sd: float = 0.0  # relative sd of a current that is not measured, around its unknown mean
 
     def at_weakest_cell(self, below_V: float) -> Pack:
-        """The pack with its limits where its weakest cell meets them, `below_V` [V] below the mean of its cells."""
+        """Return the pack with its limits where its weakest cell meets them, `below_V` [V] below the mean cell."""
         raised_V = self.installation.cells * below_V
         return self._replace(cutoff_V=self.cutoff_V + raised_V, low_V=self.low_V + raised_V)
 
@@ -90,10 +90,10 @@ WIDENING = {"certified": 1.0, "fitted": 1.25, "generic": 1.25, "edited": 1.5}
 
 
 def monotone_cubic(at: Array, knots: Array, values: Array) -> Array:
-    """Cubic through `values` [..., knots] at the points `at` between the knots, monotone wherever the values are.
+    """Return a cubic through `values` [..., knots] at the points `at` between the knots, monotone where the values are.
 
-    Fritsch & Carlson (1980) with Butland's slopes, as `scipy.interpolate.pchip`, whose import would take a third of
-    the time in which a short replay is done.
+    Fritsch & Carlson (1980) with Butland's slopes, as `scipy.interpolate.pchip`, whose import would take a third of the
+    time in which a short replay is done.
     """
     width, chord = np.diff(knots), np.diff(values) / np.diff(knots)
     slope = _slopes(width, chord)
@@ -127,11 +127,10 @@ def _end_slope(width: float, next_width: float, chord: Array, next_chord: Array)
 
 
 def dense(knots_soc: Array, values: Array) -> Array:
-    """Knots to a table on SOC_GRID by a monotone cubic (Fritsch-Carlson), straight beyond the outer knots.
+    """Return a table [..., grid] on SOC_GRID: a monotone cubic (Fritsch-Carlson) through `values` [..., knots].
 
-    Below the lowest knot it falls at least as fast as COLLAPSE_V: an emptied cell has no plateau.
-
-    values [..., knots] -> [..., grid].
+    It is straight beyond the outer knots. Below the lowest knot it falls at least as fast as COLLAPSE_V: an emptied
+    cell has no plateau.
     """
     table = monotone_cubic(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1]), knots_soc, values)
     slope = np.diff(values, axis=-1) / np.diff(knots_soc)
@@ -142,12 +141,12 @@ def dense(knots_soc: Array, values: Array) -> Array:
 
 
 def dense_resistance(knots_soc: Array, values: Array) -> Array:
-    """As `dense`, in the logarithm so that it stays positive, and flat beyond the outer knots."""
+    """Return a table as `dense` does, in the logarithm so that it stays positive, and flat beyond the outer knots."""
     return np.exp(monotone_cubic(np.clip(SOC_GRID, knots_soc[0], knots_soc[-1]), knots_soc, np.log(values)))
 
 
 def cell_parameters(file: BatteryFile, fullest_V: float = ORDINARY_FULL_V) -> Parameters:
-    """The cell of the file with its effects on; `fullest_V` as in `pack_of`."""
+    """Return the parameters of the file's cell with its effects on; `fullest_V` as in `pack_of`."""
     table = file.parameters
     ocv_soc = np.array(table.ocv_soc)
     fields = {
@@ -164,7 +163,7 @@ def cell_parameters(file: BatteryFile, fullest_V: float = ORDINARY_FULL_V) -> Pa
 
 
 def installation_of(file: BatteryFile, cells: int, capacity_Ah: float) -> Installation:
-    """Wiring and sensors as the file's effects have them, for `cells` in series of `capacity_Ah`."""
+    """Return wiring and sensors as the file's effects have them, for `cells` in series of `capacity_Ah`."""
     fields = {
         name: value
         for entry in file.effects
@@ -177,7 +176,7 @@ def installation_of(file: BatteryFile, cells: int, capacity_Ah: float) -> Instal
 def pack_of(
     file: BatteryFile, cells: int, capacity_Ah: float, cutoff_V: float, low_V: float, fullest_V: float = ORDINARY_FULL_V
 ) -> Pack:
-    """The file scaled to `cells` in series of `capacity_Ah`, with the voltages that end the flight [V].
+    """Return the file scaled to `cells` in series of `capacity_Ah`, with its cut-off and low-voltage warning [V].
 
     fullest_V : at which a full cell rests [V]; above ORDINARY_FULL_V it is another kind of cell (`high_voltage`).
     """

@@ -34,11 +34,11 @@ Lasting = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]  # [s]
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A section of the file: immutable, every key known."""
+    """A section of the file is immutable and refuses a key that it does not know."""
 
 
 class Battery(Record, frozen=True):
-    """[battery]: one type of pack."""
+    """[battery] describes one type of pack; its voltages are the pack's."""
 
     name: str
     chemistry: str
@@ -51,7 +51,7 @@ class Battery(Record, frozen=True):
 
 
 class ParameterTable(Record, frozen=True):
-    """[parameters]: the base model OCV + R0 per cell, and how far packs of the type scatter around it."""
+    """[parameters] holds the base model OCV + R0 per cell, and how far packs of the type scatter around it."""
 
     ocv_soc: SocKnots
     ocv_V: CellVoltages
@@ -65,7 +65,7 @@ class ParameterTable(Record, frozen=True):
 
 
 class EffectEntry(Record, frozen=True):
-    """[[effects]]: an effect that is on, with its parameters and their standard errors."""
+    """[[effects]] switches an effect on, with its parameters and their standard errors."""
 
     name: str
     parameters: dict[str, float]
@@ -73,7 +73,7 @@ class EffectEntry(Record, frozen=True):
 
 
 class Wander(Record, frozen=True):
-    """[discrepancy.wander]: how what the model leaves hangs together, learned from effect-free records.
+    """[discrepancy.wander] describes how the model's error goes on over time, learned from effect-free records.
 
     Under load the voltage wanders by `voltage_sd_V` at the charges `soc`, forgetting itself in `voltage_time_s`, with
     white noise on top; at rest before take-off it is off by `rest_sd_V` throughout. Volts are the pack's. Nothing was
@@ -92,9 +92,9 @@ class Wander(Record, frozen=True):
 
 
 class Discrepancy(Record, frozen=True):
-    """[discrepancy]: what the model leaves on effect-free data, per pack of `cells_series` cells.
+    """It states the error that the model leaves on effect-free data, per pack of `cells_series` cells: [discrepancy].
 
-    `wander` is missing in files of before it was known; what they say otherwise stands in for it.
+    `wander` is missing in files from before it was known; the other numbers of those files stand in for it.
     """
 
     voltage_bias_V: Volts
@@ -107,7 +107,7 @@ class Discrepancy(Record, frozen=True):
 
 
 class CorridorSection(Record, frozen=True):
-    """[corridor]: mean of repeated tests and its dispersion limit at one ambient temperature."""
+    """[corridor] holds the mean of repeated tests and its dispersion limit at one ambient temperature."""
 
     ambient_C: float
     time_s: Series
@@ -118,7 +118,7 @@ class CorridorSection(Record, frozen=True):
 
 
 class Verdict(Record, frozen=True):
-    """One claim of the certificate."""
+    """A verdict says if one claim of the certificate holds, with the statistics and the reason."""
 
     claim: str
     verdict: Literal["pass", "fail", "not enough data"]
@@ -131,7 +131,10 @@ FITTED_LOW, FITTED_HIGH = "fitted_low_C", "fitted_high_C"  # statistics: the tem
 
 
 class Certificate(Record, frozen=True):
-    """[certificate]: who says so, on which data. `edited` is no status to ship: it marks what was let through."""
+    """It says who vouches for the file, and on which data: [certificate].
+
+    The status `edited` is none to ship: it marks a file that was let through.
+    """
 
     status: Literal["certified", "fitted", "generic", "edited"]
     validated_ambient_C: list[float] = []
@@ -144,7 +147,7 @@ class Certificate(Record, frozen=True):
 
 
 class BatteryFile(Record, frozen=True):
-    """The whole file."""
+    """It holds the whole battery file, section by section."""
 
     battery: Battery
     parameters: ParameterTable
@@ -159,12 +162,12 @@ class BatteryFile(Record, frozen=True):
 
     @property
     def status(self) -> str:
-        """`certified`, `fitted`, `generic`, or `edited`: let through although it is not what was sealed or passed."""
+        """Return `certified`, `fitted`, `generic`, or `edited`: let through though not what was sealed or passed."""
         return self.certificate.status
 
     @property
     def is_measured(self) -> bool:
-        """True if the numbers are known to come from data of this type of battery."""
+        """Return True if the numbers are known to come from data of this type of battery."""
         return self.certificate.status in ("certified", "fitted")
 
     @property

@@ -41,9 +41,9 @@ SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack'
 
 @dataclass(frozen=True, slots=True)
 class PackOptions:
-    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number cannot be.
+    """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number is impossible.
 
-    spelt : the caller knows these numbers by such names; what is said of them later uses the names.
+    spelt : the names by which the caller knows these numbers; what is said of them later uses the names.
     """
 
     cells: int | None = None
@@ -59,7 +59,7 @@ class PackOptions:
 
 @dataclass(frozen=True, slots=True)
 class PackSize:
-    """The size of a pack, and where each number came from."""
+    """It holds the size of a pack, and where each number came from."""
 
     battery: str
     status: str
@@ -83,7 +83,7 @@ class PackSize:
 
     @property
     def words(self) -> str:
-        """The size of the pack and its cut-off, each with where it came from."""
+        """Return the size of the pack and its cut-off in words, each with where it came from."""
         return (
             f"{self.cells}S from {self.cells_from}, {self.capacity_Ah:g} Ah from {self.capacity_from}, "
             f"cut-off {self.cutoff_V:g} V from {self.cutoff_from}"
@@ -162,7 +162,10 @@ def size_of_pack(
 
 
 def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:
-    """The battery file scaled to a pack whose cells and capacity the caller states."""
+    """Return the battery file scaled to a pack whose size the caller states; what he leaves out is the file's.
+
+    Raises UsageError when neither states the capacity.
+    """
     return sized(battery, size_of_pack(battery, given, PackFacts(), battery.battery.cells_series, "battery file"))
 
 

@@ -29,7 +29,7 @@ from uavbatt.battery.scaling import Pack
 
 
 class X(IntEnum):
-    """Index of a component in the vector."""
+    """It names the index of each component of the state vector."""
 
     SOC = 0
     POLARISATION = 1
@@ -62,28 +62,28 @@ class Belief:
 
     @classmethod
     def gaussian(cls, time_s: float, mean: Array, covariance: Array, ambient_C: float) -> Belief:
-        """A belief of one member: mean [9], covariance [9, 9]."""
+        """Return a belief of one member: mean [9], covariance [9, 9]."""
         return cls(time_s, mean[None], covariance[None], np.ones(1), ambient_C)
 
     @property
     def mean(self) -> Array:
-        """Mean [9] of the whole sum."""
+        """Return the mean [9] of the whole sum."""
         return np.asarray(self.weights @ self.means)
 
     @property
     def covariance(self) -> Array:
-        """Covariance [9, 9] of the whole sum: within the members and between their means."""
+        """Return the covariance [9, 9] of the whole sum: within the members and between their means."""
         return mixed_covariance(self.means, self.covariances, self.weights)
 
 
 def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
-    """Covariance [9, 9] of a sum of Gaussians."""
+    """Return the covariance [9, 9] of a sum of Gaussians from its members' means, covariances and weights."""
     apart = means - weights @ means
     return np.asarray(np.tensordot(weights, covariances, 1) + (apart.T * weights) @ apart)
 
 
 class Unpacked(NamedTuple):
-    """One belief vector as the model's own records."""
+    """It holds one belief vector as the model's own records."""
 
     cell: Parameters
     installation: Installation
@@ -91,7 +91,7 @@ class Unpacked(NamedTuple):
 
 
 def unpack(pack: Pack, x: Array) -> Unpacked:
-    """The model's records for the columns of x, the pack's scales applied."""
+    """Return the model's records for the columns of x, with the pack's scales applied."""
     installation = pack.installation._replace(
         capacity_Ah=pack.installation.capacity_Ah * np.exp(x[X.LOG_CAPACITY]),
     )
@@ -105,7 +105,7 @@ def unpack(pack: Pack, x: Array) -> Unpacked:
 
 
 def transition(pack: Pack, x: Array, current_A: Number, ambient_C: float, dt_s: float) -> Array:
-    """The columns `dt_s` later, `current_A` (true, of the pack) held; any step from 0.05 s to minutes."""
+    """Return the columns `dt_s` later, `current_A` (true, of the pack) held; any step from 0.05 s to minutes."""
     now = unpack(pack, x)
     later = model.advance(now.cell, now.state, c_rate(now.installation, current_A), ambient_C, dt_s)
     out = x.copy()
@@ -121,7 +121,7 @@ def bias_variance(pack: Pack, dt_s: Number) -> Number:
 
 
 def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
-    """Variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
+    """Return the variance [V²] that the discrepancy gains while a share `drained` of the charge is drawn at `soc`.
 
     The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another,
     as far as it changes at all.
@@ -133,17 +133,17 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
 
 
 def drift_variance(drift_sd_V: Number, drained: Number) -> Number:
-    """`ocv_doubt` where what the table `ocv_drift_sd_V` says at this charge is known already."""
+    """Return `ocv_doubt` [V²] where the value of the table `ocv_drift_sd_V` at this charge is known already."""
     return drift_sd_V**2 * (2.0 / DOUBT_LENGTH) * np.abs(drained)
 
 
 def voltage(pack: Pack, x: Array, current_A: Number) -> Number:
-    """Voltage that the telemetry should report [V] under a true pack current [A], the discrepancy included."""
+    """Return the voltage [V] that the telemetry should report under a true current [A], the discrepancy included."""
     return reported_voltage(pack, unpack(pack, x), x[X.BIAS], current_A)
 
 
 def reported_voltage(pack: Pack, now: Unpacked, bias_V: Number, current_A: Number) -> Number:
-    """`voltage` of a vector that is unpacked already."""
+    """Return the `voltage` of a vector that is unpacked already."""
     if pack.sag_compensated:  # by a guess of the resistance, which what a reaction takes is not
         bias_V = bias_V - model.transfer_drop(now.cell, c_rate(now.installation, current_A))
         current_A = 0.0 * current_A

@@ -50,14 +50,14 @@ IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", Fal
 
 
 class Means(NamedTuple):
-    """The time under load so far [s], and the mean current [A] and power [W] over about its last minute."""
+    """It holds the time under load so far [s], and mean current [A] and power [W] over about the last minute of it."""
 
     loaded_s: float = 0.0
     current_A: float = NAN
     power_W: float = NAN
 
     def after(self, current_A: float, power_W: float, step_s: float) -> Means:
-        """The means with one more row."""
+        """Return the means with one more row."""
         if self is NO_LOAD:
             return Means(step_s, current_A, power_W)
         keep = math.exp(-step_s / MINUTE_S)
@@ -66,13 +66,13 @@ class Means(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """The time for which the voltage has been lower than the discharge explains [s], and by how much [V a cell]."""
+    """It holds for how long the voltage has been lower than the discharge explains [s], and by how much [V a cell]."""
 
     lasting_s: float = 0.0
     mean_V: float = 0.0
 
     def after(self, strain_V: float, step_s: float) -> Strain:
-        """The strain with one more row."""
+        """Return the strain with one more row."""
         keep = math.exp(-step_s / MINUTE_S) if self.lasting_s else 0.0
         return Strain(self.lasting_s + step_s, strain_V + (self.mean_V - strain_V) * keep)
 
@@ -81,7 +81,7 @@ NO_LOAD, NO_STRAIN = Means(), Strain()
 
 
 class Current(NamedTuple):
-    """The current of the rows so far: charge drawn, load, sign, and the strain of the voltage under it."""
+    """It sums up the current of the rows so far: charge drawn, load, sign, and the strain of the voltage under it."""
 
     time_s: float = NAN
     current_A: float = NAN
@@ -93,7 +93,7 @@ class Current(NamedTuple):
     negative_s: float = 0.0
 
     def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
-        """The value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
+        """Return the value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
         gap_s, rate = time_s - self.time_s, current_A / pack.capacity_Ah
         step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
         drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
@@ -116,7 +116,7 @@ class Current(NamedTuple):
 
 
 class Statements(NamedTuple):
-    """The rows so far, summed up as far as statements are compared with them; `after` takes in one more."""
+    """It sums up the rows so far as far as statements are compared with them; `after` takes in one more."""
 
     seen: Seen = Seen()
     rows: int = 0
@@ -165,7 +165,7 @@ class Statements(NamedTuple):
         return tuple(sorted((doubt for doubt in found if doubt is not None), key=lambda doubt: not doubt.is_certain))
 
     def denies(self, cells: int, resting: Resting) -> bool:
-        """True if the voltages say for certain that there are not so many cells."""
+        """Return True if the voltages say for certain that there are not so many cells."""
         doubt = cells_doubt(cells, self.seen, resting)
         return doubt is not None and doubt.is_certain
 
@@ -222,7 +222,10 @@ def _unlike(power_W: float, low_W: float, high_W: float) -> Doubt | None:
 
 
 def first_seen(samples: Iterable[Sample], capacity_Ah: float = NAN) -> Seen:
-    """The voltages before the load of a record, or of its first minutes; without a capacity none counts as rested."""
+    """Return the pack's highest voltages [V] before the load of a record, or of its first minutes.
+
+    Where the current is metered and no capacity is given, none counts as rested.
+    """
     found, start_s = Statements(), NAN
     for sample in samples:
         if not math.isfinite(sample.voltage_V):

@@ -9,5 +9,5 @@ TYPICAL_C_RATE, TYPICAL_CELL_V = 2.5, 3.8
 
 
 def typical_power_W(cells: int, capacity_Ah: float) -> float:
-    """A middling multirotor draws this power [W] from a pack of `cells` in series and `capacity_Ah` [Ah]."""
+    """Return the power [W] that a middling multirotor draws from a pack of `cells` in series and `capacity_Ah` [Ah]."""
     return TYPICAL_C_RATE * capacity_Ah * cells * TYPICAL_CELL_V

@@ -29,7 +29,7 @@ Points = msgspec.Meta(min_length=2, max_length=MOST_POINTS)
 
 
 class Trace(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One past flight from take-off to landing: time since take-off [s], power [W], state of charge."""
+    """It holds one past flight from take-off to landing: time since take-off [s], power [W], state of charge."""
 
     time_s: Annotated[list[Seconds], Points]
     power_W: Annotated[list[Watts], Points]
@@ -37,7 +37,7 @@ class Trace(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Mean power [W] over the flights: the first minute, the whole, the last minute."""
+    """It holds the mean power [W] over the flights: of the first minute, the whole, the last minute."""
 
     take_off_W: Watts
     flight_W: Watts
@@ -45,7 +45,7 @@ class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
-    """The speeds of routes and of the way home, by the vehicle's parameters; what they do not say is left out.
+    """They are the speeds of routes and of the way home by the vehicle's parameters; what those leave out is None.
 
     The names are those of `navigation.ReturnSettings`.
     """
@@ -62,7 +62,7 @@ class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The whole file."""
+    """It holds the whole vehicle file."""
 
     name: str
     battery: str
@@ -87,7 +87,7 @@ def write_vehicle(file: VehicleFile, path: Path) -> Path:
 
 
 def read_vehicle(path: str | Path) -> VehicleFile:
-    """Read and check a vehicle file; BadInput names the file and the place."""
+    """Read and check a vehicle file; raises BadInput with the file and the place."""
     source = Path(path)
     if not source.is_file():
         raise BadInput(path, "", "a vehicle file that exists")
