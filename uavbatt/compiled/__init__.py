@@ -19,7 +19,7 @@ __all__ = ["engine", "is_available"]
 
 
 def engine() -> Engine:
-    """The engine whose works are compiled. Raises ImportError where numba is not installed."""
+    """Return the engine whose functions are compiled. Raises ImportError where numba is not installed."""
     from uavbatt.compiled import filter, forecast, openloop
     from uavbatt.engine import Engine
 

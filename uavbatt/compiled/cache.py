@@ -16,7 +16,10 @@ SOURCES = ("battery", "compiled", "estimation", "prediction")
 
 @cache
 def is_available() -> bool:
-    """True if numba can be imported (it refuses a numpy that is newer than it knows) and has a folder to write to."""
+    """Return True if numba can be imported and has a folder to write to.
+
+    With a numpy that is newer than it knows numba cannot be imported.
+    """
     if cache_dir() is None:
         return False
     try:
@@ -28,7 +31,7 @@ def is_available() -> bool:
 
 @cache
 def cache_dir() -> Path | None:
-    """The folder for compiled code of these sources; None where nothing can be written."""
+    """Return the folder for compiled code of these sources; None where nothing can be written."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256(sys.version.encode())
     for part in SOURCES:

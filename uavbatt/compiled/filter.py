@@ -31,12 +31,15 @@ share(recursion)
 
 
 def most_moments(times_s: Array, at_s: float) -> int:
-    """No more moments than this come of rows at these times, from a filter at `at_s`."""
+    """Return how many moments come at most of rows at these times [s], from a filter at `at_s` [s]."""
     return min(times_s.size, int((np.nanmax(times_s) - min(at_s, np.nanmin(times_s))) / BLOCK_S)) + 4
 
 
 def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[FilteredRow], FilterState]:
-    """Take a window of rows in, as `recursion.filter_window` does; returns the filter after each and the last state."""
+    """Take a window of rows in, as `recursion.filter_window` does.
+
+    Returns the filter after each row, and the state after the last.
+    """
     if not samples:
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
@@ -65,7 +68,7 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
 
 @compiled
 def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_s: float) -> tuple[Array, Array]:
-    """Mean and covariance `dt_s` later, as `kalman.predict` by `state_space.transition`."""
+    """Return mean and covariance `dt_s` later, as `kalman.predict` does by `state_space.transition`."""
     columns, F, at = np.empty((2 * SIZE + 1, SIZE)), np.empty((SIZE, SIZE)), x.copy()
     stride, bias_kept = model.stride(pack.cell, dt_s), eq.decay(dt_s, pack.bias_tau_s)
     for k in range(2 * SIZE + 1):
@@ -90,9 +93,10 @@ def predict(pack: Pack, x: Array, P: Array, mean_A: float, ambient_C: float, dt_
 def update(
     pack: Pack, x: Array, P: Array, voltage_V: float, current_A: float, temp_C: float, step_A: float
 ) -> tuple[Array, Array, float, float, float, float, float]:
-    """Belief after the means of a block, innovation [V], its variance, NIS, expected V, how much warmer it is [K].
+    """Update a belief by the means of a block, as `recursion._update` does.
 
-    As `recursion._update` has them.
+    Returns the mean [9] and covariance [9, 9] after it, innovation [V], its variance [V²], NIS, the expected voltage
+    [V], and by how much the block is warmer than expected [K], NaN without a temperature.
     """
     size = 2 if np.isfinite(temp_C) else 1
     H, R, y = np.zeros((size, SIZE)), np.zeros((size, size)), np.empty(size)
@@ -156,7 +160,7 @@ def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: A
 def close(
     pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, air: noise.Air
 ) -> tuple[Array, float, float, float, float, noise.Air]:
-    """Take a block in, as `recursion._close`: changes every member in place.
+    """Take a block in, as `recursion._close` does: it changes every member in place.
 
     Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, the block's mean
     current, and the air after it.
@@ -186,7 +190,7 @@ def close(
 def look(
     pack: Pack, x: Array, log_weight: Array, drawn_As: float, current_A: float, voltage_V: float, shown: Array
 ) -> None:
-    """Write down what a row within a block shows, as `recursion._between`."""
+    """Write a row within a block against the model into `shown` [4], as an `Innovation`; its NIS stays NaN."""
     expected_V, soc = 0.0, 0.0
     for k in range(log_weight.size):
         weight, now = np.exp(log_weight[k]), b.unpack(pack, x[k])

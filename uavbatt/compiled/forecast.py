@@ -29,7 +29,7 @@ def answers(questions: Sequence[Question]) -> list[EndTimes]:
 
 
 def compiled_end_times(q: Question) -> EndTimes:
-    """Simulate one forecast; returns the end of each sample."""
+    """Simulate one forecast; returns the end of each of its samples."""
     drawn = sampling.wander(q.dt_s.size, q.by_rows)
     ends = time_to_end(
         as_numbers(q.pack),
@@ -57,7 +57,7 @@ def time_to_end(
     row: Array,
     by_rows: bool,
 ) -> tuple[Array, Array]:
-    """End of flight and of the low-voltage warning [s] of each column; inf beyond the horizon."""
+    """Return the end of flight and the low-voltage warning [s] of each column; inf beyond the horizon."""
     batch = x.shape[1]
     end_s, low_s, gained_V2 = np.empty(batch), np.empty(batch), b.bias_variance(pack, dt_s)
     for j in range(batch):
@@ -80,7 +80,7 @@ def time_to_end_one(
     row: Array,
     by_rows: bool,
 ) -> tuple[float, float]:
-    """End of flight and of the low-voltage warning [s] of one column."""
+    """Return the end of flight and the low-voltage warning [s] of one column; inf beyond the horizon."""
     cell, installation, state = b.unpack(pack, x)
     present_Ah, cells = installation.present_capacity_Ah, installation.cells
     size, lags, lags_s = cells * present_Ah, model.lags(cell, dt_s[0]), dt_s[0]

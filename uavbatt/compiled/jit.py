@@ -34,7 +34,7 @@ def share(module: ModuleType) -> None:
 
 
 def compiled(function: Function) -> Function:
-    """`function` compiled at its first call and kept in the cache folder; divides by zero as numpy does."""
+    """Return `function` compiled at its first call and kept in the cache folder; it divides by zero as numpy does."""
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_dir() or "")
     try:
         made: Function = numba.njit(cache=True, error_model="numpy")(function)
@@ -44,7 +44,7 @@ def compiled(function: Function) -> Function:
 
 
 def as_numbers(record: Any) -> Any:
-    """A record with floats and arrays of floats only, so that one compiled form serves every pack."""
+    """Return a record with floats and arrays of floats only, so that one compiled form serves every pack."""
     if type(record) is float:  # nearly all of them
         return record
     if isinstance(record, bool | np.bool):

@@ -18,7 +18,7 @@ PER_NUDGES = 0.5 / NUDGE
 
 @compiled
 def sparse_product(F: Array, M: Array) -> Array:
-    """F M; what has no influence, most of F, is passed over."""
+    """Return F M; what has no influence, most of F, is passed over."""
     out = np.zeros((SIZE, SIZE))
     for i in range(SIZE):
         for k in range(SIZE):
@@ -31,13 +31,13 @@ def sparse_product(F: Array, M: Array) -> Array:
 
 @compiled
 def predicted_covariance(F: Array, P: Array) -> Array:
-    """F P Fᵀ, as F (F P)ᵀ: P is symmetric."""
+    """Return F P Fᵀ, as F (F P)ᵀ: P is symmetric."""
     return sparse_product(F, sparse_product(F, P).T)
 
 
 @compiled
 def projected(P: Array, H: Array) -> tuple[Array, Array]:
-    """P Hᵀ, transposed [readings, 9], and H P Hᵀ."""
+    """Return P Hᵀ, transposed [readings, 9], and H P Hᵀ [readings, readings]."""
     n = H.shape[0]
     PHt, S = np.zeros((n, SIZE)), np.zeros((n, n))
     for m in range(n):
@@ -67,9 +67,10 @@ def finite_difference_step(at: Array, x: Array, k: int) -> None:
 
 @compiled
 def joseph(x: Array, P: Array, PHt: Array, S: Array, H: Array, R: Array, y: Array) -> tuple[Array, Array]:
-    """One measurement of at most two readings, S = H P Hᵀ + R, with Joseph's form of the covariance as in filterpy.
+    """Condition on one measurement of at most two readings, S = H P Hᵀ + R; returns mean and covariance after it.
 
-    (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, but from the right to the left in vectors: K has two columns at most.
+    The covariance is in Joseph's form as in filterpy, (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, but from the right to the left
+    in vectors: K has two columns at most.
     """
     n = y.size
     K, later, kept = np.empty((n, SIZE)), x.copy(), P.copy()

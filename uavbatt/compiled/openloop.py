@@ -35,7 +35,7 @@ def states(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: A
 
 
 def column(p: Parameters, j: int) -> Parameters:
-    """Column `j` of parameters that are arrays; a table of one row serves all. For compiled code only."""
+    """Return column `j` of parameters that are arrays; a table of one row serves all. For compiled code only."""
     raise NotImplementedError
 
 
@@ -53,7 +53,7 @@ overload(column, strict=False)(_column_of)
 
 @compiled
 def walk(p: Parameters, start: State, c_rate: Array, dt_s: Array, ambient_C: Array) -> Array:
-    """States [5, batch, rows] under `c_rate` [batch, rows]."""
+    """Return the states [5, batch, rows] under `c_rate` [batch, rows]."""
     batch, rows = c_rate.shape
     out = np.empty((5, batch, rows))
     for j in range(batch):

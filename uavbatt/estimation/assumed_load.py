@@ -31,7 +31,7 @@ def unmetered_pack(pack: Pack, *, is_stated: bool) -> Pack:
 
 
 def unmetered_estimate(found: Estimate) -> Estimate:
-    """The estimate without the current that nobody measured; it is never `ok`."""
+    """Return the estimate without the current that nobody measured; it is never `ok`."""
     found = replace(found, current_A=NAN, power_W=NAN)
     if found.status is not Status.OK:
         return found

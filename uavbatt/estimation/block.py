@@ -15,7 +15,7 @@ BLOCK_S = 2.0
 
 
 class Block(NamedTuple):
-    """The sums over the rows of a block, as a value: `after` gives the block with one row more."""
+    """It holds the sums over the rows of a block, as a value: `after` gives the block with one row more."""
 
     rows: int = 0
     duration_s: float = 0.0
@@ -26,7 +26,7 @@ class Block(NamedTuple):
     temps: int = 0
 
     def after(self, sample: Sample, current_A: float, dt_s: float, previous_A: float) -> Block:
-        """The block with one more row, `dt_s` after a row of `previous_A` (trapezium rule)."""
+        """Return the block with one more row, `dt_s` [s] after a row of `previous_A` (trapezium rule)."""
         has_temp = math.isfinite(sample.temp_C)
         return Block(
             self.rows + 1,
@@ -40,20 +40,20 @@ class Block(NamedTuple):
 
     @property
     def voltage_V(self) -> float:
-        """Mean voltage [V]."""
+        """Return the mean voltage [V]."""
         return self.sum_V / self.rows
 
     @property
     def current_A(self) -> float:
-        """Mean of the rows' currents [A]."""
+        """Return the mean of the rows' currents [A]."""
         return self.sum_A / self.rows
 
     @property
     def temp_C(self) -> float:
-        """Mean temperature [°C], NaN when no row had one."""
+        """Return the mean temperature [°C]; NaN when no row had one."""
         return self.sum_C / self.temps if self.temps else math.nan
 
 
 def is_complete(sample: Sample) -> bool:
-    """True if the row has voltage and current, so that it can move the estimate."""
+    """Return True if the row has voltage and current, so that it can move the estimate."""
     return math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)

@@ -37,7 +37,7 @@ REFUSED_SOC_SD = 0.25
 
 
 class BeliefSummary(NamedTuple):
-    """Means and standard deviations of a belief that an estimate shows; they change only when a block is closed."""
+    """It holds the means and sds of a belief that an estimate shows; they change only when a block is closed."""
 
     soc: float = NAN
     soc_sd: float = NAN
@@ -51,7 +51,10 @@ class BeliefSummary(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """The filter after one row: its belief (None before the first complete row), and the row against the model."""
+    """It holds the filter after one row: its belief, the belief's summary, and the row against the model.
+
+    The belief is None before the first complete row.
+    """
 
     belief: Belief | None
     summary: BeliefSummary
@@ -62,7 +65,7 @@ NOT_BEGUN = Filtered(None, BeliefSummary(), NOTHING)
 
 
 class SocFilter:
-    """The filter takes the samples of one battery in and holds the belief about it.
+    """The filter takes in the samples of one battery and holds the belief about it.
 
     The belief is a sum of Gaussians, one for each capacity that the pack may have (`battery.capacity_prior`): each is
     an extended Kalman filter of its own, and the readings weigh them.
@@ -82,7 +85,7 @@ class SocFilter:
 
     @property
     def belief(self) -> Belief | None:
-        """The belief after the last sample; None before the first complete one."""
+        """Return the belief after the last sample; None before the first complete one."""
         return self._last.belief
 
     def restore(self, belief: Belief, current_A: float = 0.0) -> None:
@@ -161,7 +164,7 @@ def summary(at: Moments, empty_soc_sd: float) -> BeliefSummary:
 
 
 def estimate_of(sample: Sample, row: Filtered, warnings: tuple[str, ...] = ()) -> Estimate:
-    """The estimate of one sample from the filter after it; refused or converging while the charge is little known."""
+    """Return a sample's estimate from the filter after it; refused or converging while the charge is little known."""
     known, shown = row.summary, row.innovation
     status, reason = Status.OK, ""
     if row.belief is None or not math.isfinite(shown.soc):
@@ -195,7 +198,7 @@ def estimate_of(sample: Sample, row: Filtered, warnings: tuple[str, ...] = ()) -
 
 
 def unknown(sample: Sample, reason: str) -> Estimate:
-    """The refused estimate of a row at which there is no filter."""
+    """Return the refused estimate of a row at which there is no filter."""
     seen = (sample.current_A, sample.temp_C)
     return Estimate(sample.time_s, NAN, NAN, NAN, *seen, NAN, NAN, NAN, Status.REFUSED, reason)
 

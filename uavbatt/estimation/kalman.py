@@ -29,7 +29,7 @@ Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
 
 
 class Moments(NamedTuple):
-    """A sum of Gaussians: means, covariances and ln of the weights of its members."""
+    """It holds a sum of Gaussians: means, covariances and ln of the weights of its members."""
 
     x: Array  # [members, 9]
     P: Array  # [members, 9, 9]
@@ -37,7 +37,7 @@ class Moments(NamedTuple):
 
     @property
     def weight(self) -> Array:
-        """Weights [members]; their sum is 1."""
+        """Return the weights [members]; their sum is 1."""
         return np.asarray(np.exp(self.log_weight))
 
 

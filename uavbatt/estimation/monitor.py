@@ -45,14 +45,17 @@ MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad c
 
 
 class Innovations(NamedTuple):
-    """Mean of the normalised innovation squared over about a minute, since when it is too large [s], and its time."""
+    """It follows the mean of the normalised innovation squared over about a minute.
+
+    high_since_s : since when that is too large [s], NaN while it is not; time_s : time of the last block [s].
+    """
 
     mean: float = 0.0
     high_since_s: float = math.nan
     time_s: float = math.nan
 
     def after(self, time_s: float, nis: float) -> Innovations:
-        """The same with one more block of rows, which counts for the time since the last."""
+        """Return the same with one more block of rows, which counts for the time since the last."""
         passed_s = time_s - self.time_s if math.isfinite(self.time_s) else SHORTEST_NIS_S
         keep = math.exp(-min(max(passed_s, 0.0), LONGEST_NIS_S) / NIS_TAU_S)
         mean = keep * self.mean + (1.0 - keep) * min(nis, LARGEST_NIS)
@@ -75,7 +78,7 @@ class Monitor(NamedTuple):
     refusal: str = ""
 
     def after(self, sample: Sample, estimate: Estimate, belief: Belief | None, pack: Pack) -> Monitor:
-        """The monitor after one more row, its estimate and the belief that it led to."""
+        """Return the monitor after one more row, its estimate and the belief that it led to."""
         time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
         if belief is None or not (math.isfinite(volts) and math.isfinite(amps)) or time_s < self.readings.time_s:
             return self

@@ -62,7 +62,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
 
 
 class First(NamedTuple):
-    """The first belief of a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+    """It holds the first belief of a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
     mean: Array
@@ -70,7 +70,7 @@ class First(NamedTuple):
 
 
 def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> First:
-    """The first belief about a cell comes from its voltage `cell_V` [V] under `rate_c` [1/h] in the first row.
+    """Return the first belief about a cell, from its voltage `cell_V` [V] under `rate_c` [1/h] in the first row.
 
     The drop depends on the charge, which depends on the drop: a few rounds settle it. Harness, grown resistance and a
     weak cell are part of it, as they are of every voltage that the filter expects (`pack.terminal_voltage`).
@@ -99,7 +99,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
 
 
 def start_covariances(pack: Pack, state: State, charge: Array, temp_sd_K: float, members: Capacities) -> Array:
-    """Covariances [members, 9, 9] of the first belief around `state`.
+    """Return the covariances [members, 9, 9] of the first belief around `state`.
 
     `charge` [2, 2] is the covariance of (soc, discrepancy), `members` the prior of the pack's scales.
     """
@@ -140,7 +140,7 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
 
 
 class Air(NamedTuple):
-    """The air around the pack: its temperature [°C], how far off it looks, and whether it is known to be off.
+    """It holds the temperature of the air around the pack [°C], how far off it looks, and if it is known to be off.
 
     off_sds : by how much the pack is warmer than expected, in standard deviations, smoothed; NaN where somebody stated
     the temperature of the air, which is then believed.
@@ -152,7 +152,7 @@ class Air(NamedTuple):
 
 
 def first_air(ambient_C: float, is_stated: bool) -> Air:
-    """Return the air as it is stated [°C], or taken to be until the readings say otherwise."""
+    """Return the air at a temperature [°C] that is stated, or assumed until the readings say otherwise."""
     return Air(ambient_C, math.nan if is_stated else 0.0)
 
 
@@ -174,7 +174,7 @@ def air_after(air: Air, warmer_K: float, sd_K: float, dt_s: float) -> Air:
 
 
 def scaled_resistance(pack: Pack, mean: Array) -> Number:
-    """Resistance at once [ohm·Ah] of the pack that is believed in, without the harness."""
+    """Return the resistance at once [ohm·Ah] of the pack that is believed in, without the harness."""
     cell = grown(pack.cell, pack.installation)
     return model.resistance(cell, mean[X.SOC], mean[X.CORE]) * np.exp(mean[X.LOG_RESISTANCE])
 
@@ -192,10 +192,11 @@ def _lagging(share: float, overpotential_V: Number, settled_V: Number, dt_s: flo
 
 
 def reading_variance(pack: Pack, mean: Array, current_A: float, step_A: float) -> Number:
-    """Variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new since the row before.
+    """Return the variance of the pack's voltage reading [V²] under `current_A`, of which `step_A` is new.
 
-    mean [9] or [9, members]. In a block in which the motors start, a drop that saturates is not, at the mean current,
-    the mean of the rows' drops: what a reaction takes more than before counts as noise, JUMP_SHARE of it.
+    mean : the belief, [9] or [9, members]; step_A : what the current [A] is more than in the row or block before. In a
+    block in which the motors start, a drop that saturates is not, at the mean current, the mean of the rows' drops:
+    what a reaction takes more than before counts as noise, JUMP_SHARE of it.
     """
     ohm = scaled_resistance(pack, mean) / pack.installation.present_capacity_Ah * (1.0 + pack.cell.polarisation_ratio)
     slow_V = pack.cell.transfer_V + pack.reaction_sd_V
@@ -210,6 +211,6 @@ def _reaction_V(pack: Pack, full_V: float, rate_c: float) -> Number:
 
 
 def voltage_variance(pack: Pack, drop_V: Number, step_V: Number) -> Number:
-    """Variance of a reading per cell [V²]: ohmic drop `drop_V`, of which `step_V` is new since the row before."""
+    """Return the variance of a reading per cell [V²] under the ohmic drop `drop_V` [V], of which `step_V` is new."""
     share = math.hypot(COMPENSATED_SHARE if pack.sag_compensated else pack.drop_share, pack.guess_sd)
     return VOLTAGE_SD_V**2 + (share * drop_V) ** 2 + (pack.row_share * step_V) ** 2

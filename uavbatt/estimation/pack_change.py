@@ -28,14 +28,14 @@ ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 
 
 class Bounds(NamedTuple):
-    """The bounds of what the believed pack can show at rest, per cell [V]."""
+    """It bounds the voltage that the believed pack can show at rest, per cell [V]."""
 
     low_V: float = -math.inf
     high_V: float = math.inf
 
 
 class SwapWatch(NamedTuple):
-    """The last row with a pack in the aircraft, and how many rows in turn have shown another one than is believed in.
+    """It keeps the last row with a pack in the aircraft, and how many rows in turn have shown another pack.
 
     seen_s, current_A, belief : time [s], current [A] and belief of that row.
     """
@@ -54,7 +54,7 @@ class SwapWatch(NamedTuple):
         return self.rows >= SWAP_ROWS
 
     def after(self, sample: Sample, row: Innovation, belief: Belief, pack: Pack) -> SwapWatch:
-        """Return what is known after one more sample, held against the model in `row`, and the belief after it."""
+        """Return the watch after one more sample, with `row`, the sample against the model, and the belief after it."""
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
         if not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):

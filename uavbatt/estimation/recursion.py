@@ -34,7 +34,7 @@ ROOM_TEMP_C = 22.0
 
 
 class FilterState(NamedTuple):
-    """The state of the filter between two rows."""
+    """It holds the state of the filter between two rows."""
 
     moments: Moments  # after the last block
     time_s: float  # of the last row
@@ -45,7 +45,7 @@ class FilterState(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """One row against the model: innovation [V], its NIS (NaN within a block), expected voltage [V], charge."""
+    """It holds a row against the model: innovation [V], its NIS (NaN within a block), expected voltage [V], charge."""
 
     innovation_V: float
     nis: float
@@ -54,7 +54,7 @@ class Innovation(NamedTuple):
 
 
 class FilteredRow(NamedTuple):
-    """The filter after one row of a window; no moments before its first complete row."""
+    """It holds the filter after one row of a window; it has no moments before the first complete row."""
 
     moments: Moments | None
     time_s: float
@@ -63,7 +63,10 @@ class FilteredRow(NamedTuple):
 
 
 class Between(NamedTuple):
-    """A row within a block: what its expected voltage needs, worked out for all such rows of a window at once."""
+    """A row within a block is kept with what its expected voltage needs.
+
+    So the expected voltages of all such rows of a window are worked out at once.
+    """
 
     x: Array  # [members, 9]
     log_weight: Array

@@ -37,6 +37,6 @@ def remarks(
 
 
 def is_worn(known: BeliefSummary, battery: BatteryFile) -> bool:
-    """True if the pack surely has more resistance than the packs of its type are spread by."""
+    """Return True if the pack surely has more resistance than the packs of its type are spread by."""
     unusual = math.hypot(NOTICED_WEAR, battery.parameters.resistance_scale_sd)
     return known.wear > unusual and known.wear > WEAR_IS_SURE * known.wear_sd

@@ -20,9 +20,10 @@ DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35
 
 
 class Still(NamedTuple):
-    """A reading since its last change: its value, the time of that change [s] and the rows since.
+    """It follows one reading since its last change.
 
-    rows : since its last change; step : its smallest change so far; habit : the share of rows in which it changed.
+    value : the reading; since_s : the time of its last change [s]; rows : since that change; step : its smallest change
+    so far; habit : the share of rows in which it changed.
     """
 
     value: float = math.nan
@@ -32,7 +33,7 @@ class Still(NamedTuple):
     habit: float = 0.0
 
     def after(self, time_s: float, value: float) -> Still:
-        """The same with one more reading."""
+        """Return the same with one more reading."""
         if value == self.value:
             return self._replace(rows=self.rows + 1)
         change = abs(value - self.value)
@@ -46,7 +47,7 @@ class Still(NamedTuple):
 
 
 class SinceMoved(NamedTuple):
-    """Voltage and current since their last changes, the charge drawn meanwhile, and the turns of the voltage."""
+    """It follows voltage and current since their last changes, the charge drawn meanwhile, and the voltage's turns."""
 
     time_s: float = math.nan
     voltage: Still = Still()
@@ -57,7 +58,7 @@ class SinceMoved(NamedTuple):
     turns: int = 0  # since the current last moved
 
     def after(self, time_s: float, voltage_V: float, current_A: float, cells: float) -> SinceMoved:
-        """The same with one more row."""
+        """Return the same with one more row."""
         dt_s = max(time_s - self.time_s, 0.0) if math.isfinite(self.time_s) else 0.0
         voltage, current = self.voltage.after(time_s, voltage_V), self.current.after(time_s, current_A)
         drawn_Ah = self.drawn_Ah + max(current_A, 0.0) * dt_s / 3600.0 if voltage.rows else 0.0
@@ -83,7 +84,10 @@ class SinceMoved(NamedTuple):
 
 
 class LoadWatch(NamedTuple):
-    """Means over the last seconds, and since when the current has been near zero although the voltage stayed low."""
+    """It notices a current that falls to nothing while the voltage stays low.
+
+    voltage_V and current_A are means over the last seconds of sound rows.
+    """
 
     time_s: float = math.nan
     voltage_V: float = math.nan
@@ -94,7 +98,7 @@ class LoadWatch(NamedTuple):
     def after(
         self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
     ) -> LoadWatch:
-        """Return the value with one more row, whose voltage the model predicts as `predicted_V` [V]."""
+        """Return the watch after one more row, whose voltage the model predicts as `predicted_V` [V]."""
         fresh = LoadWatch(time_s, voltage_V, current_A)
         if not math.isfinite(self.current_A):
             return fresh

@@ -14,7 +14,10 @@ from uavbatt.records import NAN, Sample
 
 
 class Skew:
-    """A memory that gives each sample voltage and current of one instant; `delay_s` [s] is not 0 (`current_delay`)."""
+    """It gives each sample voltage and current of one instant, from a memory of the rows before.
+
+    delay_s : that of the effect `current_delay` [s], not 0.
+    """
 
     def __init__(self, delay_s: float) -> None:
         self.delay_s = delay_s
@@ -22,7 +25,7 @@ class Skew:
         self._held: list[float] = []
 
     def paired(self, sample: Sample) -> Sample:
-        """The sample with its earlier quantity `delay_s` old, interpolated between the rows.
+        """Return the sample with its earlier quantity `delay_s` old, interpolated between the rows.
 
         A row that is not later than the last has no partner: without voltage it is left out by the filter.
         """
