@@ -16,7 +16,7 @@ DECIMALS = 6
 
 
 def rounded(value: float) -> float:
-    """Six significant digits: what the data can carry, and what a person can compare."""
+    """Return a value to six significant digits: what the data can carry, and what a person can compare."""
     return float(f"{value:.{DECIMALS}g}")
 
 
@@ -29,7 +29,7 @@ def parameter_table(
     c_rate: float | None = None,
     c_rate_sd: float | None = None,
 ) -> ParameterTable:
-    """[parameters] of the values x [slots]."""
+    """Return the section [parameters] of the values x [slots]."""
     ocv_V, r0_ohmAh = prior.knots(slots, x)
     return ParameterTable(
         ocv_soc=[float(z) for z in prior.OCV_SOC],
@@ -47,7 +47,7 @@ def parameter_table(
 def effect_entries(
     slots: tuple[Slot, ...], x: Array, standard_error: dict[str, float], effects: tuple[str, ...]
 ) -> list[EffectEntry]:
-    """[[effects]] of the values x [slots]."""
+    """Return the sections [[effects]] of the values x [slots]."""
     at = {s.name: i for i, s in enumerate(slots)}
     entries = []
     for name in effects:
@@ -63,7 +63,7 @@ def effect_entries(
 
 
 def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source: str) -> Discrepancy:
-    """Measure what the model leaves on these records: bias, RMSE, correlation time of voltage; RMSE of temperature.
+    """Measure the model's error on these records: bias, RMSE and correlation time of voltage; RMSE of temperature.
 
     The RMSE is that of the slow part: what is uncorrelated from row to row is the sensor's noise, not the model's.
     Rows count by how flat the voltage is there (`Stack.sigma_V`), since near the end volts apart are seconds apart.

@@ -29,7 +29,7 @@ LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data sai
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """The pack that the records are of, and the voltage that ends a flight [V]."""
+    """It holds the size of the pack that the records are of, and the voltage that ends a flight [V]."""
 
     name: str
     cells: int
@@ -39,7 +39,7 @@ class Size:
 
     @property
     def pack_size(self) -> PackSize:
-        """The same as any estimate is made for."""
+        """Return the same size as a `PackSize`, the record that estimates are made for."""
         by = "fit"
         sized = (self.cells, by, self.capacity_Ah, by, self.cutoff_V, by)
         return PackSize(self.name, "fitted", *sized, float("nan"), by)
@@ -47,7 +47,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The file (not sealed) and, in words, what the data tell and do not tell."""
+    """It holds the battery file (not sealed) and, in words, what the data tell and do not tell."""
 
     file: BatteryFile
     known: tuple[str, ...]
@@ -109,9 +109,9 @@ def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]
 def size_of(
     name: str, datasets: list[DataSet], flights: list[Flight], cells: int | None, capacity_Ah: float, cutoff_V: float
 ) -> Size:
-    """The pack's size from the options, else the data sets, else the vehicles; UsageError when nobody says.
+    """Return the pack's size by the options, else the data sets, else the vehicles; raises UsageError when nobody says.
 
-    What the voltages deny is refused of the caller and left out of a vehicle (`limits`).
+    What the voltages deny is refused of the caller and left out of a vehicle (`limits`): UsageError for the caller's.
     """
     known_cells = [d.cells_series for d in datasets] + [n for f in flights if (n := _flown_cells(f)) is not None]
     series = cells or next(iter(known_cells), None)

@@ -14,7 +14,7 @@ CUTOFF_CELL_V, LOW_CELL_V = 3.3, 3.5
 
 
 def generic_lipo() -> BatteryFile:
-    """`lipo-generic`: per-cell LiPo prior with every base effect at its prior."""
+    """Return the battery file `lipo-generic`: a LiPo cell with every base effect at its prior."""
     slots = prior.cell_slots()
     x = prior.values(slots, np.zeros(len(slots)))
     error = {s.name: s.sd * (s.prior if s.log else 1.0) for s in slots}

@@ -27,7 +27,7 @@ HELD_WINDOW_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """One record: rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN = not measured)."""
+    """It holds one record: rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN = not measured)."""
 
     name: str
     time_s: Array
@@ -41,7 +41,7 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Records side by side, [rows, records]; `compare` marks real rows, sigma and slope are per pack."""
+    """It holds records side by side, [rows, records]; `compare` marks real rows, sigma and slope are per pack."""
 
     names: tuple[str, ...]
     cells: Array
@@ -61,7 +61,10 @@ class Stack:
 
 
 def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Observed]:
-    """The runs of a data set whose current was measured."""
+    """Return the runs of a data set whose current was measured throughout.
+
+    Raises NotEnoughData when neither `capacity_Ah` [Ah] nor the data set states a capacity.
+    """
     capacity = capacity_Ah or dataset.capacity_Ah
     if capacity is None:
         raise NotEnoughData(f"{dataset.path}: battery.toml: expected capacity_Ah to scale the measured current")
@@ -82,7 +85,7 @@ def from_dataset(dataset: DataSet, capacity_Ah: float | None = None) -> list[Obs
 
 
 def held_load(time_s: Array, current_A: Array) -> Array:
-    """The current of a bench test without its sensor's noise: mean over the rows near in time and value.
+    """Return the current of a bench test [A] without its sensor's noise: means over the rows near in time and value.
 
     A bench holds its load between steps, so that row-to-row scatter is the sensor's. Left in, it would be read as
     a current that the voltage does not answer: a resistance too small (errors in variables), made up by the OCV.
@@ -96,7 +99,7 @@ def held_load(time_s: Array, current_A: Array) -> Array:
 
 
 def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
-    """The rows of a flight that have both voltage and current."""
+    """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10."""
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < 10:
         raise NotEnoughData(f"{flight.source}: {len(rows)} rows with voltage and current: expected at least 10")
@@ -113,7 +116,7 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
 
 
 def until(record: Observed, time_s: float) -> Observed:
-    """The record up to `time_s`."""
+    """Return the record up to `time_s` [s]."""
     keep = record.time_s <= time_s
     return _mapped(record, lambda column: column[keep])
 
@@ -129,7 +132,7 @@ def _mapped(record: Observed, change: Callable[[Array], Array]) -> Observed:
 
 
 def binned(record: Observed) -> Observed:
-    """Means over bins of BIN_S where rows come faster; the record itself otherwise."""
+    """Return the record as means over bins of BIN_S where rows come faster; the record itself otherwise."""
     if np.median(np.diff(record.time_s)) >= 0.9 * BIN_S:
         return record
     index = np.floor((record.time_s - record.time_s[0]) / BIN_S).astype(int)
@@ -144,10 +147,10 @@ def binned(record: Observed) -> Observed:
 
 
 def stack(records: list[Observed], *, voltage_sd_V: float = 0.008, timing_sd_s: float = 6.0) -> Stack:
-    """Bin, split and pad the records.
+    """Bin, split and pad the records, so that they stand side by side.
 
-    sigma_V: `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage: near the end a
-    model that is late by a few seconds is good, though volts apart. weight: the share of an independent row.
+    sigma_V: `voltage_sd_V` a cell, and `timing_sd_s` times the slope of the smoothed voltage: near the end a model that
+    is late by a few seconds is good, though volts apart. weight: the share of an independent row.
     """
     fine = [_split(binned(r)) for r in records]
     rows = max(len(f["time_s"]) for f in fine)

@@ -31,7 +31,7 @@ AS_METERED = Installation(1, 1.0)
 
 
 class PowerRows(NamedTuple):
-    """Means over blocks of one flight: power [W], airspeed, climb [m/s], shares of take-off and landing, length [s]."""
+    """It holds block means of a flight: power [W], airspeed, climb [m/s], shares of take-off and landing, time [s]."""
 
     power_W: Array
     airspeed_ms: Array
@@ -42,7 +42,7 @@ class PowerRows(NamedTuple):
 
 
 def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers | None:
-    """Return what the flights say of the vehicle; None when none of them tells speed and climb for two minutes.
+    """Return the power over airspeed and climb that the flights show; None when none tells both for two minutes.
 
     sensors : what the battery file knows of voltage and current sensor.
     """
@@ -54,7 +54,7 @@ def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers 
 
 
 def flown_rows(flight: Flight, sensors: Installation = AS_METERED) -> PowerRows | None:
-    """Return one flight in blocks; None when too little of it is known."""
+    """Return the means of one flight in blocks of BLOCK_S; None when too little of it is known."""
     progress, rows = Progress(), []
     before_s, before = math.nan, None
     for sample in flight.samples:

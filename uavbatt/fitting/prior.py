@@ -36,7 +36,7 @@ BASE_EFFECTS = ("polarisation", "slow_diffusion", "temperature_resistance", "sel
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One unknown of a fit with its prior and its bounds; `log` slots are positive and their sd is relative."""
+    """A slot is one unknown of a fit with its prior and bounds; `log` slots are positive and their sd is relative."""
 
     name: str
     prior: float
@@ -47,12 +47,12 @@ class Slot:
 
 
 def ocv_knots(fullest_V: float) -> Array:
-    """OCV [V] at OCV_SOC of cells that have rested at `fullest_V` [V] and no higher."""
+    """Return the OCV [V] at OCV_SOC of cells that have rested at `fullest_V` [V] and no higher."""
     return ocv_of_fuller(OCV_SOC, OCV_V, fullest_V)
 
 
 def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.nan) -> tuple[Slot, ...]:
-    """OCV and R0 at their knots, the level of R0, and the quantities of the cell effects that are on.
+    """Return the slots of OCV and R0 at their knots, the level of R0, and the quantities of the effects that are on.
 
     fullest_V : the highest voltage at which a cell of the type has rested [V], NaN where none was seen.
     """
@@ -69,7 +69,7 @@ def cell_slots(effects: tuple[str, ...] = BASE_EFFECTS, fullest_V: float = np.na
 
 
 def values(slots: tuple[Slot, ...], u: Array) -> Array:
-    """Values of the slots for u [..., slots]."""
+    """Return the values of the slots for u [..., slots], each within the slot's bounds."""
     prior = np.array([s.prior for s in slots])
     shift = u * np.array([s.sd for s in slots])
     log = np.array([s.log for s in slots])
@@ -78,7 +78,7 @@ def values(slots: tuple[Slot, ...], u: Array) -> Array:
 
 
 def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
-    """(OCV [V], R0 [ohm·Ah]) at their knots for values x [..., slots]."""
+    """Return OCV [V] and R0 [ohm·Ah] at their knots for values x [..., slots]."""
     at = {s.name: i for i, s in enumerate(slots)}
     first = at[f"ocv_{OCV_SOC[0]:g}"]
     ocv_V = x[..., first : first + OCV_SOC.size]
@@ -88,20 +88,20 @@ def knots(slots: tuple[Slot, ...], x: Array) -> tuple[Array, Array]:
 
 
 def monotonicity_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
-    """Residuals [..., knots - 1] that a fit is charged where its OCV does not rise with the charge by OCV_SLOPE_V."""
+    """Return the residuals [..., knots - 1] where the OCV does not rise with the charge by OCV_SLOPE_V; else 0."""
     ocv_V, _ = knots(slots, x)
     short_V = OCV_SLOPE_V * np.diff(OCV_SOC) - np.diff(ocv_V, axis=-1)
     return np.asarray(np.maximum(short_V, 0.0) / DISORDER_SD_V)
 
 
 def made_monotone(ocv_V: Array) -> Array:
-    """The OCV at its knots without the last millivolts of disorder that a fit may leave."""
+    """Return the OCV at its knots [V] without the last millivolts of disorder that a fit may leave."""
     least_V = OCV_SLOPE_V * OCV_SOC
     return np.asarray(np.maximum.accumulate(ocv_V - least_V) + least_V)
 
 
 def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFECTS) -> Parameters:
-    """Model parameters for values x [batch, slots]; effects with a fixed quantity (heat_gain) get its prior."""
+    """Return model parameters for values x [batch, slots]; effects with a fixed quantity (heat_gain) get its prior."""
     at = {s.name: i for i, s in enumerate(slots)}
     ocv_V, r0_ohmAh = knots(slots, x)
     fields = {
@@ -115,7 +115,7 @@ def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFE
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """The result of a fit: u of the slots (most probable) with its covariance, and the effects that were on."""
+    """It holds the result of a fit: the slots' most probable u with its covariance, and the effects that were on."""
 
     slots: tuple[Slot, ...]
     effects: tuple[str, ...]
@@ -124,15 +124,15 @@ class Posterior:
 
     @property
     def x(self) -> Array:
-        """Values of the slots."""
+        """Return the values of the slots [slots]."""
         return values(self.slots, self.u)
 
     def value(self, name: str) -> float:
-        """Value of one slot."""
+        """Return the value of one slot."""
         return float(self.x[[s.name for s in self.slots].index(name)])
 
     def standard_error(self, name: str) -> float:
-        """Standard error of one slot, to first order."""
+        """Return the standard error of one slot, to first order."""
         i = [s.name for s in self.slots].index(name)
         slot, sd_u = self.slots[i], float(np.sqrt(self.covariance_u[i, i]))
         return sd_u * slot.sd * (float(self.x[i]) if slot.log else 1.0)

@@ -29,7 +29,10 @@ OWN = ("start_soc", "log_resistance", "log_capacity")
 
 @dataclass(frozen=True, slots=True)
 class OwnPrior:
-    """Prior sd of what each record has of its own: start of a rested / loaded record, scales of its pack."""
+    """It holds the prior sds of what each record has of its own, beside the cell that all share.
+
+    They are those of the starting charge of a rested and of a loaded record, and of ln of its pack's scales.
+    """
 
     rested_soc: float = 0.005
     loaded_soc: float = 0.08
@@ -43,20 +46,20 @@ SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatteryFit(Posterior):
-    """Posterior of the shared slots, and each record's own (start soc, ln scales)."""
+    """It adds to the posterior of the shared slots what each record has of its own: start soc and ln of its scales."""
 
     own: Array  # [records, 3]
     cost: float
 
 
 def fullest_V(stack: Stack) -> float:
-    """The highest voltage of a cell at which a record begins at rest [V]; NaN where none does."""
+    """Return the highest voltage of a cell at which a record begins at rest [V]; NaN where none does."""
     first_V = (stack.voltage_V[0] / stack.cells)[stack.rested]
     return float(np.max(first_V)) if first_V.size else float("nan")
 
 
 def start_guess(stack: Stack) -> Array:
-    """Starting charge from the prior OCV at the first voltage (under load: plus a typical drop)."""
+    """Return the starting charges [records] by the prior OCV at the first voltage (under load: plus a typical drop)."""
     table = dense(prior.OCV_SOC, prior.ocv_knots(fullest_V(stack)))
     drop_V = np.where(stack.rested, 0.0, stack.current_A[0] / stack.capacity_Ah * 1.5 * prior.RESISTANCE_OHMAH)
     guess: Array = np.interp(stack.voltage_V[0] / stack.cells + drop_V, table, SOC_GRID)
@@ -64,7 +67,7 @@ def start_guess(stack: Stack) -> Array:
 
 
 def run(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, own: Array) -> Trajectory:
-    """Simulate variants x [variants, slots], own [variants, records, 3]; columns variant-major."""
+    """Simulate variants x [variants, slots], own [variants, records, 3]; the columns are variant-major."""
     variants, records = own.shape[:2]
     cell = prior.cell(slots, np.repeat(x, records, axis=0), effects)
     flat = own.reshape(variants * records, len(OWN))
@@ -76,7 +79,7 @@ def run(stack: Stack, slots: tuple[Slot, ...], effects: tuple[str, ...], x: Arra
 
 
 def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
-    """Weighted voltage and temperature residuals [variants, rows·2, records]; 0 where nothing was measured."""
+    """Return weighted residuals of voltage and temperature [variants, rows·2, records]; 0 where not measured."""
     shape = (stack.time_s.shape[0], variants, len(stack.names))
     volts = trajectory.voltage_V.reshape(shape) * stack.cells - stack.voltage_V[:, None, :]
     warmth = trajectory.sensor_C.reshape(shape) - stack.temp_C[:, None, :]
@@ -95,9 +98,10 @@ def fit_battery(
     progress: Callable[[int], None] | None = None,
     evaluations: int = 40,
 ) -> BatteryFit:
-    """The most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
+    """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
-    own_prior : one for all records, or each record's own.
+    own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots]; progress : is
+    called with 1 at each Jacobian; evaluations : of the residuals, at most.
     """
     slots = prior.cell_slots(effects, fullest_V(stack))
     given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
@@ -161,5 +165,5 @@ def fit_battery(
 
 
 def replay_fit(stack: Stack, found: BatteryFit, own: Array | None = None) -> Trajectory:
-    """Open-loop simulation of the stack's records with the fitted cell (own: [records, 3])."""
+    """Simulate the stack's records open-loop with the fitted cell; own [records, 3] replaces the fitted if given."""
     return run(stack, found.slots, found.effects, found.x[None], (found.own if own is None else own)[None])

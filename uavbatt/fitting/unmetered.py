@@ -33,7 +33,7 @@ LOAD_SLOTS = (
 
 @dataclass(frozen=True, slots=True)
 class MeanTest:
-    """The data of a fit: mean voltage [V], its standard error, and mean surface temperature [°C], at instants [s]."""
+    """It holds mean voltage [V], its standard error and mean surface temperature [°C] at instants [s], for a fit."""
 
     time_s: Array
     voltage_V: Array
@@ -44,14 +44,17 @@ class MeanTest:
 
 
 def slots_of(effects: tuple[str, ...]) -> tuple[Slot, ...]:
-    """Cell slots, then those of the unknown load."""
+    """Return the cell's slots, then those of the unknown load."""
     return (*prior.cell_slots(effects), *LOAD_SLOTS)
 
 
 def predict_unmetered(
     slots: tuple[Slot, ...], effects: tuple[str, ...], x: Array, test: MeanTest, time_s: Array
 ) -> Array:
-    """Pack voltage [V] and surface temperature [°C] at `time_s` for values x [batch, slots]: [2, instants, batch]."""
+    """Predict pack voltage [V] and surface temperature [°C] at `time_s` [s] for values x [batch, slots].
+
+    Returns [2, instants, batch].
+    """
     at = {s.name: i for i, s in enumerate(slots)}
     load = {s.name: x[:, at[s.name]] for s in LOAD_SLOTS}
     start = model.rested(np.minimum(load["start_soc"], 1.0), test.ambient_C + load["start_offset_K"])
@@ -63,7 +66,7 @@ def predict_unmetered(
 
 
 def fit_unmetered(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Posterior:
-    """Most probable cell and load for the mean test."""
+    """Find the most probable cell and load for the mean test."""
     slots = slots_of(effects)
     sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
 

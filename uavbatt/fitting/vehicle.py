@@ -24,7 +24,7 @@ LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are 
 
 
 def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options: PackOptions) -> VehicleFile:
-    """The library of the flights that flew long enough; NotEnoughData when none did."""
+    """Return the library of the flights that flew long enough; raises NotEnoughData when none did."""
     traces = [t for t in (trace(f, battery, options) for f in flights) if t is not None]
     if not traces:
         raise NotEnoughData(f"{name}: none of {len(flights)} logs holds {SHORTEST_S:.0f} s of flight with a current")
@@ -45,7 +45,7 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
 
 
 def speeds(flights: list[Flight]) -> Speeds | None:
-    """The speeds and the way home that the vehicle's parameters said last; None where no log holds them."""
+    """Return the speeds and the way home that the vehicle's parameters said last; None where no log holds them."""
     for flight in reversed(flights):
         settings = flight.navigation_at(math.inf).settings
         said = {name: getattr(settings, name) for name in Speeds.__struct_fields__}
@@ -58,7 +58,7 @@ def speeds(flights: list[Flight]) -> Speeds | None:
 
 
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
-    """One flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
+    """Return one flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
     sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows = []

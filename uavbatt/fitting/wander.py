@@ -35,7 +35,10 @@ NUDGE = 1e-3
 
 
 class Misfit(NamedTuple):
-    """Misfit of records side by side [rows, records]: its value, what it goes with; `known` marks what counts."""
+    """It holds the misfit of records side by side, [rows, records], and the quantities that its size goes with.
+
+    slope : of the voltage [V/s], 0 for temperatures; known : marks the rows that count.
+    """
 
     value: Array
     time_s: Array
@@ -45,7 +48,10 @@ class Misfit(NamedTuple):
 
 
 def likelihood(misfit: Misfit, log_sd: Array, log_time: Array, log_noise: Array) -> Array:
-    """Negative logarithm of the likelihood [variants] for ln sd at SOC [variants, knots], ln tau and ln noise."""
+    """Return the negative logarithm of the likelihood [variants] of a misfit.
+
+    log_sd : ln sd at SOC [variants, knots]; log_time, log_noise : ln tau and ln noise [variants].
+    """
     soc = np.clip(misfit.soc, SOC[0], SOC[-1])
     left = np.clip(np.searchsorted(SOC, soc) - 1, 0, SOC.size - 2)
     share = (soc - SOC[left]) / (SOC[left + 1] - SOC[left])
@@ -88,7 +94,7 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
 
 
 def learned(stack: Stack, trajectory: Trajectory, records: list[int]) -> Wander:
-    """The wander of `records` (columns of the stack) around an open-loop simulation of them."""
+    """Return the wander of `records` (columns of the stack) around an open-loop simulation of them."""
     cells = float(stack.cells[0])
     loaded = np.maximum.accumulate(np.abs(stack.current_A) > IDLE_C_RATE * stack.capacity_Ah, axis=0)
     gap_V = (stack.voltage_V - trajectory.voltage_V * stack.cells)[:, records]
