@@ -35,7 +35,7 @@ _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
 class Uncertainty(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Standard uncertainties and resolutions of the instruments; None = not stated."""
+    """It states the standard uncertainties and resolutions of the instruments; None = not stated."""
 
     voltage_resolution_V: _Positive | None = None
     voltage_calibration_V: _Positive | None = None
@@ -47,7 +47,7 @@ class Uncertainty(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Flag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A suspect entry: where, what is printed, what it likely is, and why. Never applied."""
+    """It marks a suspect entry: where, what is printed, what it likely is, and why. It is never applied."""
 
     where: str
     kind: str
@@ -78,7 +78,7 @@ class _Flags(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class DataSet:
-    """Repeated discharge tests of one type of battery. `sha256` covers the content of both files."""
+    """It holds repeated discharge tests of one type of battery; `sha256` covers the content of both files."""
 
     name: str
     chemistry: str
@@ -98,23 +98,23 @@ class DataSet:
         return f"<DataSet {self.name} of {self.path}: {len(self.runs)} runs, {len(self.ambients_C)} temperatures>"
 
     def at(self, ambient_C: float, tolerance_C: float = 0.25) -> tuple[Run, ...]:
-        """The runs at one ambient temperature [°C]."""
+        """Return the runs at one ambient temperature [°C], within `tolerance_C`."""
         return tuple(r for r in self.runs if abs(r.ambient_C - ambient_C) <= tolerance_C)
 
     @property
     def ambients_C(self) -> tuple[float, ...]:
-        """Every ambient temperature of the set, ascending [°C]."""
+        """Return every ambient temperature of the set, ascending [°C]."""
         return tuple(sorted({r.ambient_C for r in self.runs}))
 
     @property
     def first_V(self) -> float:
-        """The highest voltage that a run begins with [V]; NaN without runs."""
+        """Return the highest voltage that a run begins with [V]; NaN without runs."""
         return max((float(run.voltage_V[0]) for run in self.runs), default=float("nan"))
 
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Repeated runs on a common time grid: `values[occasion, sample, time]`, NaN where there is none."""
+    """It holds repeated runs on a common time grid: `values[occasion, sample, time]`, NaN where there is none."""
 
     ambient_C: float
     quantity: str
@@ -126,20 +126,20 @@ class Levels:
     notes: tuple[str, ...] = ()
 
     def cells(self, level: int) -> list[list[float]]:
-        """Results per sample at time index `level`: what `iso5725.precision` takes."""
+        """Return the results of each sample at time index `level`, as `iso5725.precision` takes them."""
         columns = (self.values[:, j, level] for j in range(len(self.samples)))
         cells = ([float(v) for v in c if not math.isnan(v)] for c in columns)
         return [c for c in cells if c]
 
     def curves(self, sample: int) -> Array:
-        """Occasion x time table of one sample, without occasions that it lacks."""
+        """Return the table [occasion, time] of one sample, without occasions that it lacks."""
         table = self.values[:, sample, :]
         kept: Array = table[~np.isnan(table).any(axis=1)]
         return kept
 
 
 def load(path: str | Path | None = None) -> DataSet:
-    """Read the data-set folder `path`; None = the study's tables that come with the package."""
+    """Read the data-set folder `path`; None = the packaged study. Raises BadInput for what cannot be right in it."""
     root: Traversable = resources.files("uavbatt") / "data" / "study" if path is None else Path(path)
     shown = "packaged study" if path is None else str(path)
     if not root.is_dir():
@@ -251,7 +251,7 @@ def _digest(battery: _Battery, runs: tuple[Run, ...]) -> str:
 def levels(
     dataset: DataSet, ambient_C: float, quantity: str = "voltage_V", grid_s: Array | None = None
 ) -> Levels | None:
-    """Occasion x sample x time table of the samples repeated at `ambient_C`; None if nothing was measured.
+    """Return the samples repeated at `ambient_C` as a table [occasion, sample, time]; None if nothing was measured.
 
     Samples with a single run there are left out when others have more, and named in `left_out`. The grid is
     that of the shortest run (or `grid_s` [s] within it); runs on other times are interpolated linearly.
@@ -286,7 +286,7 @@ def levels(
 
 
 def whole_minutes(dataset: DataSet, ambient_C: float, quantity: str = "voltage_V") -> Levels | None:
-    """`levels` at the whole minutes when the runs were read more often than that, else as read."""
+    """Return `levels` at the whole minutes when the runs were read more often than that, else as read."""
     table = levels(dataset, ambient_C, quantity)
     if table is None or len(table.time_s) < 2 or float(np.median(np.diff(table.time_s))) >= 60:
         return table

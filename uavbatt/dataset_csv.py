@@ -29,7 +29,7 @@ TEMP_RANGE_C = (-80.0, 150.0)
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One discharge. NaN = not measured; positive current discharges."""
+    """It holds one discharge. NaN = not measured; positive current discharges."""
 
     sample: str
     run: int
@@ -50,7 +50,7 @@ class _Row(NamedTuple):
 
 
 def read_runs(text: str, shown: str, cells_series: int) -> tuple[Run, ...]:
-    """The runs in the text of `discharge.csv`; `shown` names the file in errors."""
+    """Read the runs in the text of `discharge.csv`; raises BadInput, in which `shown` names the file."""
     return _runs(_rows(text, shown), cells_series, shown)
 
 

@@ -12,13 +12,13 @@ from pathlib import Path
 
 
 class UavbattError(Exception):
-    """An error with a one-line message for the user; exit code 1 (failed or bad data)."""
+    """It is an error with a one-line message for the user; exit code 1 (failed or bad data)."""
 
     exit_code = 1
 
 
 class BadInput(UavbattError):
-    """A file, or a place in it, that is not what was expected."""
+    """A file, or a place in it, is not what was expected."""
 
     def __init__(self, file: str | Path, place: str, expected: str) -> None:
         where = f"{file}: {place}" if place else f"{file}"
@@ -26,7 +26,10 @@ class BadInput(UavbattError):
 
 
 def misread(file: str | Path, error: Exception, kind: str) -> BadInput:
-    """The error for a file that msgspec could not decode as `kind`: the key that it names becomes the place."""
+    """Return the error for a file that msgspec could not decode as `kind`.
+
+    The key that msgspec names becomes the place.
+    """
     said = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
     what, _, key = said.partition(" - at `$.")
     if key and what.startswith("Expected "):
@@ -35,7 +38,7 @@ def misread(file: str | Path, error: Exception, kind: str) -> BadInput:
 
 
 class Uncertified(UavbattError):
-    """A battery file whose hash is broken or whose verdict is `fail`."""
+    """A battery file's hash is broken, a verdict in it is `fail`, or its status is `edited`."""
 
 
 class UsageError(UavbattError):
@@ -68,10 +71,10 @@ class NotEnoughData(UavbattError):
 # A control byte in a file name clears a screen, an escape sequence rewrites what stood there, a direction mark turns a
 # name round: text of foreign origin (file names, cells, logs, battery files) passes through these two.
 def printable(text: str) -> str:
-    """`text` without what would break a page: control, surrogate and direction-changing characters become U+FFFD."""
+    """Return `text` with control, surrogate and direction-changing characters, which would break a page, as U+FFFD."""
     return "".join("\ufffd" if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c for c in text)
 
 
 def terminal_line(text: object) -> str:
-    """`text` as one line of a terminal."""
+    """Return `text` as one line of a terminal."""
     return printable(str(text).replace("\n", " ").replace("\t", " "))

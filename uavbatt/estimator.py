@@ -57,18 +57,18 @@ LONGEST_WINDOW = 4096
 
 
 class Past(NamedTuple):
-    """The memory that an estimator keeps beside its belief: the past of the flight, and the past of the sensors."""
+    """It keeps the memory of an estimator beside its belief: the past of the flight, and the past of the sensors."""
 
     forecaster: Memory
     cleaner: Cleaner
 
     def moved(self, shift_s: float) -> Past:
-        """The same past on a clock that shows `shift_s` more."""
+        """Return the same past on a clock that shows `shift_s` [s] more."""
         return Past(self.forecaster.moved(shift_s), self.cleaner.moved(shift_s))
 
 
 class Followed(NamedTuple):
-    """The state of the pack that is estimated, from its first row on; another pack or size begins another state."""
+    """It holds the state of the pack that is estimated, from its first row on; another pack or size begins another."""
 
     filter: SocFilter
     forecaster: Forecaster
@@ -129,16 +129,16 @@ class Estimator:
 
     @property
     def belief(self) -> Belief | None:
-        """The filter's belief after the last sample; None before the first complete one."""
+        """Return the filter's belief after the last sample; None before the first complete one."""
         return self._followed.filter.belief if self._followed is not None else None
 
     @property
     def pack_size(self) -> PackSize | None:
-        """Cells, capacity and cut-off, and where each came from; None before the first voltage."""
+        """Return cells, capacity and cut-off, and where each came from; None before the first voltage."""
         return self._known.size
 
     def update_facts(self, facts: PackFacts) -> None:
-        """Take in what the vehicle says of its pack, known from now on.
+        """Take in the vehicle's statements about its pack, known from now on.
 
         New voltages change the forecast; another size of pack means another battery: the estimate starts anew.
         """
@@ -158,7 +158,7 @@ class Estimator:
 
     @property
     def past(self) -> Past | None:
-        """The memory that is saved with the belief; None before the first sample."""
+        """Return the memory that is saved with the belief; None before the first sample."""
         return Past(self._followed.forecaster.memory, self._cleaner) if self._followed is not None else None
 
     def restore(

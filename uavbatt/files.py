@@ -31,9 +31,10 @@ def atomic_write(path: str | Path, mode: Literal["w"] = "w") -> AbstractContextM
 @overload
 def atomic_write(path: str | Path, mode: Literal["wb"]) -> AbstractContextManager[BinaryIO]: ...
 def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "w") -> AbstractContextManager[Any]:
-    """A file that appears under `path` only when the block ends without an exception.
+    """Open a file that appears under `path` only when the block ends without an exception.
 
-    mode : "w" text in UTF-8 with its line ends as written, where `-` is standard output; "wb" bytes
+    mode : "w" text in UTF-8 with its line ends as written, where `-` is standard output; "wb" bytes.
+
     Raises BadInput when nothing can be written there.
     """
     return _standard_output() if mode == "w" and str(path) == STDOUT else _aside(Path(path), mode)
@@ -62,7 +63,7 @@ def _aside(target: Path, mode: str) -> Iterator[IO[Any]]:
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses, arrays and mappings as dicts, lists and numbers; NaN and infinity as None.
+    """Return dataclasses, arrays and mappings as dicts, lists and numbers; NaN and infinity become None.
 
     Keys that are numbers (ambient temperatures) become their shortest text.
     """
@@ -88,7 +89,7 @@ def write_json(path: Path, content: Any, indent: int = 2) -> None:
 
 
 def json_for(stream: TextIO, text: str) -> str:
-    """JSON whose foreign texts reach neither a terminal as commands nor the encoder as what it cannot write.
+    """Return JSON in which foreign text is escaped where it would command a terminal or `stream` cannot encode it.
 
     stream : what it is written to; a character that its encoding does not have is escaped, as JSON allows
     """

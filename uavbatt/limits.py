@@ -46,7 +46,7 @@ class Doubt(NamedTuple):
 
 
 class Resting(NamedTuple):
-    """A cell of the battery file's type rests at these voltages when it is empty and when little is left [V]."""
+    """A rested cell of the battery file's type shows these voltages when it is empty and when little is left [V]."""
 
     empty_V: float = EMPTIEST_CELL_V
     low_V: float = 3.5
@@ -76,7 +76,7 @@ OPTIONS = Names("--cells ", "--capacity-ah ", "--cutoff-voltage ", "--low-voltag
 def cells_doubt(
     cells: int, seen: Seen, resting: Resting, drawn_Ah: float = 0.0, capacity_Ah: float = math.inf
 ) -> Doubt | None:
-    """Check a count of cells in series against the first voltages of a record; None if nothing speaks against it.
+    """Return the doubt about a count of cells in series by the first voltages of a record; None if they allow it.
 
     drawn_Ah : charge drawn since [Ah], of the stated `capacity_Ah` [Ah]: a pack that rested nearly empty gives little.
     """
@@ -101,7 +101,7 @@ def cells_doubt(
 def cells_from_voltage(
     voltage_V: float, typical: int = 1, endings_V: tuple[float, ...] = (), c_rate: float = 0.0
 ) -> tuple[int, ...]:
-    """Counts of cells in series that fit the first voltage [V], the likeliest first.
+    """Return the counts of cells in series that fit the first voltage [V], the likeliest first.
 
     typical : the battery file's own count, which is taken if it fits; endings_V : critical voltage and low-voltage
     warning of the vehicle [V of the pack], NaN where it states none; c_rate : of the load at the first voltage [1/h],
@@ -129,7 +129,7 @@ def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_ra
 
 
 def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan) -> Doubt | None:
-    """Check a cut-off or a low-voltage warning [V of the pack] by its volts per cell; None if it is usual or NaN.
+    """Return the doubt about a cut-off or warning voltage [V of the pack] by its volts per cell; None if usual or NaN.
 
     what : the words before the number; rested_V : the voltage that the pack shows at rest [V], NaN while unknown.
     """
@@ -146,7 +146,7 @@ def ending_doubt(what: str, volts: float, cells: int, rested_V: float = math.nan
 
 
 def capacity_doubt(capacity_Ah: float) -> Doubt | None:
-    """Check a capacity [Ah]; None if it is possible or NaN."""
+    """Return the doubt about a capacity [Ah]; None if it is possible or NaN."""
     lowest_Ah, highest_Ah = CAPACITY_AH
     if math.isnan(capacity_Ah) or lowest_Ah <= capacity_Ah <= highest_Ah:
         return None
@@ -155,7 +155,10 @@ def capacity_doubt(capacity_Ah: float) -> Doubt | None:
 
 
 def rate_doubt(what: str, c_rate: float) -> Doubt | None:
-    """Check a C-rate [1/h] that is to last for a minute; None if packs give it. Too low a rate is judged elsewhere."""
+    """Return the doubt about a C-rate [1/h] that is to last for a minute; None if packs give it.
+
+    Too low a rate is judged elsewhere.
+    """
     if c_rate <= USUAL_C_RATE[1]:
         return None
     is_certain = c_rate > C_RATE[1]

@@ -17,7 +17,7 @@ ALOFT_M, ALOFT_MS = 5.0, 5.0  # nobody carries or drives an armed aircraft about
 
 
 class Mode(StrEnum):
-    """The autopilot flies in one of these ways, as far as the load to come depends on it."""
+    """It names the ways in which the autopilot flies, as far as the load to come depends on them."""
 
     MISSION = "mission"  # AUTO
     RETURN = "return"  # RTL
@@ -30,7 +30,7 @@ class Mode(StrEnum):
 
 
 class Action(StrEnum):
-    """A mission item asks for one of these."""
+    """It names the things that a mission item asks for."""
 
     TAKEOFF = "takeoff"
     WAYPOINT = "waypoint"
@@ -50,7 +50,7 @@ class Action(StrEnum):
 
 
 class Frame(StrEnum):
-    """An altitude counts from one of these."""
+    """It names the level from which an altitude counts."""
 
     HOME = "home"
     SEA = "sea"
@@ -58,7 +58,7 @@ class Frame(StrEnum):
 
 
 class SpeedKind(StrEnum):
-    """A SPEED item changes one of these speeds."""
+    """It names the speed that a SPEED item changes."""
 
     GROUND = "ground"
     AIR = "air"
@@ -68,7 +68,7 @@ class SpeedKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home and is kept)."""
+    """It holds one item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home and is kept)."""
 
     seq: int
     action: Action
@@ -89,7 +89,7 @@ class MissionItem:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """A whole mission as it was uploaded or read from a file; `reason` says why it is not understood, if it is not."""
+    """It holds a whole mission as uploaded or read from a file; `reason` is empty or says why it is not understood."""
 
     items: tuple[MissionItem, ...]
     source: str = ""  # "link", "log" or the file's name
@@ -100,7 +100,7 @@ class Mission:
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """The place that the autopilot returns to; alt_m is above sea."""
+    """It is the place that the autopilot returns to; alt_m is above sea."""
 
     lat_deg: float
     lon_deg: float
@@ -129,7 +129,7 @@ class ReturnSettings:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Place and velocity of the aircraft at one instant."""
+    """It holds place and velocity of the aircraft at one instant."""
 
     time_s: float
     lat_deg: float
@@ -143,7 +143,7 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """The wind as the autopilot estimates it: the velocity of the air, not where it comes from."""
+    """It is the wind as the autopilot estimates it: the velocity of the air, not where it comes from."""
 
     north_ms: float
     east_ms: float
@@ -152,7 +152,7 @@ class Wind:
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """All that is known of route and place at one instant; it changes by replacement, one field at a time."""
+    """It holds all that is known of route and place at one instant; it changes by replacement, one field at a time."""
 
     time_s: float = NAN  # of the last change of anything in it
     mode: Mode = Mode.UNKNOWN
@@ -172,11 +172,11 @@ class Navigation:
 
     @property
     def has_way(self) -> bool:
-        """True if a mission or a home is known: without either there is no way to speak of."""
+        """Return True if a mission or a home is known: without either there is no way to speak of."""
         return self.mission is not None or self.home is not None
 
     def is_aloft(self, time_s: float) -> bool:
-        """True if the autopilot says that it flies, or its place of the last seconds is high or fast."""
+        """Return True if the autopilot says that it flies, or its place of the last seconds is high or fast."""
         at = self.position
         if self.landed is not None or at is None or not abs(time_s - at.time_s) <= FRESH_S:
             return self.landed is False

@@ -62,7 +62,7 @@ Line = dict[str, Value]
 
 
 def speaker(estimate: Estimate, remaining: Remaining) -> Estimate | Remaining:
-    """Return whose status and reason count for a row: the forecast's unless it is ok, then the estimate's.
+    """Return the one whose status and reason count for a row: the forecast unless it is ok, then the estimate.
 
     The forecast is what the reader came for, and it can only be worse than the estimate below it.
     """
@@ -70,7 +70,7 @@ def speaker(estimate: Estimate, remaining: Remaining) -> Estimate | Remaining:
 
 
 def line(estimate: Estimate, remaining: Remaining) -> Line:
-    """The output line of one row; its keys are `COLUMNS`, then those of a route where one is known.
+    """Return the output line of one row; its keys are `COLUMNS`, then those of a route where one is known.
 
     Status and reason are those of the `speaker`. A refused number is None whatever value its maker left in it; a
     refused estimate takes the forecast with it.
@@ -100,30 +100,30 @@ def _route(route: Route) -> Line:
 
 
 def rounded(value: float, decimals: int) -> float | None:
-    """`value` to `decimals` places; None when it is not finite, and never a negative zero."""
+    """Return `value` to `decimals` places; None when it is not finite, and never a negative zero."""
     return round(float(value), decimals) + 0.0 if math.isfinite(value) else None
 
 
 class Sink(Protocol):
-    """Takes the lines in order."""
+    """A sink takes the lines in order."""
 
     def write(self, line: Line) -> None:
         """Write one line."""
 
 
 class JsonLinesSink:
-    """One JSON object a line, keys in the order of `COLUMNS`."""
+    """It writes one JSON object a line, with the keys in the order of `COLUMNS`."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
 
     def write(self, line: Line) -> None:
-        """Write one line; a key too many or too few is a `KeyError` here rather than at the reader."""
+        """Write one line; raises KeyError here rather than at the reader for a key too many or too few."""
         self._file.write(json_for(self._file, msgspec.json.encode(in_order(line)).decode()) + "\n")
 
 
 class CsvSink:
-    """A header row, then one row a line; an empty cell is what JSON Lines calls null."""
+    """It writes a header row, then one row a line; an empty cell is what JSON Lines calls null."""
 
     def __init__(self, file: TextIO, with_route: bool = False) -> None:
         self._rows = csv.writer(file, lineterminator="\n")
@@ -138,7 +138,10 @@ class CsvSink:
 
 
 def in_order(line: Line) -> Line:
-    """`line` with exactly the keys of `COLUMNS`, in their order; with a route those of `ROUTE_COLUMNS` behind them."""
+    """Return `line` with exactly the keys of `COLUMNS`, in their order; with a route those of `ROUTE_COLUMNS` behind.
+
+    Raises KeyError for a key too many or too few.
+    """
     declared = (*COLUMNS, *(ROUTE_COLUMNS if "load" in line else ()))
     if line.keys() != set(declared):
         raise KeyError(f"line keys differ from the declared ones: {sorted(line.keys() ^ set(declared))}")
@@ -152,10 +155,10 @@ def _opened(path: str | Path, kind: Callable[[TextIO], Sink]) -> Iterator[Sink]:
 
 
 def json_lines(path: str | Path) -> AbstractContextManager[Sink]:
-    """A context that gives a JSON Lines sink to `path` (`-`: standard output)."""
+    """Return a context that gives a JSON Lines sink to `path` (`-`: standard output)."""
     return _opened(path, JsonLinesSink)
 
 
 def csv_table(path: str | Path, with_route: bool = False) -> AbstractContextManager[Sink]:
-    """A context that gives a CSV sink to `path` (`-`: standard output), with columns for a route if there is one."""
+    """Return a context that gives a CSV sink to `path` (`-`: standard output); `with_route` adds a route's columns."""
     return _opened(path, lambda file: CsvSink(file, with_route))

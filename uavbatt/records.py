@@ -39,7 +39,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One telemetry row of one battery; NaN is not measured.
+    """It holds one telemetry row of one battery; NaN is not measured.
 
     Attributes:
         time_s: since the first record of the log [s]; live, a monotonic clock.
@@ -64,7 +64,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class PackFacts:
-    """The parameters in which the vehicle states its pack; NaN or None where it states nothing.
+    """It holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
 
     Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to the voltage it
     reports.
@@ -78,7 +78,7 @@ class PackFacts:
 
     @property
     def endings_V(self) -> tuple[float, ...]:
-        """Critical voltage and low-voltage warning [V] by which cells may be counted; none where they are stated.
+        """Return critical voltage and low-voltage warning [V] to count cells by; none where the cells are stated.
 
         The vehicle has worked them out from its own count then.
         """
@@ -87,7 +87,7 @@ class PackFacts:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The identity of aircraft and flight, as far as a log tells it; empty, None or NaN where it does not."""
+    """It identifies aircraft and flight, as far as a log tells them; empty, None or NaN where it does not."""
 
     system: int | None = None  # MAVLink's number of the vehicle; most are 1
     hardware: str = ""  # serial of the flight controller
@@ -99,7 +99,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
+    """It holds a flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
 
     Attributes:
         source: path or name of the log.
@@ -158,7 +158,7 @@ class Flight:
         return small_table(self.source, facts, captioned(drawn, words))
 
     def facts_at(self, time_s: float) -> PackFacts:
-        """The facts known at `time_s` [s]; an empty `PackFacts` before the first."""
+        """Return the facts known at `time_s` [s]; an empty `PackFacts` before the first."""
         known = PackFacts()
         for since_s, facts in self.facts:
             if since_s > time_s:
@@ -168,18 +168,18 @@ class Flight:
 
     @property
     def has_way(self) -> bool:
-        """True if a mission or a home becomes known in the flight."""
+        """Return True if a mission or a home becomes known in the flight."""
         return any(known.has_way for known in self.navigation)
 
     def navigation_at(self, time_s: float) -> Navigation:
-        """Return what is known of route and place at `time_s` [s]; `NOWHERE` before the first."""
+        """Return the route and place known at `time_s` [s]; `NOWHERE` before the first."""
         count = bisect_right(self.navigation, time_s, key=lambda known: known.time_s)
         return self.navigation[count - 1] if count else NOWHERE
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The filter's belief after one sample; NaN is not known.
+    """It holds the filter's belief after one sample; NaN is not known.
 
     Attributes:
         time_s: of the sample [s].
@@ -228,7 +228,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The part of a forecast about the route, the way home and the turn-back.
+    """It holds the part of a forecast about the route, the way home and the turn-back.
 
     Times are seconds from now, charges 0 to 1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown.
 
@@ -261,7 +261,7 @@ class Route:
     reason: str = ""
 
     def later(self, age_s: float) -> Route:
-        """Return it as it stands `age_s` [s] later."""
+        """Return the same as it stands `age_s` [s] later."""
         return replace(
             self,
             left_s=_less(self.left_s, age_s),
@@ -278,7 +278,7 @@ def _less(time_s: float, age_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Remaining:
-    """The time until the end of flight; NaN with a reason when it is refused.
+    """It holds the time until the end of flight; NaN with a reason when it is refused.
 
     Attributes:
         time_s: of the sample [s].

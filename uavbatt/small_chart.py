@@ -21,7 +21,7 @@ MARGIN = 2.0
 
 
 class Size(NamedTuple):
-    """Width and height of a drawing [px]."""
+    """It holds width and height of a drawing [px]."""
 
     width: float
     height: float
@@ -31,13 +31,13 @@ SPARK, CHART = Size(96.0, 22.0), Size(460.0, 130.0)
 
 
 class Span(NamedTuple):
-    """The least and the greatest value that an axis shows."""
+    """It holds the least and the greatest value that an axis shows."""
 
     low: float
     high: float
 
     def share(self, value: float) -> float:
-        """Return where a value lies, 0 at the low end and 1 at the high one; not beyond them."""
+        """Return the place of a value on the axis, 0 at the low end and 1 at the high one; not beyond them."""
         return min(max((value - self.low) / (self.high - self.low), 0.0), 1.0)
 
 

@@ -101,8 +101,8 @@ def write_battery(file: BatteryFile, path: Path) -> Path:
 def read_battery(name_or_path: str | Path, *, allow_uncertified: bool = False) -> BatteryFile:
     """Read a packaged battery by name (`lpab-3s`) or a file by path.
 
-    Raises BadInput when it is missing or malformed, Uncertified when its hash does not match its content or a
-    verdict is `fail`; `allow_uncertified` lets it through, and its status is `edited` then.
+    Raises BadInput when it is missing or malformed, Uncertified when its hash does not match its content, a verdict is
+    `fail` or its status is `edited`; `allow_uncertified` lets it through, and its status is `edited` then.
     """
     text, origin = _text(str(name_or_path))
     file = _decoded(text, origin)

@@ -49,7 +49,7 @@ class KnownSize(NamedTuple):
         return known._counted()._sized() if self.size is not None else known
 
     def after(self, raw: Sample, sample: Sample) -> KnownSize:
-        """Return what is known after one more row, `raw` as it came and `sample` after cleaning."""
+        """Return the size and its doubts after one more row, `raw` as it came and `sample` after cleaning."""
         size = self.size or self.by_voltage([sample])
         if size is None:
             return self
@@ -108,5 +108,5 @@ class KnownSize(NamedTuple):
 
 
 def nothing_seen(battery: BatteryFile, options: PackOptions, stated_W: PowerRange | None) -> KnownSize:
-    """Return what is known of a pack before its first row."""
+    """Return the knowledge of a pack's size before its first row, by the caller's statements alone."""
     return KnownSize(battery, options, resting(battery), stated_W)

@@ -160,7 +160,7 @@ def _together(*parts: Capacities) -> Capacities:
 
 
 def unlike(pack: Pack, health: PackHealth, wear: float, wear_sd: float) -> str:
-    """Return why a pack in flight is hardly the one that is remembered, by its cells or ohms; empty when it may be.
+    """Return the reason why a pack in flight is hardly the remembered one, by its cells or ohms; empty when it may be.
 
     wear: ohms above the type's, relative, as the flight has them, without what a reaction takes (`with_reaction`);
     wear_sd: of ln(1 + wear).

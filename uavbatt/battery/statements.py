@@ -93,7 +93,7 @@ class Current(NamedTuple):
     negative_s: float = 0.0
 
     def after(self, time_s: float, volts: float, current_A: float, rested_V: float, pack: PackSize) -> Current:
-        """Return the value after a row of this voltage [V] and current [A]; rested_V [V] was shown before the load."""
+        """Return the summary after a row of this voltage [V] and current [A]; rested_V [V] is that before the load."""
         gap_s, rate = time_s - self.time_s, current_A / pack.capacity_Ah
         step_s = gap_s if 0.0 < gap_s < LONGEST_ROW_S else 0.0
         drawn_Ah = self.drawn_Ah + (0.5 * (self.current_A + current_A) * step_s / 3600.0 if step_s else 0.0)
@@ -116,7 +116,7 @@ class Current(NamedTuple):
 
 
 class Statements(NamedTuple):
-    """It sums up the rows so far as far as statements are compared with them; `after` takes in one more."""
+    """It sums up the rows so far, as far as statements are compared with them; `after` takes in one more."""
 
     seen: Seen = Seen()
     rows: int = 0
@@ -127,7 +127,7 @@ class Statements(NamedTuple):
     current: Current = Current()
 
     def after(self, raw: Sample, sample: Sample, pack: PackSize) -> Statements:
-        """Return the value after one more row, `raw` as it came and `sample` after cleaning, of a pack of this size."""
+        """Return the summary after one row more, `raw` as it came and `sample` after cleaning, of a pack this size."""
         kelvin_rows = self.kelvin_rows  # a row without a temperature neither counts nor ends the count
         if math.isfinite(raw.temp_C):
             kelvin_rows = kelvin_rows + 1 if KELVIN[0] <= raw.temp_C <= KELVIN[1] else 0
@@ -170,7 +170,7 @@ class Statements(NamedTuple):
         return doubt is not None and doubt.is_certain
 
     def shown(self, volts: float, is_idle: bool) -> Statements:
-        """Return the value after a row of which only the voltage [V] is compared."""
+        """Return the summary after a row of which only the voltage [V] is compared."""
         return self._replace(seen=self._seen(volts, is_idle), rows=self.rows + 1, voltage_V=volts)
 
     def _seen(self, volts: float, is_idle: bool) -> Seen:
@@ -256,7 +256,7 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
 
 
 def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight) -> None:
-    """Raise UsageError when what the caller states of the pack cannot be, by the first rows of the flight."""
+    """Raise UsageError when the first rows of a flight make a statement of the caller about its pack impossible."""
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is not None:
         size_from_rows(battery, options, flight, flight.facts_at(first.time_s + FIRST_ROWS_S))

@@ -31,7 +31,7 @@ share(recursion)
 
 
 def most_moments(times_s: Array, at_s: float) -> int:
-    """Return how many moments come at most of rows at these times [s], from a filter at `at_s` [s]."""
+    """Return the largest number of moments that rows at these times [s] lead to, from a filter at `at_s` [s]."""
     return min(times_s.size, int((np.nanmax(times_s) - min(at_s, np.nanmin(times_s))) / BLOCK_S)) + 4
 
 
