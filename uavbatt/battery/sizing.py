@@ -81,6 +81,11 @@ class PackSize:
         """Return cells, capacity [Ah] and fullest voltage of a cell [V]: another one of them is another battery."""
         return self.cells, self.capacity_Ah, self.fullest_cell_V
 
+    def numbers(self) -> dict[str, int | float | str]:
+        """Return the numbers of the pack, each with where it came from, by the names that every summary uses."""
+        stated = ("cells", "capacity_Ah", "cutoff_V", "low_V")
+        return {name: getattr(self, name) for of in stated for name in (of, f"{of.partition('_')[0]}_from")}
+
     @property
     def words(self) -> str:
         """Return the size of the pack and its cut-off in words, each with where it came from."""

@@ -157,13 +157,11 @@ def _write_summary(path: Path, plan: Plan, reserve_soc: float, content_sha256: s
     """The plan for a program: where the numbers came from, the planned temperature, the table."""
     from uavbatt.files import write_json
 
-    pack = asdict(plan.resolved)
-    del pack["uncertified"], pack["notices"], pack["refusal"]  # said by the warnings; what is refused is no plan
     content = {
-        "battery": pack.pop("battery"),
-        "certificate_status": pack.pop("status"),
+        "battery": plan.resolved.battery,
+        "certificate_status": plan.resolved.status,
         "content_sha256": content_sha256,
-        **pack,
+        **plan.resolved.numbers(),
         "load": plan.load,
         "start_soc": plan.start_soc,
         "reserve_soc": reserve_soc,

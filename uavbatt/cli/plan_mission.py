@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,15 +153,13 @@ def _charges(leg: LegEnd) -> dict[str, float]:
 
 def _summary(plan: MissionPlan, name: str, reserve_soc: float, content_sha256: str) -> dict[str, Any]:
     """The plan for a program: where the numbers came from, the planned temperature, each leg, the table."""
-    pack = asdict(plan.resolved)
-    del pack["uncertified"], pack["notices"], pack["refusal"]
     legs = [{"item": leg.item, "end_s": leg.end_s, **leg.place._asdict(), **_charges(leg)} for leg in plan.legs]
     return {
         "mission": name,
-        "battery": pack.pop("battery"),
-        "certificate_status": pack.pop("status"),
+        "battery": plan.resolved.battery,
+        "certificate_status": plan.resolved.status,
         "content_sha256": content_sha256,
-        **pack,
+        **plan.resolved.numbers(),
         "wind_north_ms": plan.planned.wind.north_ms,
         "wind_east_ms": plan.planned.wind.east_ms,
         "start_soc": plan.start_soc,
