@@ -135,7 +135,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def judged_study(tmp_path_factory: pytest.TempPathFactory) -> Judged:
-    """One run of the command on the study with every output, half a minute long, for every file that asks about it."""
+    """One run of the command on the study with every output, 15 s long, for every file that asks about it."""
     from uavbatt.validation import validate as stage
 
     judge, found, shares, folder = stage.validate, [], [], tmp_path_factory.mktemp("judged")

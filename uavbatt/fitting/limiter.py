@@ -29,9 +29,10 @@ def limited_discharge(
     """Simulate tests side by side from `start`, each asking a constant C-rate [1/h] until its limit holds.
 
     cell_in: the cell's parameters in a state; its lags may not change. time_s: instants [s]; the one at 0 is before the
-    load. step_s: longest step [s]. Returns [2, instants, tests]: cell voltage [V] and sensor temperature [°C].
+    load. step_s: longest step [s]. Returns [2, instants, tests]: cell voltage [V] and sensor temperature [°C]; tests
+    are in the shape of `asked`.
     """
-    out = np.empty((2, time_s.size, asked.size))
+    out = np.empty((2, time_s.size, *asked.shape))
     state, now_s, lags_of = start, 0.0, dict[float, model.Lags]()
     cell = cell_in(state)
     emf_V, r_ohmAh = model.source(cell, state)

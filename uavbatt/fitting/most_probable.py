@@ -1,11 +1,14 @@
-"""The most probable unknowns of a fit: least squares, its slopes from one simulation of all nudges side by side.
+"""The most probable unknowns of fits: least squares, its slopes from one simulation of all nudges side by side.
 
-A simulation of so few tests costs what twenty of them side by side do, so that the slopes come with every misfit.
+A simulation of so few tests costs what twenty of them side by side do, so that the slopes come with every misfit, and
+fits of the same simulation (from several starts, or to parts of the data) go on side by side as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import Literal
 
 import numpy as np
@@ -15,23 +18,79 @@ from uavbatt.battery.model import Array
 
 NUDGE = 1e-4  # in units of the prior's standard deviations
 
+Residuals = Callable[[Array, Array], Array]
+
 
 def most_probable(
-    residuals: Callable[[Array], Array],
-    start: Array,
+    simulate: Callable[[Array], Array],
+    residuals: Sequence[Residuals],
+    starts: Sequence[Array],
     *,
     evaluations: int,
     xtol: float,
     ftol: float,
     is_robust: bool = False,
-) -> OptimizeResult:
-    """Find the unknowns u [slots] of the least sum of squares, from `start` on.
+) -> list[OptimizeResult]:
+    """Find the unknowns u [slots] of the least sum of squares of each of `residuals`, from its own start on.
 
-    residuals: gives [batch, numbers] for u [batch, slots], the prior's own share (u itself) among them.
-    evaluations, xtol, ftol: when the search ends, as in `scipy.optimize.least_squares`, whose result is returned.
+    simulate: gives what the residuals compare, [batch, ...], for u [batch, slots]; each row by itself.
+    residuals: each gives [batch, numbers] for u and what was simulated, the prior's own share (u itself) among them.
+    evaluations, xtol, ftol: when a search ends, as in `scipy.optimize.least_squares`, whose results are returned.
     is_robust: a residual beyond 1 counts less than its square.
-    """
 
+    Each search is a thread that waits until all others that still search have asked for a simulation as well.
+    """
+    loss: Literal["soft_l1", "linear"] = "soft_l1" if is_robust else "linear"
+    asked = SimpleQueue[tuple[int, Array | None]]()
+    answers = [SimpleQueue[Array | None]() for _ in starts]
+
+    def search(k: int) -> OptimizeResult:
+        def misfit(u: Array) -> Array:
+            asked.put((k, u))
+            if (simulated := answers[k].get()) is None:
+                raise CancelledError
+            return residuals[k](u, simulated)
+
+        try:
+            objective, slopes = _with_slopes(misfit)
+            return least_squares(objective, starts[k], slopes, loss=loss, max_nfev=evaluations, xtol=xtol, ftol=ftol)
+        finally:
+            asked.put((k, None))
+
+    with ThreadPoolExecutor(max(len(starts), 1)) as threads:
+        searches = [threads.submit(search, k) for k in range(len(starts))]
+        try:
+            _answer(simulate, asked, answers)
+        finally:
+            for answer in answers:
+                answer.put(None)
+    return [s.result() for s in searches]
+
+
+def _answer(
+    simulate: Callable[[Array], Array],
+    asked: SimpleQueue[tuple[int, Array | None]],
+    answers: list[SimpleQueue[Array | None]],
+) -> None:
+    """Simulate what all that still search ask for, at once, until none does."""
+    searching, waiting = len(answers), dict[int, Array]()
+    while searching:
+        k, u = asked.get()
+        if u is None:
+            searching -= 1
+        else:
+            waiting[k] = u
+        if waiting and len(waiting) == searching:
+            order = sorted(waiting)
+            ends = np.cumsum([len(waiting[k]) for k in order])
+            simulated = np.split(simulate(np.vstack([waiting[k] for k in order])), ends[:-1])
+            waiting.clear()
+            for k, part in zip(order, simulated, strict=True):
+                answers[k].put(part)
+
+
+def _with_slopes(residuals: Callable[[Array], Array]) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+    """Residuals [numbers] of one u [slots], and their slopes [numbers, slots]."""
     asked, known = np.empty(0), np.empty((0, 0))
 
     def around(u: Array) -> Array:
@@ -48,5 +107,4 @@ def most_probable(
         values = around(u)
         return np.asarray((values[1:] - values[0]).T / NUDGE)
 
-    loss: Literal["soft_l1", "linear"] = "soft_l1" if is_robust else "linear"
-    return least_squares(objective, start, slopes, loss=loss, max_nfev=evaluations, xtol=xtol, ftol=ftol)
+    return objective, slopes

@@ -8,15 +8,17 @@ resistance move with it): it has a prior, and its covariance with the resistance
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import OptimizeResult
 
 from uavbatt.battery import model
 from uavbatt.battery.model import Array
 from uavbatt.fitting import prior
 from uavbatt.fitting.limiter import limited_discharge
-from uavbatt.fitting.most_probable import most_probable
+from uavbatt.fitting.most_probable import Residuals, most_probable
 from uavbatt.fitting.prior import Posterior, Slot
 
 STEP_S = 5.0
@@ -67,16 +69,45 @@ def predict_unmetered(
 
 def fit_unmetered(test: MeanTest, effects: tuple[str, ...] = prior.BASE_EFFECTS) -> Posterior:
     """Find the most probable cell and load for the mean test."""
+    return fit_each([test], effects)[0]
+
+
+def fit_each(tests: Sequence[MeanTest], effects: tuple[str, ...] = prior.BASE_EFFECTS) -> list[Posterior]:
+    """Fit cell and load to each mean test by itself; they share ambient temperature and cells.
+
+    Those read at the same instants are simulated side by side.
+    """
+    alike: dict[bytes, list[int]] = {}
+    for k, test in enumerate(tests):
+        alike.setdefault(test.time_s.tobytes(), []).append(k)
+    found: dict[int, Posterior] = {}
+    for which in alike.values():
+        found.update(zip(which, _fit_alike([tests[k] for k in which], effects), strict=True))
+    return [found[k] for k in range(len(tests))]
+
+
+def _fit_alike(tests: list[MeanTest], effects: tuple[str, ...]) -> list[Posterior]:
     slots = slots_of(effects)
-    sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
 
-    def residuals(u: Array) -> Array:
-        x = prior.values(slots, u)
-        volts, surface = predict_unmetered(slots, effects, x, test, test.time_s)
-        misfit_V = (volts - test.voltage_V[:, None]) / sigma_V[:, None]
-        misfit_K = np.nan_to_num(surface - test.surface_C[:, None]) / SURFACE_SD_K
-        return np.concatenate([misfit_V.T, misfit_K.T, prior.monotonicity_penalty(slots, x), u], axis=1)
+    def simulate(u: Array) -> Array:
+        return np.moveaxis(predict_unmetered(slots, effects, prior.values(slots, u), tests[0], tests[0].time_s), -1, 0)
 
-    found = most_probable(residuals, np.zeros(len(slots)), evaluations=60, xtol=1e-6, ftol=1e-8)
+    def residuals_of(test: MeanTest) -> Residuals:
+        sigma_V = np.maximum(test.voltage_sd_V, LEAST_VOLTAGE_SD_V)
+
+        def residuals(u: Array, simulated: Array) -> Array:
+            misfit_V = (simulated[:, 0] - test.voltage_V) / sigma_V
+            misfit_K = np.nan_to_num(simulated[:, 1] - test.surface_C) / SURFACE_SD_K
+            disorder = prior.monotonicity_penalty(slots, prior.values(slots, u))
+            return np.concatenate([misfit_V, misfit_K, disorder, u], axis=1)
+
+        return residuals
+
+    starts = [np.zeros(len(slots)) for _ in tests]
+    searches = most_probable(simulate, [residuals_of(t) for t in tests], starts, evaluations=60, xtol=1e-6, ftol=1e-8)
+    return [_posterior(slots, effects, found) for found in searches]
+
+
+def _posterior(slots: tuple[Slot, ...], effects: tuple[str, ...], found: OptimizeResult) -> Posterior:
     slopes = np.asarray(found.jac, dtype=float)
     return Posterior(slots=slots, effects=effects, u=found.x, covariance_u=np.linalg.inv(slopes.T @ slopes))

@@ -12,6 +12,7 @@ told from R₀(soc).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from uavbatt.battery.model import Array, Parameters, State
 from uavbatt.battery.scaling import dense, dense_resistance
 from uavbatt.fitting import prior
 from uavbatt.fitting.limiter import limited_discharge
-from uavbatt.fitting.most_probable import most_probable
+from uavbatt.fitting.most_probable import Residuals, most_probable
 from uavbatt.fitting.prior import Slot
 from uavbatt.fitting.unmetered import LOAD_SLOTS
 
@@ -98,11 +99,9 @@ def slots_of(variant: Variant, series: int) -> tuple[Slot, ...]:
 
 def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: OneTimeTests) -> Array:
     """Simulate the pack voltage [V], [batch, test, instant], for the values x [batch, slots]."""
-    batch, rows = x.shape[0], tests.ambient_C.size
-    at = {s.name: np.repeat(x[:, i], rows) for i, s in enumerate(slots)}
-    ambient = np.tile(tests.ambient_C, batch)
-    cell = _cell(variant, slots, x, at, rows)
-    series = np.tile(tests.series, batch)
+    at = {s.name: x[:, i] for i, s in enumerate(slots)}
+    ambient, series = tests.ambient_C[:, None], tests.series[:, None]  # simulated as [test, batch]
+    cell = _cell(variant, slots, x, at)
     ln_load, ln_resistance = (_nuisance(what, at, series) for what in ("ln_load", "ln_resistance"))
     gain, rate = np.exp(ln_resistance), at["c_rate"] * np.exp(ln_load)
     start = model.rested(np.minimum(at["start_soc"], 1.0), ambient)
@@ -115,21 +114,21 @@ def predict_cold(variant: Variant, slots: tuple[Slot, ...], x: Array, tests: One
         return cell._replace(resistance_gain=gain * _steeper(at["steeper_cold"], state.core_C))
 
     volts, _ = limited_discharge(cell_in, start, rate, at["limit_cell_V"], ambient, tests.time_s, STEP_S)
-    out: Array = np.moveaxis(volts.reshape(-1, batch, rows), 0, -1) * tests.cells
+    out: Array = np.moveaxis(volts, (0, 1, 2), (2, 1, 0)) * tests.cells
     return out
 
 
-def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Array], rows: int) -> Parameters:
+def _cell(variant: Variant, slots: tuple[Slot, ...], x: Array, at: dict[str, Array]) -> Parameters:
     names = [s.name for s in slots]
     first = names.index(f"r0_{prior.RESISTANCE_SOC[0]:g}")
     shape = x[:, first : first + prior.RESISTANCE_SOC.size] * x[:, [names.index("r0_ohmAh")]]
-    table = np.repeat(dense_resistance(prior.RESISTANCE_SOC, shape), rows, axis=0)
+    table = dense_resistance(prior.RESISTANCE_SOC, shape)
     fields = {q.name: at[q.name] for e in (*KEPT, "self_heating") for q in EFFECTS[e].quantities if q.name in at}
     return Parameters(ocv_V=OCV_V, r0_ohmAh=table, heat_gain=float(variant.self_heating), **fields)
 
 
 def _nuisance(what: str, at: dict[str, Array], series: NDArray[np.intp]) -> Array:
-    out = np.zeros(series.size)
+    out = np.zeros(series.shape)
     for k in range(1, int(series.max(initial=0)) + 1):
         out = np.where(series == k, at.get(f"{what}_{k}", 0.0), out)
     return out
@@ -156,27 +155,53 @@ def fit_cold_model(
     slots = slots_of(variant, series)
     rng, begin = np.random.default_rng(SEED), [np.zeros(len(slots))][:fresh]
     begin += [rng.normal(0.0, START_SPREAD, len(slots)) for _ in range(fresh - 1)]
-    first = [_solve(variant, slots, tests, u, robust=True)[1] for u in begin]
+    every = np.ones(tests.ambient_C.size, dtype=bool)
+    first = [u for _, u in _solve(variant, slots, tests, [every] * len(begin), begin, robust=True)]
     for start in starts:
         known = dict(zip((s.name for s in start.slots), start.u, strict=True))
         first.append(np.array([known.get(s.name, 0.0) for s in slots]))
-    found = [_solve(variant, slots, tests, u, robust=False) for u in first]
+    found = _solve(variant, slots, tests, [every] * len(first), first, robust=False)
     return ColdFit(variant, slots, min(found, key=lambda f: f[0])[1])
 
 
+def fit_parts(found: ColdFit, tests: OneTimeTests, parts: Sequence[NDArray[np.bool_]]) -> list[ColdFit]:
+    """Fit anew to each of the `parts` of the tests alone, from where the fit of all of them ended."""
+    starts = [found.u] * len(parts)
+    fits = _solve(found.variant, found.slots, tests, parts, starts, robust=False)
+    return [ColdFit(found.variant, found.slots, u) for _, u in fits]
+
+
 def _solve(
-    variant: Variant, slots: tuple[Slot, ...], tests: OneTimeTests, u0: Array, robust: bool
-) -> tuple[float, Array]:
-    """Return (cost, u) of the minimum that one start leads to."""
+    variant: Variant,
+    slots: tuple[Slot, ...],
+    tests: OneTimeTests,
+    parts: Sequence[NDArray[np.bool_]],
+    starts: Sequence[Array],
+    robust: bool,
+) -> list[tuple[float, Array]]:
+    """Return (cost, u) of the minimum that each start leads to, fitted to its part of the tests."""
 
-    def misfit(u: Array) -> Array:
-        gap = predict_cold(variant, slots, prior.values(slots, u), tests) - tests.voltage_V
-        out: Array = np.concatenate([np.nan_to_num(gap).reshape(u.shape[0], -1) / MISFIT_SD_V, u], axis=1)
-        return out
+    def simulate(u: Array) -> Array:
+        return predict_cold(variant, slots, prior.values(slots, u), tests)
 
-    tolerance = 1e-3 if robust else 1e-4
-    found = most_probable(misfit, u0, is_robust=robust, evaluations=EVALUATIONS, xtol=1e-4, ftol=tolerance)
-    return float(found.cost), np.asarray(found.x, dtype=float)
+    def misfit_of(part: NDArray[np.bool_]) -> Residuals:
+        def misfit(u: Array, simulated: Array) -> Array:
+            gap = simulated[:, part] - tests.voltage_V[part]
+            out: Array = np.concatenate([np.nan_to_num(gap).reshape(u.shape[0], -1) / MISFIT_SD_V, u], axis=1)
+            return out
+
+        return misfit
+
+    searches = most_probable(
+        simulate,
+        [misfit_of(p) for p in parts],
+        starts,
+        is_robust=robust,
+        evaluations=EVALUATIONS,
+        xtol=1e-4,
+        ftol=1e-3 if robust else 1e-4,
+    )
+    return [(float(s.cost), np.asarray(s.x, dtype=float)) for s in searches]
 
 
 def residuals(found: ColdFit, tests: OneTimeTests) -> Array:

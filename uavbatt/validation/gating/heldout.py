@@ -7,7 +7,7 @@ predicted by a fit that has not seen it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,11 +17,13 @@ from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet, Levels, Run
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting import observed, prior, solve, unmetered
+from uavbatt.fitting.prior import Posterior
 from uavbatt.fitting.unmetered import MeanTest
 from uavbatt.validation.judging import fast_records
 from uavbatt.validation.judging.readings import SURFACE, Readings
 
 Effects = tuple[str, ...]
+LeftOut = tuple[int, list[Run]]  # an occasion, and the runs at other temperatures that go with it
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,11 +138,12 @@ def circuit(
     Raises NotEnoughData when nothing is left to fit once an occasion is out.
     """
     dataset, levels = readings.dataset, repeats(readings)
-    predict = _metered if is_metered(dataset) else _unmetered
     others = other_runs(dataset, levels)
+    left_out = [(occasion, others[k :: len(levels.occasions)]) for k, occasion in enumerate(levels.occasions)]
+    predict = _metered if is_metered(dataset) else _unmetered
     folds = []
-    for k, occasion in enumerate(levels.occasions):
-        folds.append(predict(dataset, levels, occasion, others[k :: len(levels.occasions)], effects))
+    for fold in predict(dataset, levels, left_out, effects):
+        folds.append(fold)
         if progress is not None:
             progress(1.0)
     surface = readings.levels(levels.ambient_C, SURFACE)
@@ -187,11 +190,14 @@ def rest_at(dataset: DataSet, levels: Levels) -> tuple[bool, ...]:
     return tuple(bool(rested and phase[max(i, 0)] == 0) for i in at)
 
 
-def _unmetered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
-    runs = [r for r in dataset.at(levels.ambient_C) if r.run != occasion and r.sample in levels.samples]
-    test = mean_test(dataset, runs, levels.ambient_C)
-    found = unmetered.fit_unmetered(test, effects)
+def _unmetered(dataset: DataSet, levels: Levels, left_out: list[LeftOut], effects: Effects) -> Iterator[_Fold]:
+    runs = [r for r in dataset.at(levels.ambient_C) if r.sample in levels.samples]
+    tests = [mean_test(dataset, [r for r in runs if r.run != out], levels.ambient_C) for out, _ in left_out]
+    for test, found, (_, others) in zip(tests, unmetered.fit_each(tests, effects), left_out, strict=True):
+        yield _unmetered_fold(levels, test, found, others)
 
+
+def _unmetered_fold(levels: Levels, test: MeanTest, found: Posterior, others: list[Run]) -> _Fold:
     def predicted(ambient_C: float, time_s: Array) -> Array:
         there = replace(test, ambient_C=ambient_C)
         return unmetered.predict_unmetered(found.slots, found.effects, found.x[None], there, time_s)[:, :, 0]
@@ -204,7 +210,11 @@ def _unmetered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run
     return _Fold(np.broadcast_to(volts, shape), np.broadcast_to(surface, shape), [], singles)
 
 
-def _metered(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
+def _metered(dataset: DataSet, levels: Levels, left_out: list[LeftOut], effects: Effects) -> Iterator[_Fold]:
+    return (_metered_fold(dataset, levels, *out, effects) for out in left_out)
+
+
+def _metered_fold(dataset: DataSet, levels: Levels, occasion: int, others: list[Run], effects: Effects) -> _Fold:
     out = [r for r in dataset.at(levels.ambient_C) if r.run == occasion and r.sample in levels.samples]
     kept = replace(dataset, runs=tuple(r for r in dataset.runs if r not in out and r not in others))
     found = solve.fit_battery(observed.stack(observed.from_dataset(kept)), effects)

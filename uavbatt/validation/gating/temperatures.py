@@ -194,9 +194,8 @@ def _outcome(
     found = cold_model.fit_cold_model(variant, tests, count, inside, _fresh_starts(variant))
     fitted, unseen = cold_model.residuals(found, tests), np.empty((T.size, tests.time_s.size))
     folds = FOLDS if T.size >= 2 * FOLDS else T.size
-    for k in range(folds):
-        out = np.arange(T.size) % folds == k
-        part = cold_model.fit_cold_model(variant, tests.of(~out), count, (found,), fresh=0)
+    left_out = [np.arange(T.size) % folds == k for k in range(folds)]
+    for out, part in zip(left_out, cold_model.fit_parts(found, tests, [~out for out in left_out]), strict=True):
         unseen[out] = cold_model.residuals(part, tests.of(out))
     model_V = fitted + tests.voltage_V
     outcome = VariantOutcome(
