@@ -212,8 +212,7 @@ def test_a_new_cutoff_changes_the_forecast_and_keeps_the_estimate() -> None:
     facts = PackFacts(4, 5.0, critical_voltage_V=13.2)
     for e in (estimator, other):
         e.update_facts(facts)
-        for sample in flown()[:40]:
-            e.step(sample)
+        list(e.run(flown()[:40]))
     estimator.update_facts(replace(facts, critical_voltage_V=14.4))
     changed, same = (e.step(flown()[40]) for e in (estimator, other))
     assert changed[0].soc == same[0].soc
@@ -223,8 +222,7 @@ def test_a_new_cutoff_changes_the_forecast_and_keeps_the_estimate() -> None:
 def test_another_capacity_starts_anew() -> None:
     estimator = Estimator(battery_file.read_battery("lipo-generic"))
     estimator.update_facts(PackFacts(4, 5.0))
-    for sample in flown()[:200]:
-        estimator.step(sample)
+    list(estimator.run(flown()[:200]))
     estimator.update_facts(PackFacts(4, 3.0))
     assert estimator.belief is None
     estimate, _ = estimator.step(flown()[200])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -10,6 +11,7 @@ from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, Pack, flown, rested
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.state_space import Belief
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -45,30 +47,25 @@ def test_a_number_is_said_all_along_and_nothing_is_blamed(pack_C: float, air_C: 
     assert max(r.remaining_lo_s - (end_s - r.time_s) for _, r in said) < 25.0
 
 
+def believed(samples: Sequence[Sample], ambient_C: float = NAN) -> Belief:
+    """What is believed after these rows."""
+    size = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V, ambient_C=ambient_C)
+    generic = battery_file.read_battery("lipo-generic")
+    estimator = Estimator(generic, size, engine=engine_for(is_long=True))
+    list(estimator.run(samples))
+    assert estimator.belief is not None
+    return estimator.belief
+
+
 def test_the_air_is_found_out() -> None:
     """Of a pack of 25 °C in air of 0 °C: the forecast goes on with the air, not with the pack's own warmth."""
-    estimator = Estimator(
-        battery_file.read_battery("lipo-generic"), PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
-    )
-    for sample in rows(25.0, 0.0)[:400]:
-        estimator.step(sample)
-    assert estimator.belief is not None and estimator.belief.ambient_C < 12.0
+    assert believed(rows(25.0, 0.0)[:400]).ambient_C < 12.0
 
 
 def test_an_air_that_somebody_states_is_believed() -> None:
-    estimator = Estimator(
-        battery_file.read_battery("lipo-generic"),
-        PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V, ambient_C=5.0),
-    )
-    for sample in rows(25.0, 0.0)[:200]:
-        estimator.step(sample)
-    assert estimator.belief is not None and estimator.belief.ambient_C == 5.0
+    assert believed(rows(25.0, 0.0)[:200], ambient_C=5.0).ambient_C == 5.0
 
 
 def test_without_a_thermometer_the_air_stays_what_it_was() -> None:
-    estimator = Estimator(
-        battery_file.read_battery("lipo-generic"), PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
-    )
-    for sample in rows(25.0, 0.0)[:200]:
-        estimator.step(replace(sample, temp_C=NAN))
-    assert estimator.belief is not None and estimator.belief.ambient_C == 22.0
+    bare = [replace(sample, temp_C=NAN) for sample in rows(25.0, 0.0)[:200]]
+    assert believed(bare).ambient_C == 22.0

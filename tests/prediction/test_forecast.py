@@ -22,7 +22,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.state_space import SIZE, Belief, X, drift_variance, ocv_doubt
 from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import engine_for
+from uavbatt.log_replay.run import engine_for, steps
 from uavbatt.prediction import sampling
 from uavbatt.prediction.curves import curve_tables, looked_up
 from uavbatt.prediction.forecast import Forecast
@@ -343,11 +343,10 @@ ARDUPILOT = (
 def judge(path: Path, battery: BatteryFile, options: PackOptions, period_s: float) -> tuple[int, int]:
     """(rows after 60 s in the air that have voltage and current, refused ones among them); each line is sound."""
     flight = read_log(path)
-    estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=period_s))
+    estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=period_s), engine_for(is_long=True))
     since_s, rows, refused = math.inf, 0, 0
-    for sample in flight:
-        estimator.update_facts(flight.facts_at(sample.time_s))
-        estimate, remaining = estimator.step(sample)
+    for sample, said in zip(flight, steps(flight, estimator), strict=True):
+        estimate, remaining = said.estimate, said.remaining
         if estimate.status is Status.REFUSED:
             assert estimate.reason, path.name
         else:

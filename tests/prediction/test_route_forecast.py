@@ -18,7 +18,7 @@ from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
-from uavbatt.records import PackFacts, Remaining, Route, Sample
+from uavbatt.records import Estimate, PackFacts, Remaining, Route, Sample
 
 ROWS = 60
 FAR_M = 1000.0
@@ -53,15 +53,18 @@ def row(k: int, now: Navigation) -> tuple[Sample, Navigation]:
     return Sample(float(k), 15.0, 12.0, temp_C=25.0), heard
 
 
+def run(estimator: Estimator, told: list[tuple[Sample, Navigation]]) -> list[tuple[Estimate, Remaining]]:
+    """What is said at each row, with what is known of the way then: their forecasts are worked out side by side."""
+    heard = {sample.time_s: now for sample, now in told}
+    return list(estimator.run([sample for sample, _ in told], heard.__getitem__))
+
+
 @cache
 def flown(navigation: Navigation, later: Navigation | None = None, rows: int = ROWS) -> tuple[Remaining, ...]:
     """The remaining time after each row of a hover under 180 W, with `later` known from half time on."""
     estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    said = []
-    for k in range(rows):
-        now = later if later is not None and 2 * k >= rows else navigation
-        said.append(estimator.step(*row(k, now))[1])
-    return tuple(said)
+    told = [row(k, later if later is not None and 2 * k >= rows else navigation) for k in range(rows)]
+    return tuple(said for _, said in run(estimator, told))
 
 
 def route(navigation: Navigation, later: Navigation | None = None) -> Route:
@@ -96,8 +99,7 @@ def test_a_way_home_that_ends_below_the_reserve_is_no_way_home() -> None:
         estimator = Estimator.from_battery(
             "lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2, reserve_soc=reserve_soc
         )
-        for k in range(ROWS):
-            estimator.step(*row(k, waiting))
+        run(estimator, [row(k, waiting) for k in range(ROWS)])
         return turn_back_s(estimator, waiting)
 
     assert turn_back_with(home_soc + 0.03) == 0.0
@@ -154,12 +156,14 @@ def test_not_every_forecast_asks_about_the_ways_and_the_others_count_down(volts:
 def test_stale_progress_falls_back_to_the_learned_load_with_its_reason() -> None:
     estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     navigation = replace(known(to(1, 0.0, FAR_M, 350.0)), current_heard_s=0.0)
-    said = None
-    for k in range(0, 120, 2):
-        assert navigation.position is not None
-        heard = replace(navigation, position=replace(navigation.position, time_s=float(k)))
-        said = estimator.step(Sample(float(k), 15.0, 12.0, temp_C=25.0), heard)[1]
-    assert said is not None and said.route is not None
+    position = navigation.position
+    assert position is not None
+    told = [
+        (Sample(float(k), 15.0, 12.0, temp_C=25.0), replace(navigation, position=replace(position, time_s=float(k))))
+        for k in range(0, 120, 2)
+    ]
+    said = run(estimator, told)[-1][1]
+    assert said.route is not None
     assert said.route.load == "unknown"
     assert "has not said" in said.route.reason
     assert math.isfinite(said.remaining_s)
@@ -229,8 +233,7 @@ def test_a_restart_in_flight_keeps_what_the_legs_have_taught() -> None:
     """The wind and the power level are there before the autopilot has told them again, and so is the forecast."""
     waiting = known(to(1, 0.0, FAR_M, 350.0, hold_s=3000.0), wind=Wind(0.0, 8.0))
     before = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
-    for k in range(ROWS):
-        before.step(*row(k, waiting))
+    run(before, [row(k, waiting) for k in range(ROWS)])
     assert before.past is not None
     forgetful = before.past._replace(forecaster=before.past.forecaster._replace(route=FlightLessons()))
     unheard = replace(waiting, wind=None)

@@ -68,7 +68,7 @@ def flown(amps: list[float]) -> list[Remaining]:
     """What is said of a 4S 5 Ah pack that draws these currents, one a second."""
     estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
     rows = [Sample(float(k), 16.75 - 0.03 * a - 0.0005 * k, a, 25.0) for k, a in enumerate(amps)]
-    return [estimator.step(row)[1] for row in rows]
+    return [said for _, said in estimator.run(rows)]
 
 
 def test_the_first_interval_holds_what_is_said_a_minute_later() -> None:
