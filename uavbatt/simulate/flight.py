@@ -85,8 +85,8 @@ def simulate_flight(
     cell = grown(pack.cell, installation)
     size = installation.cells * installation.present_capacity_Ah
     start_soc = mission.start_soc + float(installation.start_soc_shift)
-    state = model.rested(np.array([start_soc]), np.array([mission.ambient_C]))
-    samples: list[Sample] = []
+    state = model.rested(start_soc, mission.ambient_C)
+    lags, samples = model.lags(cell, dt_s), list[Sample]()
     gust, drawn_Ah, low_since_s = 0.0, 0.0, np.inf
     for k in range(int(LONGEST_S * mission.rate_Hz)):
         time_s = k * dt_s
@@ -95,13 +95,13 @@ def simulate_flight(
         kick = GUST_SD * np.sqrt(-np.expm1(-2.0 * dt_s / GUST_TAU_S)) * random.standard_normal()
         gust = float(eq.relax(gust, 0.0, dt_s, GUST_TAU_S)) + float(kick)
         total_W = asked_W * (np.exp(gust) if flying else IDLE_SHARE) + installation.unmetered_W
-        resistance = model.resistance(cell, state.soc, state.core_C)
-        rate = model.under_power(cell, model.electromotive_force(cell, state), resistance, total_W / size).c_rate
-        current_A = float(rate[0] * installation.present_capacity_Ah)
-        state = model.step(cell, state, rate, mission.ambient_C, dt_s)
-        true_V = float(terminal_voltage(installation, cell, state, current_A)[0])
+        emf_V, resistance = model.source(cell, state)
+        rate = model.under_power(cell, emf_V, resistance, total_W / size).c_rate
+        current_A = float(rate * installation.present_capacity_Ah)
+        state = model.step_with_resistance(cell, state, rate, resistance, mission.ambient_C, dt_s, lags)
+        true_V = float(terminal_voltage(installation, cell, state, current_A))
         drawn_Ah += max(_metered(installation, current_A, true_V), 0.0) * dt_s / 3600.0
-        samples.append(_row(pack, time_s, true_V, current_A, float(state.sensor_C[0]), drawn_Ah, flying, random))
+        samples.append(_row(pack, time_s, true_V, current_A, float(state.sensor_C), drawn_Ah, flying, random))
         low_since_s = min(low_since_s, time_s) if true_V < pack.cutoff_V else np.inf
         if time_s - low_since_s > AFTER_END_S or time_s - lands_s > AFTER_END_S:
             break
