@@ -32,6 +32,9 @@ STATED = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
 EVERY_20_S = ForecastSettings(forecast_period_s=20.0)
 
 
+GENERIC = battery_file.read_battery("lipo-generic")
+
+
 @cache
 def flown() -> tuple[Sample, ...]:
     pack = generic_pack()
@@ -263,6 +266,18 @@ def test_rows_without_a_voltage_come_first() -> None:
     assert estimate.status is remaining.status is Status.REFUSED and estimate.reason == "no voltage in this row"
     assert estimator.pack_size is None and estimator.belief is None
     assert estimator.step(Sample(1.0, 16.4, 1.0))[0].soc > 0.5
+
+
+@pytest.mark.parametrize("is_long", [False, True])
+@pytest.mark.parametrize("time_s", [NAN, math.inf, -math.inf])
+def test_a_row_without_a_time_is_refused_and_moves_nothing(time_s: float, is_long: bool) -> None:
+    sound = flown()[:60]
+    odd = [Sample(time_s, 16.0, 20.0), *sound[:30], Sample(time_s, 12.0, 90.0), *sound[30:]]
+    with_them = list(Estimator(GENERIC, STATED, engine=engine_for(is_long=is_long)).run(odd))
+    assert [r.reason for _, r in with_them if "no time" in r.reason] == ["no time in this row"] * 2
+    without = list(Estimator(GENERIC, STATED, engine=engine_for(is_long=is_long)).run(sound))
+    assert [e.soc for e, r in with_them if "no time" not in r.reason] == [e.soc for e, _ in without]
+    assert len(list(Estimator(GENERIC, STATED, engine=engine_for(is_long=is_long)).run(odd[:1]))) == 1
 
 
 def test_the_engine_in_three_lines() -> None:

@@ -54,6 +54,7 @@ from uavbatt.telemetry.cleaning import Cleaner
 __all__ = ["PLAIN", "Engine", "Estimator", "Past"]
 
 LONGEST_WINDOW = 4096
+NO_TIME = "no time in this row"
 
 
 class Past(NamedTuple):
@@ -214,6 +215,9 @@ class Estimator:
         clean = [sample for _, sample in cleaned]
         rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
         for k, (raw, (self._cleaner, sample)) in enumerate(zip(samples, cleaned, strict=True)):
+            if not math.isfinite(raw.time_s):
+                yield Pending(sample, unknown(sample, NO_TIME), None, NO_TIME)
+                continue
             self._know(self._known.after(raw, sample))
             followed = self._followed
             if followed is None or self._cleaner.guessed != followed.is_guessed:
@@ -242,7 +246,10 @@ class Estimator:
         most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
         found = []
         for sample in samples:
-            cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
+            if math.isfinite(sample.time_s):
+                cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
+            else:
+                sample = Sample(NAN, NAN)  # nobody knows when this was
             found.append((cleaner, sample))
         return found
 

@@ -32,7 +32,8 @@ share(recursion)
 
 def most_moments(times_s: Array, at_s: float) -> int:
     """Return the largest number of moments that rows at these times [s] lead to, from a filter at `at_s` [s]."""
-    return min(times_s.size, int((np.nanmax(times_s) - min(at_s, np.nanmin(times_s))) / BLOCK_S)) + 4
+    known_s = np.append(times_s[np.isfinite(times_s)], at_s)
+    return min(times_s.size, int(np.ptp(known_s) / BLOCK_S)) + 4
 
 
 def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> tuple[list[FilteredRow], FilterState]:
