@@ -168,6 +168,13 @@ def test_the_half_width_is_the_t_interval_without_type_B_and_welch_satterthwaite
     assert with_B == pytest.approx(stats.t.ppf(0.95, 12.0) * u_A * math.sqrt(2.0))  # 3·(√2)⁴ degrees of freedom
 
 
+def test_a_pack_that_recovers_after_the_limiter_took_over_is_not_judged_again() -> None:
+    curve = np.array([12.4, 11.0, 9.8, 9.3, 10.9])
+    values = np.broadcast_to(curve, (3, 2, curve.size))
+    held = HeldOut("line", 25.0, 3, 60.0 * np.arange(curve.size), values, values)
+    assert gate.judged_instants(held, LIMITS, 9.3).tolist() == [0, 1, 2]
+
+
 def test_two_occasions_are_not_enough(study: DataSet, held: HeldOut) -> None:
     two = replace(held, measured_V=held.measured_V[:2], model_V=held.model_V[:2])
     found = claims(study, two)

@@ -121,6 +121,15 @@ def test_a_limit_that_the_model_does_not_meet_ships_nothing(four_runs: Validatio
     assert found.battery is None
 
 
+def test_what_ships_tells_the_misfit_at_the_instants_that_the_declared_limits_judge(four_runs: Validation) -> None:
+    found = judged_otherwise(four_runs, Limits(1.0, 100.0, limiter_margin_V=1.0, precision_A_r=2.0))
+    at = gate.judged_instants(found.held, found.limits, found.dataset.cutoff_V)
+    assert at.size < gate.judged_instants(found.held, Limits(), found.dataset.cutoff_V).size
+    assert found.battery is not None
+    gap_V = (found.held.model_V - found.held.measured_V)[:, :, at]
+    assert found.battery.discrepancy.voltage_rmse_V == pytest.approx(math.sqrt(np.mean(gap_V**2)), rel=1e-5)
+
+
 def test_by_the_paper_the_corridor_decides(four_runs: Validation) -> None:
     found = judged_otherwise(four_runs, method="paper")
     assert [c.claim for c in found.claims if c.gates] == ["inside the corridor x̄ ± C"]

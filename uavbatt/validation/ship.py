@@ -20,7 +20,7 @@ from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
-from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.gating.gate import Claim, Limits, judged_instants
 from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
 from uavbatt.validation.judging.corridor import Corridor
 
@@ -28,11 +28,17 @@ LOW_CELL_V = 3.5
 
 
 def battery_file(
-    dataset: DataSet, held: HeldOut, corridor: Corridor, claims: list[Claim], statistics: dict[str, float]
+    dataset: DataSet,
+    held: HeldOut,
+    corridor: Corridor,
+    claims: list[Claim],
+    limits: Limits,
+    statistics: dict[str, float],
 ) -> BatteryFile:
     """Build the battery file of a data set whose model passed; its certificate is not sealed yet.
 
-    `claims` go into the certificate, with `statistics` (names with their units) and the `corridor` of the voltage.
+    `claims`, judged by `limits`, go into the certificate, with `statistics` (names with their units) and the
+    `corridor` of the voltage.
     """
     fitted = _metered(dataset) if is_metered(dataset) else _unmetered(dataset, held.ambient_C)
     table, effects, capacity_Ah, extra = fitted
@@ -50,7 +56,7 @@ def battery_file(
         ),
         parameters=table,
         effects=effects,
-        discrepancy=_held_out_discrepancy(held, dataset),
+        discrepancy=_held_out_discrepancy(held, dataset, limits),
         corridor=_entry(corridor),
         certificate=Certificate(
             status="certified",
@@ -120,11 +126,9 @@ def _metered(
     return table, assemble.effect_entries(found.slots, found.x, error, prior.BASE_EFFECTS), dataset.capacity_Ah, {}
 
 
-def _held_out_discrepancy(held: HeldOut, dataset: DataSet) -> Discrepancy:
+def _held_out_discrepancy(held: HeldOut, dataset: DataSet, limits: Limits) -> Discrepancy:
     """Sum up what the model leaves on occasions that it has not seen; it is correlated over minutes."""
-    margin_V = Limits().for_cells(held.cells).limiter_margin_V
-    judged = np.nanmean(held.measured_V, axis=(0, 1)) > dataset.cutoff_V + margin_V
-    gap_V = (held.model_V - held.measured_V)[:, :, judged]
+    gap_V = (held.model_V - held.measured_V)[:, :, judged_instants(held, limits, dataset.cutoff_V)]
     with np.errstate(invalid="ignore"):
         gap_K = None if held.model_C is None or held.measured_C is None else held.model_C - held.measured_C
     return Discrepancy(

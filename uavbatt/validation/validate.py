@@ -113,7 +113,7 @@ def validate(
             f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {gate.LEAST_OCCASIONS} repeated "
             "runs at one ambient temperature to judge dispersion"
         )
-    if not gate.above_limiter(levels.values, declared, dataset.cutoff_V).size:
+    if not gate.before_limiter(np.nanmean(levels.values, axis=(0, 1)), declared, dataset.cutoff_V).size:
         raise NotEnoughData(
             f"{dataset.path}: expected instants at {ambient_C:g} °C at which the mean voltage is more than "
             f"{declared.limiter_margin_V:.2g} V above the cut-off of {dataset.cutoff_V:g} V, found none"
@@ -137,7 +137,7 @@ def validate(
         held=held,
         claims=tuple(claims),
         verdict=verdict,
-        battery=ship.battery_file(dataset, held, found, claims, _statistics(held, table)) if passed else None,
+        battery=ship.battery_file(dataset, held, found, claims, declared, _statistics(held, table)) if passed else None,
         rivals=(rival,),
         rival_claims=(tuple(model_claims(readings, rival, found, declared, method)),),
         drifts=_drifts(readings),

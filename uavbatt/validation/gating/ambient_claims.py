@@ -12,13 +12,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet
 from uavbatt.validation.gating import budget
 from uavbatt.validation.gating.budget import ONE_SIDED, meter_rows
-from uavbatt.validation.gating.gate import Claim, Limits, Verdict
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict, before_limiter
 from uavbatt.validation.gating.heldout import HeldOut, Single
 from uavbatt.validation.judging.readings import Readings
 from uavbatt.validation.judging.series import QuasiReplicates
@@ -53,8 +52,9 @@ def _several_runs(dataset: DataSet, runs: list[Single], limits: Limits) -> Claim
     """The claim of repeats at a temperature that is not the gated one: their mean bias, no verdict."""
     time_s = runs[0].time_s
     differences = np.array([np.interp(time_s, s.time_s, s.model_V - s.measured_V) for s in runs])
-    at = _judged(dataset, np.mean([np.interp(time_s, s.time_s, s.measured_V) for s in runs], axis=0), limits)
-    bias, unknown = differences.mean(axis=0)[at], np.full(int(at.sum()), math.nan)
+    mean_V = np.mean([np.interp(time_s, s.time_s, s.measured_V) for s in runs], axis=0)
+    at = before_limiter(mean_V, limits, dataset.cutoff_V)
+    bias, unknown = differences.mean(axis=0)[at], np.full(at.size, math.nan)
     largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
     rmse = float(np.sqrt(np.mean(differences[:, at] ** 2))) if bias.size else math.nan
     reason = (
@@ -65,13 +65,8 @@ def _several_runs(dataset: DataSet, runs: list[Single], limits: Limits) -> Claim
                  limits.voltage_V, "V", statistics={"rmse_V": rmse, "largest_bias": largest})  # fmt: skip
 
 
-def _judged(dataset: DataSet, voltage_V: Array, limits: Limits) -> NDArray[np.bool_]:
-    below = voltage_V <= dataset.cutoff_V + limits.limiter_margin_V
-    return np.arange(voltage_V.size) < (int(np.argmax(below)) if below.any() else voltage_V.size)
-
-
 def _one_run(dataset: DataSet, single: Single, limits: Limits) -> Claim:
-    at = _judged(dataset, single.measured_V, limits)
+    at = before_limiter(single.measured_V, limits, dataset.cutoff_V)
     bias = (single.model_V - single.measured_V)[at]
     unknown = np.full(bias.size, math.nan)
     largest = float(bias[np.argmax(np.abs(bias))]) if bias.size else math.nan
@@ -85,19 +80,18 @@ def _near_repeats(
     dataset: DataSet, held: HeldOut, single: Single, group: QuasiReplicates, limits: Limits, broken: bool
 ) -> Claim:
     line = group.line(single.ambient_C)
-    at = _judged(dataset, line, limits)
-    n = int(at.sum())
+    at = before_limiter(line, limits, dataset.cutoff_V)
     bias = (single.model_V - line)[at]
     rows = [r.u for r in meter_rows(held, line[at], dataset.uncertainty)]
     step = _series_offset(dataset, held, single)
     guard = ONE_SIDED * np.sqrt(sum((u**2 for u in rows), start=(step[at] / math.sqrt(3.0)) ** 2))
     scatter = group.sd[at] * math.sqrt(group.leverage(single.ambient_C))
-    half = budget.expanded(scatter, group.df[at], guard / ONE_SIDED, n).half
+    half = budget.expanded(scatter, group.df[at], guard / ONE_SIDED, at.size).half
     verdict, reason = _shown(bias, half, limits.voltage_V)
     if broken and not np.isfinite(half).all():
         reason = "one series, and series of these tests differ by an amount that is not known"
     reason = f"{group.ambients_C.size} one-time runs a degree apart as near repeats: {reason}"
-    rmse = float(np.sqrt(np.mean(bias**2))) if n else math.nan
+    rmse = float(np.sqrt(np.mean(bias**2))) if at.size else math.nan
     return Claim(NAME, single.ambient_C, verdict, reason, False, single.time_s[at], bias, half, guard, limits.voltage_V,
                  "V", statistics={"rmse_V": rmse})  # fmt: skip
 

@@ -128,14 +128,17 @@ def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Ar
 
 
 def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
-    """Return the indices of the instants before the speed controller's limiter takes over."""
-    return above_limiter(held.measured_V, limits, cutoff_V)
+    """Return the indices of the instants at which the mean of the tests is judged (`before_limiter`)."""
+    return before_limiter(np.nanmean(held.measured_V, axis=(0, 1)), limits, cutoff_V)
 
 
-def above_limiter(measured_V: Array, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
-    """Return the indices of the instants before the limiter in records [V] of [occasion, sample, instant]."""
-    mean_V = np.nanmean(measured_V, axis=(0, 1))
-    return np.flatnonzero(mean_V > cutoff_V + limits.limiter_margin_V)
+def before_limiter(voltage_V: Array, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
+    """Return the indices of the instants before the speed controller's limiter takes over.
+
+    voltage_V : [instant]; a pack that recovers after it fell so far, unloaded, is not judged again.
+    """
+    reached = np.logical_or.accumulate(voltage_V <= cutoff_V + limits.limiter_margin_V)
+    return np.flatnonzero(~reached & np.isfinite(voltage_V))
 
 
 def complete(residual: Array) -> Array:
