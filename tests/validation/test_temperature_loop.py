@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,14 @@ def test_planted_self_heating_is_found_and_none_where_there_is_none() -> None:
     assert rmse(ISOTHERMAL, heated) > 2.0 * rmse(HEATED, heated)
     plain = planted(ISOTHERMAL, {"activation_K": 2500.0})
     assert rmse(ISOTHERMAL, plain) < 0.02
+
+
+def test_a_flag_that_names_no_reading_leaves_none_out() -> None:
+    study, said = dataset.load(), {"kind": "odd", "reason": "seen", "sample": "T1", "run": 1, "column": "voltage_v"}
+    curve = dataset.Flag(where="the curve at 0 °C", ambient_C=0.0, **said)
+    late = dataset.Flag(where="0 °C, an hour later", ambient_C=0.0, time_s=3600.0, **said)
+    tests, left_out = temperatures.one_time_tests(read_once(replace(study, flags=(curve, late))))
+    assert tests is not None and np.isfinite(tests.voltage_V).all() and left_out == ()
 
 
 def test_the_isothermal_model_passes_at_25_degrees_in_volts_and_fails_in_temperature(loop: TemperatureLoop) -> None:

@@ -26,6 +26,7 @@ from uavbatt.validation.gating.gate import Claim, Limits
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.gating.temperature_gains import TERMS, Gain, VariantOutcome, conclusions_of, gains_of
 from uavbatt.validation.judging.readings import Readings
+from uavbatt.validation.judging.series import unflagged_voltage
 
 LEAST_TESTS = 8
 COLD_C = -10.0
@@ -115,16 +116,11 @@ def one_time_tests(readings: Readings) -> tuple[OneTimeTests | None, tuple[str, 
     dataset, runs = readings.tests, readings.series
     if len(runs) < LEAST_TESTS or any(not np.array_equal(r.time_s, runs[0].time_s) for r in runs):
         return None, ()
-    volts, left_out = np.array([r.voltage_V for r in runs]), []
-    for flag in dataset.flags:
-        for i, r in enumerate(runs):
-            if (flag.sample, flag.run, flag.ambient_C, flag.column) == (r.sample, r.run, r.ambient_C, "voltage_v"):
-                volts[i, r.time_s == flag.time_s] = np.nan
-                left_out.append(flag.where)
+    volts, left_out = unflagged_voltage(runs, dataset.flags)
     T = np.array([r.ambient_C for r in runs])
     edges = sorted(b.high_C for b in readings.broken or ())
     series = np.searchsorted(edges, T, "right").astype(np.intp)
-    return OneTimeTests(T, runs[0].time_s, volts, series, dataset.cells_series), tuple(left_out)
+    return OneTimeTests(T, runs[0].time_s, volts, series, dataset.cells_series), left_out
 
 
 def _cold(tests: OneTimeTests) -> OneTimeTests:

@@ -8,6 +8,7 @@ time that no battery makes between neighbouring temperatures.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,20 +123,29 @@ def quasi_replicates(
     return tuple(_line(group, flags) for group in groups if len(group) >= MIN_CURVES)
 
 
-def _line(group: list[Run], flags: tuple[Flag, ...]) -> QuasiReplicates:
-    T, y = np.array([r.ambient_C for r in group]), np.array([r.voltage_V for r in group])
-    left_out = []
+def unflagged_voltage(runs: Sequence[Run], flags: tuple[Flag, ...]) -> tuple[Array, tuple[str, ...]]:
+    """Return the voltages [run, instant] [V] of runs on one grid, NaN where a flag names the reading, and those flags.
+
+    A flag that names no one reading of them leaves nothing out.
+    """
+    volts, left_out = np.array([r.voltage_V for r in runs]), list[str]()
     for flag in flags:
-        for i, run in enumerate(group):
-            same = flag.sample == run.sample and flag.ambient_C == run.ambient_C and flag.run == run.run
-            if same and flag.time_s is not None and flag.column == "voltage_v":
-                y[i, run.time_s == flag.time_s] = math.nan
+        for i, run in enumerate(runs):
+            same = (flag.sample, flag.run, flag.ambient_C) == (run.sample, run.run, run.ambient_C)
+            if same and flag.column == "voltage_v" and flag.time_s in run.time_s:
+                volts[i, run.time_s == flag.time_s] = math.nan
                 left_out.append(flag.where)
+    return volts, tuple(left_out)
+
+
+def _line(group: list[Run], flags: tuple[Flag, ...]) -> QuasiReplicates:
+    T = np.array([r.ambient_C for r in group])
+    y, left_out = unflagged_voltage(group, flags)
     t = T - T.mean()
     fits = [_fit(t, column) for column in y.T]
     centre, slope, sd, df = np.array([f[:4] for f in fits], dtype=float).T
     residuals = np.array([f[4] for f in fits]).T
-    return QuasiReplicates(T, group[0].time_s, centre, slope, sd, df, residuals, tuple(left_out))
+    return QuasiReplicates(T, group[0].time_s, centre, slope, sd, df, residuals, left_out)
 
 
 def _fit(t: Array, y: Array) -> tuple[float, float, float, float, Array]:
