@@ -20,6 +20,7 @@ from uavbatt.errors import NotEnoughData
 from uavbatt.validation import as_json
 from uavbatt.validation.gating import gate, heldout, precision_claims
 from uavbatt.validation.gating.gate import Claim, Limits
+from uavbatt.validation.judging.independence import dependence, independence
 from uavbatt.validation.study import paper
 from uavbatt.validation.validate import Validation, validate
 
@@ -169,15 +170,27 @@ def test_samples_that_are_copies_are_dependent_and_independent_ones_are_not() ->
     rng = np.random.default_rng(3)
     fresh = rng.normal(0.0, 1.0, (8, 3, 6))
     copied = np.repeat(rng.normal(0.0, 1.0, (8, 1, 6)), 3, axis=1) + 0.1 * fresh
-    assert precision_claims.dependence(fresh).dependent is False
-    assert precision_claims.dependence(copied).dependent is True
-    assert precision_claims.dependence(fresh[:3, :2]).dependent is None
+    assert dependence(fresh).dependent is False
+    assert dependence(copied).dependent is True
+    assert dependence(fresh[:3, :2]).dependent is None
 
 
 def test_independent_samples_are_called_dependent_as_rarely_as_declared() -> None:
     rng = np.random.default_rng(4)
-    called = [precision_claims.dependence(rng.normal(size=(5, 3, 4))).dependent for _ in range(60)]
+    called = [dependence(rng.normal(size=(5, 3, 4))).dependent for _ in range(60)]
     assert sum(bool(c) for c in called) <= 3
+
+
+def test_readings_of_one_step_of_the_meter_are_identical_to_the_claim_as_to_the_finding(four_runs: Validation) -> None:
+    rng, base = np.random.default_rng(8), four_runs
+    alike = np.arange(9) < 4  # the samples agree in part of the readings, but for the offset of a meter
+    values = np.where(alike, 0.1 * rng.integers(-3, 4, (8, 1, 9)), rng.normal(0.0, 5.0, (8, 2, 9)))
+    values += 11.0 + np.array([0.0, 0.01])[:, None]
+    held = replace(base.held, measured_V=values, model_V=values)
+    levels = dataset.Levels(25.0, "voltage_V", ("a", "b"), tuple(range(8)), base.held.time_s, values)
+    known = dataset.Uncertainty(voltage_resolution_V=0.1)
+    said = precision_claims.reproducibility_claim(held, levels, Limits(), 9.3, known).reason
+    assert independence(values[:, 0], values[:, 1], resolution=0.1).dependent and "depend on each other" in said
 
 
 def test_reproducibility_is_judged_with_three_independent_samples_and_a_bad_one_stops_it(

@@ -185,7 +185,7 @@ def _claims(
     dataset, claims = readings.dataset, model_claims(readings, held, found, limits, method)
     home = [c for c in claims if c.ambient_C == held.ambient_C]
     about_tests = [
-        gate.gating(repeatability_claim(levels, limits, said), method == "iso"),
+        gate.gating(repeatability_claim(levels, limits, said, dataset.uncertainty), method == "iso"),
         reproducibility_claim(held, levels, limits, dataset.cutoff_V, dataset.uncertainty),
     ]
     return [*home, *about_tests, *(c for c in claims if c.ambient_C != held.ambient_C)]

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -26,59 +24,24 @@ from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
 from uavbatt.validation.iso5725.intermediate import crossed
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging.corridor import shared_table
-from uavbatt.validation.judging.drift import permutations
 from uavbatt.validation.judging.findings import Finding
+from uavbatt.validation.judging.independence import dependence
 
 LEAST_SAMPLES = 3
-DEPENDENT_BELOW = 0.01
-PAIRINGS = 20_000
 
 
-@dataclass(frozen=True, slots=True)
-class Dependence:
-    """All samples are set against random pairing of their runs; `dependent` is None if p < 0.01 cannot be reached."""
-
-    p_value: float
-    dependent: bool | None
-
-
-def dependence(table: Array, seed: int = 5725) -> Dependence:
-    """Test whether the runs of `table[occasion, sample, level]` belong together in the order of their numbers.
-
-    Statistics: the sum over pairs of samples of the correlation of their residuals, and of identical readings; the
-    smaller p of the two, doubled.
-    """
-    n, k, _ = table.shape
-    if k < 2 or n < 3:
-        return Dependence(math.nan, None)
-    residual = table - table.mean(axis=0)
-    scale = np.sqrt((residual**2).sum(axis=(0, 2)))
-    residual = residual / np.where(scale > 0.0, scale, 1.0)[None, :, None]
-    orders = [np.tile(np.arange(n), (PAIRINGS, 1))]
-    orders += [permutations(n, PAIRINGS, seed + j) for j in range(1, k)]
-    together = np.zeros((2, PAIRINGS + 1))
-    for i, j in combinations(range(k), 2):
-        same = (np.abs(table[:, None, i] - table[None, :, j]) < 1e-9).sum(axis=2).astype(float)
-        for s, matrix in enumerate((residual[:, i] @ residual[:, j].T, same)):
-            together[s, 0] += np.trace(matrix)
-            together[s, 1:] += matrix[orders[i], orders[j]].sum(axis=1)
-    reached = (together[:, 1:] >= together[:, :1] - 1e-12).sum(axis=1)
-    p = min(1.0, 2.0 * (1.0 + float(reached.min())) / (PAIRINGS + 1.0))
-    attainable = 2.0 / math.factorial(min(n, 12)) ** (k - 1) < DEPENDENT_BELOW
-    return Dependence(p, p < DEPENDENT_BELOW if attainable else None)
-
-
-def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]) -> Claim:
+def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding], known: Uncertainty) -> Claim:
     """Judge whether s_r is known to within `precision_A_r`; drift over the runs is a warning."""
     rows = [precision(levels.cells(i)) for i in range(levels.time_s.size)]
     shared = shared_table(levels).table
-    linked = dependence(shared).dependent
+    linked = dependence(shared, resolution=known.voltage_resolution_V or 0.0).dependent
     df = shared.shape[0] - 1 if linked else sum(len(c) - 1 for c in levels.cells(0))
     A_r = relative_uncertainty_r(df) if df else math.inf
     s_r = max(p.s_r for p in rows)
     verdict: Verdict = "pass" if A_r <= limits.precision_A_r else "not enough data"
-    known = f"known to ±{A_r:.0%} (declared: ±{limits.precision_A_r:.0%}), {df} degrees of freedom"
-    reason = f"s_r up to {s_r:.3g} V, {known}"
+    reason = (
+        f"s_r up to {s_r:.3g} V, known to ±{A_r:.0%} (declared: ±{limits.precision_A_r:.0%}), {df} degrees of freedom"
+    )
     reason += "; the samples depend on each other and count as one" if linked else ""
     drifts = [f for f in found if f.kind == "drift" and "voltage" in f.title]
     reason += f"; warning: {drifts[0].title}" if drifts else ""
@@ -92,7 +55,7 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
     """Judge the bias for another sample; it informs, does not gate (a pack of the same make ships without it)."""
     name = "reproducibility"
     shared = shared_table(levels).table
-    k, linked = shared.shape[1], dependence(shared)
+    k, linked = shared.shape[1], dependence(shared, resolution=known.voltage_resolution_V or 0.0)
     p_value = {"samples": float(k), "p_dependence": linked.p_value}
     if k < LEAST_SAMPLES:
         also = ", and they depend on each other" if linked.dependent else ""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from itertools import permutations as every_order
 
 import numpy as np
@@ -40,6 +41,14 @@ class Independence:
     p_correlation: float
     dependent: bool | None
     pairings: int
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """All samples are set against random pairing of their runs; `dependent` is None if p < 0.01 cannot be reached."""
+
+    p_value: float
+    dependent: bool | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +84,12 @@ def _orders(n: int, count: int, seed: int) -> NDIndex:
     return permutations(n, count, seed)
 
 
+def _identical(a: Array, b: Array, resolution: float) -> Array:
+    """How many readings of run i of `a` and run j of `b` are the same, to half a `resolution`: [i, j]."""
+    out: Array = (np.abs(a[:, None] - b[None]) <= max(resolution / 2.0, 1e-9)).sum(axis=2).astype(float)
+    return out
+
+
 def independence(first: Array, second: Array, seed: int = 5725, resolution: float = 0.0) -> Independence:
     """Compare two tables run x time of equal shape, in the unit of the results.
 
@@ -88,7 +103,7 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     if n < 3:
         raise NotEnoughData(f"pairing runs at random needs three runs or more, found {n}")
     orders = _orders(n, RANDOM_PAIRINGS, seed)
-    same = (np.abs(a[:, None, :] - b[None, :, :]) <= max(resolution / 2, 1e-9)).sum(axis=2)
+    same = _identical(a, b, resolution)
     ra, rb = a - a.mean(axis=0), b - b.mean(axis=0)
     scale = math.sqrt(float((ra**2).sum() * (rb**2).sum()))
     product = ra @ rb.T / scale if scale > 0 else np.zeros((n, n))
@@ -103,6 +118,32 @@ def independence(first: Array, second: Array, seed: int = 5725, resolution: floa
     dependent = min(p_same, p_r) < DEPENDENT_BELOW if enough else None
     counts = (observed_same, a.size, float(random_same.mean()), int(random_same.max()))
     return Independence(*counts, p_same, observed_r, p_r, dependent, len(orders))
+
+
+def dependence(table: Array, seed: int = 5725, resolution: float = 0.0) -> Dependence:
+    """Test whether the runs of `table[occasion, sample, level]` belong together in the order of their numbers.
+
+    Statistics: the sum over pairs of samples of the correlation of their residuals, and of identical readings (within
+    half a `resolution`); the smaller p of the two, doubled.
+    """
+    n, k, _ = table.shape
+    if k < 2 or n < 3:
+        return Dependence(math.nan, None)
+    residual = table - table.mean(axis=0)
+    scale = np.sqrt((residual**2).sum(axis=(0, 2)))
+    residual = residual / np.where(scale > 0.0, scale, 1.0)[None, :, None]
+    orders = [np.tile(np.arange(n), (RANDOM_PAIRINGS, 1))]
+    orders += [permutations(n, RANDOM_PAIRINGS, seed + j) for j in range(1, k)]
+    together = np.zeros((2, RANDOM_PAIRINGS + 1))
+    for i, j in combinations(range(k), 2):
+        same = _identical(table[:, i], table[:, j], resolution)
+        for s, matrix in enumerate((residual[:, i] @ residual[:, j].T, same)):
+            together[s, 0] += np.trace(matrix)
+            together[s, 1:] += matrix[orders[i], orders[j]].sum(axis=1)
+    reached = (together[:, 1:] >= together[:, :1] - 1e-12).sum(axis=1)
+    p = min(1.0, 2.0 * (1.0 + float(reached.min())) / (RANDOM_PAIRINGS + 1.0))
+    attainable = 2.0 / math.factorial(min(n, 12)) ** (k - 1) < DEPENDENT_BELOW
+    return Dependence(p, p < DEPENDENT_BELOW if attainable else None)
 
 
 def split_share(rows: Array) -> Array:
