@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from uavbatt import dataset
+from uavbatt.report import validation_figures
 from uavbatt.report.page import write_page
 from uavbatt.report.validation import validation_report
 from uavbatt.report.validation_page import ErrorChange
@@ -180,3 +184,21 @@ def test_another_data_set_is_not_called_the_study(undecided: str) -> None:
 def test_the_page_is_written_whole(passed: str, tmp_path: Path) -> None:
     write_page(tmp_path / "v.html", passed)
     assert [p.name for p in tmp_path.iterdir()] == ["v.html"]
+
+
+def test_the_axis_of_times_reaches_as_far_as_the_widest_bias_in_parts_of_its_own_limit() -> None:
+    """A time of 8 of 10 s beside a voltage of 0.1 of 0.15 V, each judged at one instant: both lie inside."""
+    one, reached = np.ones(1), []
+
+    def kept(draw: Callable[[Figure], None], *_: object) -> str:
+        figure = Figure()
+        draw(figure)
+        reached.append(figure.axes[0].get_xlim()[1])
+        return ""
+
+    made_up = [("time of 10 V", 8.0, 10.0, "s"), ("voltage bias", 0.1, 0.15, "V")]
+    claims = [gate.Claim(name, 25.0, "pass", "", True, one, bias * one, 0.0 * one, 0.0 * one, limit, unit)
+              for name, bias, limit, unit in made_up]  # fmt: skip
+    with patch.object(validation_figures.plot, "drawing", kept):
+        validation_figures.equivalence(claims)
+    assert reached == [pytest.approx(1.2)]

@@ -99,8 +99,8 @@ def _single(claims: Sequence[Claim]) -> Html:
             axes.errorbar([bias], [i], xerr=[half], fmt="o", color=colour, markersize=4.5, capsize=4, linewidth=1.6)
         axes.set_yticks(range(len(claims)), [f"{plot.literal(c.claim)}\n(±{c.limit:g} {c.unit})" for c in claims])
         axes.set_ylim(len(claims) - 0.4, -0.6)
-        widest = max(abs(float(c.bias[0])) + float(np.nan_to_num(c.half_width[0])) for c in claims)
-        reach = 1.2 * max(1.0, widest / min(c.limit for c in claims))
+        parts = [(abs(float(c.bias[0])) + float(np.nan_to_num(c.half_width[0]))) / c.limit for c in claims]
+        reach = 1.2 * max(1.0, *parts)
         axes.set_xlim(-reach, reach)
         axes.set_xlabel("bias in parts of the limit")
         axes.grid(False, axis="y")
