@@ -62,6 +62,15 @@ def _aside(target: Path, mode: str) -> Iterator[IO[Any]]:
         aside.unlink(missing_ok=True)
 
 
+def read_bounded(path: Path, most_bytes: int, expected: str) -> bytes:
+    """Read a whole file; raises BadInput, with what was `expected`, for one of more than `most_bytes`."""
+    with path.open("rb") as stream:
+        content = stream.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise BadInput(path, "", f"{expected} of at most {most_bytes // 1_000_000} MB")
+    return content
+
+
 def plain(value: Any) -> Any:
     """Return dataclasses, arrays and mappings as dicts, lists and numbers; NaN and infinity become None.
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import tomli_w
@@ -15,10 +17,11 @@ from typer.testing import CliRunner
 from uavbatt.battery import battery_file
 from uavbatt.battery import vehicle_file as vehicle
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.battery.vehicle_file import VehicleFile
+from uavbatt.battery.vehicle_file import Speeds, VehicleFile
 from uavbatt.cli.app import app
 from uavbatt.errors import BadInput, NotEnoughData, UavbattError
-from uavbatt.fitting.vehicle import GRID_S, trace, vehicle_file
+from uavbatt.fitting.vehicle import GRID_S, speeds, trace, vehicle_file
+from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight, write_log
 
@@ -98,6 +101,19 @@ def test_too_short_to_learn_from() -> None:
     assert len(both.traces) == 1
 
 
+def test_a_pack_that_nothing_was_drawn_from_did_not_fly() -> None:
+    idle = Flight("bench", "csv", tuple(Sample(float(t), 16.0, 0.0, armed=True) for t in range(300)))
+    assert trace(idle, battery_file.read_battery("lipo-generic"), OPTIONS) is None
+    with pytest.raises(NotEnoughData, match="none of 1 logs"):
+        vehicle_file("quad", [idle], battery_file.read_battery("lipo-generic"), OPTIONS)
+
+
+def test_a_speed_that_no_vehicle_file_may_hold_is_not_learned() -> None:
+    settings = ReturnSettings(cruise_ms=1000.0, climb_ms=3.0, return_height_m=50_000.0, return_hold_s=0.0)
+    stated = Flight("stated", "csv", flight().samples, navigation=(Navigation(time_s=0.0, settings=settings),))
+    assert speeds([stated]) == Speeds(climb_ms=3.0)
+
+
 # --- bad files ---------------------------------------------------------------------------------------------------
 
 
@@ -134,6 +150,18 @@ def test_a_bad_file_is_named_in_one_line(bad: dict[str, object], words: str, tmp
     path = tmp_path / "bad.vehicle.toml"
     path.write_text(tomli_w.dumps(bad))
     assert_refused(path, words)
+
+
+@pytest.mark.parametrize(("bad", "words"), [BAD[0], BAD[4], BAD[9]])
+def test_what_would_be_refused_is_not_written(bad: dict[str, object], words: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=re.escape(words)):
+        vehicle.write_vehicle(msgspec.convert(bad, VehicleFile), tmp_path / "bad.vehicle.toml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_made(tmp_path: Path) -> None:
+    path = vehicle.write_vehicle(msgspec.convert(content(), VehicleFile), tmp_path / "new" / "quad.vehicle.toml")
+    assert vehicle.read_vehicle(path).name == "quad"
 
 
 @pytest.mark.parametrize("raw", [b"", b"name = ", b"\xff\xfe\x00", b"[traces]\n", b"\x00" * 100])

@@ -39,7 +39,7 @@ from uavbatt.battery.sections import (
     Wander,
 )
 from uavbatt.errors import BadInput, Uncertified, misread
-from uavbatt.files import atomic_write
+from uavbatt.files import atomic_write, read_bounded
 
 __all__ = [
     "Battery",
@@ -161,11 +161,7 @@ def _text(name_or_path: str) -> tuple[bytes, str]:
         raise BadInput(path, "", "a battery file that exists")
     if path.is_dir():
         raise BadInput(path, "", "a battery file, not a directory")
-    with path.open("rb") as file:
-        text = file.read(MOST_BYTES + 1)
-    if len(text) > MOST_BYTES:
-        raise BadInput(path, "", f"a battery file of at most {MOST_BYTES // 1_000_000} MB")
-    return text, str(path)
+    return read_bounded(path, MOST_BYTES, "a battery file"), str(path)
 
 
 def _check_values(file: BatteryFile, origin: str) -> None:

@@ -15,7 +15,7 @@ import tomli_w
 
 from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
-from uavbatt.files import atomic_write
+from uavbatt.files import atomic_write, read_bounded
 
 SUFFIX = ".vehicle.toml"
 MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
@@ -78,9 +78,14 @@ class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def write_vehicle(file: VehicleFile, path: Path) -> Path:
-    """Write the file, whole or not at all; returns the path."""
+    """Write the file, whole or not at all; returns the path.
+
+    Raises BadInput, and writes nothing, when `read_vehicle` would refuse what is in it.
+    """
     content = msgspec.to_builtins(file)
     content = {key: value for key, value in content.items() if value is not None}  # TOML has no null
+    _checked(tomli_w.dumps(content).encode(), path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as stream:
         tomli_w.dump(content, stream)
     return path
@@ -91,10 +96,10 @@ def read_vehicle(path: str | Path) -> VehicleFile:
     source = Path(path)
     if not source.is_file():
         raise BadInput(path, "", "a vehicle file that exists")
-    with source.open("rb") as stream:
-        text = stream.read(MOST_BYTES + 1)
-    if len(text) > MOST_BYTES:
-        raise BadInput(path, "", f"a vehicle file of at most {MOST_BYTES // 1_000_000} MB")
+    return _checked(read_bounded(source, MOST_BYTES, "a vehicle file"), path)
+
+
+def _checked(text: bytes, path: str | Path) -> VehicleFile:
     try:
         file = msgspec.toml.decode(text, type=VehicleFile)
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError) as error:

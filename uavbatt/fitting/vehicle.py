@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
@@ -45,20 +46,30 @@ def vehicle_file(name: str, flights: list[Flight], battery: BatteryFile, options
 
 
 def speeds(flights: list[Flight]) -> Speeds | None:
-    """Return the speeds and the way home that the vehicle's parameters said last; None where no log holds them."""
+    """Return the speeds and the way home that the vehicle's parameters said last; None where no log holds them.
+
+    What a vehicle file may not hold is left out.
+    """
     for flight in reversed(flights):
         settings = flight.navigation_at(math.inf).settings
         said = {name: getattr(settings, name) for name in Speeds.__struct_fields__}
-        known = {
-            name: round(value, 3) for name, value in said.items() if value >= (0.0 if name.endswith("_m") else 0.01)
-        }
+        known = {name: round(value, 3) for name, value in said.items() if _may_be(name, value)}
         if known:
             return Speeds(**known)
     return None
 
 
+def _may_be(name: str, value: float) -> bool:
+    """True for a value that `Speeds` may hold under `name`; a parameter is whatever the vehicle was given."""
+    try:
+        msgspec.convert({name: value}, Speeds)
+    except msgspec.ValidationError:
+        return False
+    return value >= (0.0 if name.endswith("_m") else 0.01)
+
+
 def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace | None:
-    """Return one flight on a grid of GRID_S from take-off; None when it is too short or has no current."""
+    """Return one flight on a grid of GRID_S from take-off; None when it is too short or drew no current."""
     sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows = []
@@ -69,7 +80,7 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
             power_W = float(true_power(sensors, estimate.voltage_V, estimate.current_A))
             rows.append((estimate.time_s, max(power_W, 0.0), estimate.soc))
     table = np.array(rows)
-    if len(table) < 5:
+    if len(table) < 5 or not table[:, 1].any():
         return None
     time_s, watts, soc = table.T
     first, last = _airborne(watts)
