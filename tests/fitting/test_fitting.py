@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from factories import generic_pack
 
+from uavbatt import dataset
 from uavbatt.battery import battery_file, model
 from uavbatt.battery.model import LONGEST_STEP_S, SOC_GRID, Array, Parameters, open_circuit_voltage
 from uavbatt.battery.openloop import Trajectory, simulate
@@ -100,7 +102,7 @@ def test_the_fit_explains_its_records() -> None:
     run = solve.replay_fit(stacked, fit)
     gap_V = (run.voltage_V * stacked.cells - stacked.voltage_V)[stacked.compare]
     assert float(np.sqrt(np.mean(gap_V**2))) < 0.02
-    left = assemble.discrepancy(stacked, run, held_out=False, source="itself")
+    left = assemble.discrepancy(stacked, run, 3, held_out=False, source="itself")
     assert abs(left.voltage_bias_V) < 0.005 and left.voltage_rmse_V < 0.012 and left.temperature_rmse_K < 0.4
 
 
@@ -110,13 +112,25 @@ def test_discrepancy_of_a_known_error() -> None:
     noise_V = np.random.default_rng(3).normal(0.0, 0.01, stacked.voltage_V.shape)
     shifted = (stacked.voltage_V + 0.03 + noise_V) / stacked.cells
     run = Trajectory(shifted, stacked.temp_C + 1.0, stacked.temp_C, stacked.temp_C)
-    left = assemble.discrepancy(stacked, run, held_out=True, source="x")
+    left = assemble.discrepancy(stacked, run, 3, held_out=True, source="x")
     flat = np.concatenate(
         [np.min(stacked.sigma_V[r, j]) / stacked.sigma_V[r, j] for j, r in enumerate(stacked.compare.T)]
     )
     assert left.voltage_bias_V == pytest.approx(0.03 * float(np.mean(flat)), rel=0.1)
     assert left.voltage_rmse_V == pytest.approx(0.03 * float(np.sqrt(np.mean(flat**2))), rel=0.1)
     assert left.temperature_rmse_K == pytest.approx(1.0, rel=1e-3) and left.held_out
+
+
+def test_the_misfit_is_told_for_the_pack_that_the_file_is_of() -> None:
+    """Tests of a 3S pack in a file of a 6S one: twice the volts."""
+    fit, _ = found()
+    tests = patch.object(observed, "from_dataset", return_value=list(records()))
+    with tests, patch.object(solve, "fit_battery", return_value=fit):
+        fits = [fit_battery(Size("x", n, 4.0, 3.3 * n), [dataset.load()], []).file.discrepancy for n in (3, 6)]
+    wanders = [left.wander for left in fits if left.wander is not None]
+    three, six = ([f.voltage_bias_V, *w.voltage_sd_V, w.voltage_noise_V, w.rest_sd_V]
+                  for f, w in zip(fits, wanders, strict=True))  # fmt: skip
+    assert six == pytest.approx([2.0 * v for v in three], rel=1e-3)
 
 
 # --- the prior ---------------------------------------------------------------------------------------------------

@@ -62,8 +62,10 @@ def effect_entries(
     return entries
 
 
-def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source: str) -> Discrepancy:
+def discrepancy(stack: Stack, trajectory: Trajectory, cells: int, *, held_out: bool, source: str) -> Discrepancy:
     """Measure the model's error on these records: bias, RMSE and correlation time of voltage; RMSE of temperature.
+
+    cells : of the pack that it is told for; records of other packs are scaled to it
 
     The RMSE is that of the slow part: what is uncorrelated from row to row is the sensor's noise, not the model's.
     Rows count by how flat the voltage is there (`Stack.sigma_V`), since near the end volts apart are seconds apart.
@@ -72,7 +74,8 @@ def discrepancy(stack: Stack, trajectory: Trajectory, *, held_out: bool, source:
     for j in range(len(stack.names)):
         rows = stack.compare[:, j]
         flat = np.min(stack.sigma_V[rows, j]) / stack.sigma_V[rows, j]
-        error = (trajectory.voltage_V[rows, j] * stack.cells[j] - stack.voltage_V[rows, j]) * flat
+        error_V = trajectory.voltage_V[rows, j] * stack.cells[j] - stack.voltage_V[rows, j]
+        error = error_V * (cells / stack.cells[j]) * flat
         bias.append(float(np.mean(error)))
         squares.append(float(np.mean(error[:-1] * error[1:])))  # lag one: without the white part
         lagged.append(_correlation_time(error, stack.time_s[rows, j]))

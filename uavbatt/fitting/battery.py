@@ -69,9 +69,10 @@ def fit_battery(
     spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD
     shown = solve.replay_fit(stack, found)
-    left = assemble.discrepancy(stack, shown, held_out=False, source=f"{len(bench)} bench tests, {len(flown)} flights")
+    source = f"{len(bench)} bench tests, {len(flown)} flights"
+    left = assemble.discrepancy(stack, shown, size.cells, held_out=False, source=source)
     typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
-    left = msgspec.structs.replace(left, wander=wander.learned(stack, shown, list(typical)))
+    left = msgspec.structs.replace(left, wander=wander.learned(stack, shown, list(typical), size.cells))
     file = BatteryFile(
         battery=Battery(
             name=size.name,

@@ -93,12 +93,15 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
     return best
 
 
-def learned(stack: Stack, trajectory: Trajectory, records: list[int]) -> Wander:
-    """Return the wander of `records` (columns of the stack) around an open-loop simulation of them."""
-    cells = float(stack.cells[0])
+def learned(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) -> Wander:
+    """Return the wander of `records` (columns of the stack) around an open-loop simulation of them.
+
+    cells : of the pack that it is told for; records of other packs are scaled to it
+    """
     loaded = np.maximum.accumulate(np.abs(stack.current_A) > IDLE_C_RATE * stack.capacity_Ah, axis=0)
-    gap_V = (stack.voltage_V - trajectory.voltage_V * stack.cells)[:, records]
-    at = (stack.time_s[:, records], trajectory.soc[:, records], stack.slope_Vps[:, records])
+    share = cells / stack.cells
+    gap_V = ((stack.voltage_V - trajectory.voltage_V * stack.cells) * share)[:, records]
+    at = (stack.time_s[:, records], trajectory.soc[:, records], (stack.slope_Vps * share)[:, records])
     flying = (stack.compare & loaded)[:, records]
     usual = np.log([*[USUAL_CELL_V * cells] * SOC.size, USUAL_TIME_S, USUAL_NOISE_CELL_V * cells])
     least = np.log([*[LEAST_CELL_V * cells] * SOC.size, 10.0, LEAST_NOISE_CELL_V * cells])
