@@ -281,7 +281,7 @@ def test_a_row_without_a_time_is_refused_and_moves_nothing(time_s: float, is_lon
 
 
 def test_the_engine_in_three_lines() -> None:
-    """DESIGN §7, on each sample log of the repository."""
+    """On each sample log of the repository."""
     logs = [p for p in (Path(__file__).parents[1] / "logs").iterdir() if p.suffix in (".tlog", ".BIN", ".csv")]
     assert {p.suffix for p in logs} == {".tlog", ".BIN", ".csv"}
     for log in logs:

@@ -209,16 +209,6 @@ def _decode(file: Traversable, shown: str, kind: type[_T]) -> _T:
         raise BadInput(shown, place, expected) from None
 
 
-def _check_complete(table: dict[str, Any], shown: str, kind: type[msgspec.Struct]) -> None:
-    """Raise BadInput that names every key that is missing."""
-    absent = [field.name for field in msgspec.structs.fields(kind) if field.required and field.name not in table]
-    if not absent:
-        return
-    said = "them to be there, they are missing" if len(absent) > 1 else "it to be there, it is missing"
-    keys = f"key{'s' if len(absent) > 1 else ''} {', '.join(absent)}"
-    raise BadInput(shown, keys, f"{said} (`uavbatt validate --template DIR` shows all)")
-
-
 def _explain(message: str, kind: type[Any]) -> tuple[str, str]:
     """msgspec's words -> (the key, what was expected)."""
     text, _, where = message.partition(" - at `$")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from uavbatt import dataset
+from uavbatt.battery.model import Array
 from uavbatt.dataset import DataSet, Uncertainty
 from uavbatt.validation.gating import budget, gate, heldout
 from uavbatt.validation.gating.gate import Limits
@@ -126,6 +127,14 @@ def _synthetic(rng: np.random.Generator) -> HeldOut:
     return HeldOut("line", 25.0, 3, time_s, curve + occasions, model)
 
 
+def judged(residual: Array, u_B: float, limit: float = 0.15) -> tuple[Array, gate.Verdict]:
+    """Half width and verdict of residuals [occasion, instant], with what their scatter does not show beside it."""
+    n, instants = residual.shape
+    u_A = residual.std(axis=0, ddof=1) / math.sqrt(n)
+    half = budget.expanded(u_A, n - 1.0, np.full(instants, u_B), instants).half
+    return half, gate.decide(residual.mean(axis=0), half, limit)[0]
+
+
 @settings(max_examples=100, deadline=None)
 @given(
     st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=8),
@@ -141,7 +150,7 @@ def test_equivalence_is_monotone_in_scatter_and_in_what_the_scatter_hides(
     mean = residual.mean(axis=0)
 
     def verdict(scale: float, hidden: float) -> int:
-        return RANK[gate.equivalence(mean + scale * (residual - mean), np.array([hidden]), 0.15)[2]]
+        return RANK[judged(mean + scale * (residual - mean), hidden)[1]]
 
     assert verdict(factor, u_B) <= verdict(1.0, u_B)
     assert verdict(1.0, u_B + more) <= verdict(1.0, u_B)
@@ -151,7 +160,7 @@ def pass_share(bias_V: float) -> float:
     """Share of 2000 sets of ten occasions, 20 mV of scatter, that pass at a limit of 0.15 V."""
     rng = np.random.default_rng(7)
     residuals = bias_V + rng.normal(0.0, 0.02, (2000, 10, 1))
-    return float(np.mean([gate.equivalence(r, np.zeros(1), 0.15)[2] == "pass" for r in residuals]))
+    return float(np.mean([judged(r, 0.0)[1] == "pass" for r in residuals]))
 
 
 def test_a_bias_at_the_limit_passes_in_5_percent_and_one_well_inside_always() -> None:
@@ -163,8 +172,8 @@ def test_a_bias_at_the_limit_passes_in_5_percent_and_one_well_inside_always() ->
 def test_the_half_width_is_the_t_interval_without_type_B_and_welch_satterthwaite_with_it() -> None:
     residual = np.array([[0.01], [-0.02], [0.03], [0.0]])
     u_A = residual.std(ddof=1) / 2.0
-    assert gate.equivalence(residual, np.zeros(1), 0.15)[1][0] == pytest.approx(stats.t.ppf(0.95, 3) * u_A)
-    with_B = gate.equivalence(residual, np.array([u_A]), 0.15)[1][0]
+    assert judged(residual, 0.0)[0][0] == pytest.approx(stats.t.ppf(0.95, 3) * u_A)
+    with_B = judged(residual, u_A)[0][0]
     assert with_B == pytest.approx(stats.t.ppf(0.95, 12.0) * u_A * math.sqrt(2.0))  # 3·(√2)⁴ degrees of freedom
 
 

@@ -197,7 +197,7 @@ def _number(value: float) -> str:
 
 
 def _as_json(found: Diagnosis, closed: Closed, status: str, path: str | None) -> dict[str, Any]:
-    """DESIGN's diagnosis output: NaN as null."""
+    """The diagnosis for a program: NaN as null."""
     from dataclasses import asdict
 
     return {

@@ -96,7 +96,7 @@ def _given(refused_in_air: float) -> str:
 def summary(
     flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow], content: BatteryFile
 ) -> dict[str, Any]:
-    """Return the summary of a replay for a program, as plain values (DESIGN §5)."""
+    """Return the summary of a replay for a program, as plain values."""
     scores = [
         {**asdict(c), "error_s": c.error_s, "inside": c.inside if math.isfinite(c.remaining_s) else False}
         for c in found.checkpoints

@@ -113,20 +113,6 @@ def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
     return "not enough data", f"the bias is inside ±{limit:g} but its interval is not, at {open_} of {instants}"
 
 
-def equivalence(residual: Array, type_B: Array, limit: float) -> tuple[Array, Array, Verdict, str]:
-    """Return (bias, half width, verdict, reason) of residuals [occasion, instant] against ±`limit`.
-
-    `type_B` is the standard uncertainty that the scatter does not show; half width as in `budget`.
-    """
-    n, instants = residual.shape
-    bias: Array = residual.mean(axis=0)
-    if n < LEAST_OCCASIONS:
-        nothing = np.full(instants, np.nan)
-        return bias, nothing, "not enough data", f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
-    half = budgets.expanded(residual.std(axis=0, ddof=1) / np.sqrt(n), n - 1.0, type_B, instants).half
-    return bias, half, *decide(bias, half, limit)
-
-
 def judged_instants(held: HeldOut, limits: Limits, cutoff_V: float) -> NDArray[np.intp]:
     """Return the indices of the instants at which the mean of the tests is judged (`before_limiter`)."""
     return before_limiter(np.nanmean(held.measured_V, axis=(0, 1)), limits, cutoff_V)

@@ -133,7 +133,7 @@ def series_of(readings: Readings, levels: Levels) -> Callable[[Run], int]:
     return lambda run: 0 if run.sample in levels.samples else 1 + int(np.searchsorted(edges, run.ambient_C, "right"))
 
 
-def held_out(readings: Readings, progress: Callable[[float], None] | None = None) -> HeldOut:
+def held_out(readings: Readings) -> HeldOut:
     """Predict each occasion, and its share of the one-time runs, by a regression fitted to the others."""
     dataset, tests, levels = readings.dataset, readings.tests, repeats(readings)
     number, others = series_of(readings, levels), other_runs(tests, levels)
@@ -157,8 +157,6 @@ def held_out(readings: Readings, progress: Callable[[float], None] | None = None
             t = run.time_s - starts[run.sample, run.run, run.ambient_C]
             model = found.voltage(t, np.full(t.size, run.ambient_C), block)
             singles.append(Single(run.ambient_C, run.sample, run.time_s, run.voltage_V, model))
-        if progress is not None:
-            progress(1.0)
     runs = dataset.at(levels.ambient_C)
     return HeldOut(
         model="regression", ambient_C=levels.ambient_C, cells=dataset.cells_series, time_s=levels.time_s,

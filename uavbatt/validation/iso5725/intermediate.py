@@ -1,4 +1,4 @@
-"""Intermediate precision, ISO 5725-3: one factor, fully nested, staggered nested, crossed Sample + Occasion.
+"""Intermediate precision, ISO 5725-3: fully nested, staggered nested, crossed Sample + Occasion.
 
 The crossed model is ours, for tests that several samples share (side by side in one chamber on one day):
 
@@ -19,23 +19,8 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.iso5725.cells import Array, BadCells, Cells, summarise
+from uavbatt.validation.iso5725.cells import Array, BadCells
 from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
-
-MIN_DF = 15
-
-
-@dataclass(frozen=True, slots=True)
-class OneFactor:
-    """It holds the SD s_I of results that differ in one factor, in their unit.
-
-    `enough` is True from the 15 degrees of freedom on that ISO asks for.
-    """
-
-    s_I: float
-    df: int
-    enough: bool
-    interval: Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,19 +70,6 @@ class Crossed:
     u_mean: float
     reproducibility: Literal["ok", "not enough data"]
     notes: tuple[str, ...]
-
-
-def one_factor(groups: Cells) -> OneFactor:
-    """Compute s_I = √(ΣΣ(y-ȳ_j)²/Σ(n_j-1)) over groups j of results with one factor changed within each.
-
-    Raises BadCells for what is no result, NotEnoughData when no group has two results.
-    """
-    summary = summarise(groups)
-    df = int(summary.within_df)
-    if df < 1:
-        raise NotEnoughData("intermediate precision needs two results or more in a group")
-    s_I = math.sqrt(summary.within_ss / df)
-    return OneFactor(s_I, df, df >= MIN_DF, sd_interval(s_I, df))
 
 
 def _table(values: ArrayLike, shape: str, *sizes: int | None) -> tuple[Array, float]:

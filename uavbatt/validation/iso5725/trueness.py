@@ -18,7 +18,7 @@ from scipy import integrate, optimize, stats
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725.cells import BadCells, Cells, numbers, spread, summarise
 from uavbatt.validation.iso5725.intervals import Interval
-from uavbatt.validation.iso5725.precision import precision_of
+from uavbatt.validation.iso5725.precision import LIMIT_FACTOR, precision_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +98,6 @@ def bias_uncertainty(sigma_r: float, sigma_R: float, n: float, p: int) -> float:
     return math.sqrt(max(sigma_R**2 - (1 - 1 / n) * sigma_r**2, 0.0) / p)
 
 
-def bias_factor(p: int, n: float, gamma: float) -> float:
-    """Compute A = 1.96·√{[n(γ²-1)+1]/(γ²pn)}: a bias beyond A·σ_R is significant."""
-    return 1.96 * math.sqrt((n * (gamma**2 - 1) + 1) / (gamma**2 * p * n))
-
-
 def precision_check(cells: Cells, sigma_r: float, sigma_R: float, alpha: float = 0.05) -> PrecisionCheck:
     """Check a claimed σ_r and σ_R against results (ISO 5725-4).
 
@@ -145,20 +140,5 @@ def range_check(results: ArrayLike, s_r: float) -> RangeCheck:
     factor = round(range_factor(len(values)), 1)
     width = float(values.max() - values.min())
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
-    share = sum(bool(p > 2.8 * s_r) for p in pairs) / len(pairs)
+    share = sum(bool(p > LIMIT_FACTOR * s_r) for p in pairs) / len(pairs)
     return RangeCheck(width, factor, float(factor * s_r), bool(width <= factor * s_r), share)
-
-
-def critical_difference_of_means(r: float, R: float, n1: int, n2: int) -> float:
-    """Compute the 95 % critical difference of two laboratories' means: √(R² - r²(1 - 1/(2n_1) - 1/(2n_2)))."""
-    return math.sqrt(R**2 - r**2 * (1 - 1 / (2 * n1) - 1 / (2 * n2)))
-
-
-def critical_difference_to_reference(r: float, R: float, n: int) -> float:
-    """Compute the 95 % critical difference of a laboratory's mean to a reference: √((R² - r²(1-1/n))/2)."""
-    return math.sqrt((R**2 - r**2 * (1 - 1 / n)) / 2)
-
-
-def result_uncertainty(s_r: float, s_L: float, n: int, u_bias: float = 0.0) -> float:
-    """Compute the standard uncertainty of a mean of n results, ISO 21748: u² = s_L² + s_r²/n + u²(bias)."""
-    return math.sqrt(s_L**2 + s_r**2 / n + u_bias**2)

@@ -128,7 +128,7 @@ def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, r
     t = eq.eq10_student(means[high], variances[high], means[low], variances[low], n) if high != low else 0.0
     sds = np.sqrt(variances)
     printed, F = eq.eq11_fisher_printed(sds.min(), sds.max()), eq.fisher(sds.min(), sds.max())
-    sigma_R = eq.eq14_sigma_R(eq.eq15_between_variance(means), eq.within_variance(variances, n))
+    sigma_R = eq.eq14_sigma_R(eq.eq15_between_variance(means), eq.within_variance(variances))
     R, mean = eq.eq16_reproducibility_limit(sigma_R), eq.eq12_grand_mean(means)
     beyond = math.nan if results is None else eq.share_beyond(eq.eq13_deviations(results, mean), R)
     S2 = eq.eq17_total_variance(means, variances, n)

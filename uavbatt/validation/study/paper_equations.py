@@ -2,8 +2,8 @@
 
 This is the literal method. It keeps the study's choices (√2 counted twice in (5)-(7), a ratio of SDs in (11),
 no -s_r²/n in (15)) so that its numbers can be checked; `iso5725` is the sound one. Where a formula has a slip
-that the study's own numbers contradict (sums that end at n-1, a divisor n for k), the function takes what the
-numbers follow and a `literal` switch gives the printed form.
+that the study's own numbers contradict (sums that end at n-1 in (4), a divisor n for k after (14)), the function takes
+what the numbers follow.
 x: results of one column (one sample, one instant) in V or °C.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 from scipy import stats
 
 from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.iso5725.precision import LIMIT_FACTOR
 
-LIMIT_FACTOR = 2.8
 DRIFT_LIMIT = 0.2
 
 
@@ -36,10 +36,9 @@ def eq3_mean(x: Array) -> float:
     return float(x[0] + (x - x[0]).sum() / len(x))
 
 
-def eq4_sd(x: Array, *, literal: bool = False) -> float:
-    """Return the SD σ = √(Σ(x_i-x̄)²/(n-1)), equations (4) and (9); `literal` ends the sum at n-1 as printed."""
-    terms = (x - eq3_mean(x)) ** 2
-    return math.sqrt(float(terms[: len(x) - 1 if literal else len(x)].sum()) / (len(x) - 1))
+def eq4_sd(x: Array) -> float:
+    """Return the SD σ = √(Σ(x_i-x̄)²/(n-1)), equations (4) and (9)."""
+    return math.sqrt(float(((x - eq3_mean(x)) ** 2).sum()) / (len(x) - 1))
 
 
 def drift_ratio(x: Array) -> float:
@@ -54,9 +53,9 @@ def eq5_pair_differences(x: Array) -> Array:
     return a
 
 
-def eq6_pair_sd(a: Array, *, literal: bool = False) -> float:
+def eq6_pair_sd(a: Array) -> float:
     """Return σ_r, the SD of the signed pair differences, equation (6); it already holds the √2 of a difference."""
-    return eq4_sd(a, literal=literal)
+    return eq4_sd(a)
 
 
 def eq7_repeatability_limit(sigma_r: float) -> float:
@@ -113,9 +112,9 @@ def eq15_between_variance(means: Array) -> float:
     return float(((means - eq12_grand_mean(means)) ** 2).sum()) / (len(means) - 1)
 
 
-def within_variance(variances: Array, n: int, *, literal: bool = False) -> float:
-    """Return σ_r² after (14): the mean of the k sample variances; `literal` divides by n as printed."""
-    return float(variances.sum()) / (n if literal else len(variances))
+def within_variance(variances: Array) -> float:
+    """Return σ_r² after (14): the mean of the k sample variances."""
+    return float(variances.sum()) / len(variances)
 
 
 def eq14_sigma_R(between: float, within: float) -> float:
