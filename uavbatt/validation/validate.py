@@ -7,7 +7,7 @@ rival. Fast records are read at the whole minutes first (`Readings`), for the st
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from uavbatt.validation.gating.precision_claims import repeatability_claim, repr
 from uavbatt.validation.gating.temperatures import TemperatureLoop
 from uavbatt.validation.iso5725 import Precision, precision
 from uavbatt.validation.iso5725.outliers import Mandel, mandel
-from uavbatt.validation.judging.corridor import Corridor, corridors
+from uavbatt.validation.judging.corridor import LEAST_OCCASIONS, Corridor, corridors
 from uavbatt.validation.judging.drift import Drift, drift
 from uavbatt.validation.judging.findings import Finding, findings
 from uavbatt.validation.judging.readings import SURFACE, VOLTAGE, Readings, read_once
@@ -107,10 +107,10 @@ def validate(
     ambient_C = readings.ambient_C
     declared = (limits or Limits()).for_cells(dataset.cells_series)
     levels = readings.levels(ambient_C)
-    if levels is None or len(levels.occasions) < gate.LEAST_OCCASIONS:
+    if levels is None or len(levels.occasions) < LEAST_OCCASIONS:
         n = 0 if levels is None else len(levels.occasions)
         raise NotEnoughData(
-            f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {gate.LEAST_OCCASIONS} repeated "
+            f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {LEAST_OCCASIONS} repeated "
             "runs at one ambient temperature to judge dispersion"
         )
     if not gate.before_limiter(np.nanmean(levels.values, axis=(0, 1)), declared, dataset.cutoff_V).size:
@@ -166,7 +166,7 @@ def model_claims(
         gate.knee_claim(held, limits, cutoff_V, known),
     ]
     decides = method == "paper"
-    claims = [gate.gating(c, not decides) for c in equivalences]
+    claims = [replace(c, gates=not decides) for c in equivalences]
     claims.insert(1, gate.corridor_claim(held, found.mean, found.C, limits, cutoff_V, gates=decides))
     surface = gate.surface_claim(held, limits, known)
     return [*claims, *([] if surface is None else [surface]), *ambient_claims(readings, held, limits)]
@@ -185,7 +185,7 @@ def _claims(
     dataset, claims = readings.dataset, model_claims(readings, held, found, limits, method)
     home = [c for c in claims if c.ambient_C == held.ambient_C]
     about_tests = [
-        gate.gating(repeatability_claim(levels, limits, said, dataset.uncertainty), method == "iso"),
+        replace(repeatability_claim(levels, limits, said, dataset.uncertainty), gates=method == "iso"),
         reproducibility_claim(held, levels, limits, dataset.cutoff_V, dataset.uncertainty),
     ]
     return [*home, *about_tests, *(c for c in claims if c.ambient_C != held.ambient_C)]

@@ -41,8 +41,7 @@ def ambient_claims(readings: Readings, held: HeldOut, limits: Limits) -> list[Cl
 
 def _single(single: Single, readings: Readings, held: HeldOut, limits: Limits) -> Claim:
     """The claim of one run: as one of its near repeats where it has some, else alone."""
-    dataset, groups = readings.dataset, readings.near_repeats
-    group = next((g for g in groups if np.any(np.abs(g.ambients_C - single.ambient_C) < 0.25)), None)
+    dataset, group = readings.dataset, readings.near_repeats_at(single.ambient_C)
     if group is None or not np.array_equal(group.time_s, single.time_s):
         return _one_run(dataset, single, limits)
     return _near_repeats(dataset, held, single, group, limits, bool(readings.broken))

@@ -16,7 +16,7 @@ is, and with many instants few genuine tests meet it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -27,12 +27,12 @@ from uavbatt.dataset import Uncertainty
 from uavbatt.validation.gating import budget as budgets
 from uavbatt.validation.gating.budget import Budget
 from uavbatt.validation.gating.heldout import Curve, HeldOut
+from uavbatt.validation.judging.corridor import LEAST_OCCASIONS
 from uavbatt.validation.judging.crossing import crossing_time
 from uavbatt.validation.judging.series import KNEE_CELL_V
 
 Verdict = Literal["pass", "fail", "not enough data"]
 Method = Literal["iso", "paper"]
-LEAST_OCCASIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +83,21 @@ class Claim:
     statistics: Mapping[str, float] = field(default_factory=dict)
 
 
-def informing(claim: str, ambient_C: float, reason: str, statistics: Mapping[str, float] | None = None) -> Claim:
-    """Make a claim that cannot be judged ("not enough data"), with the reason; it does not gate."""
+def claim_without_bias(
+    claim: str,
+    ambient_C: float,
+    reason: str,
+    statistics: Mapping[str, float] | None = None,
+    *,
+    verdict: Verdict = "not enough data",
+    gates: bool = False,
+    limit: float = np.nan,
+    unit: str = "",
+) -> Claim:
+    """Make a claim that rests on no bias, with the reason: unless said else, one that cannot be judged."""
     nothing = np.empty(0)
-    return Claim(claim, ambient_C, "not enough data", reason, False, nothing, nothing, nothing, nothing, np.nan, "",
+    return Claim(claim, ambient_C, verdict, reason, gates, nothing, nothing, nothing, nothing, limit, unit,
                  statistics=statistics or {})  # fmt: skip
-
-
-def gating(claim: Claim, gates: bool) -> Claim:
-    """Return the same claim, deciding (`gates`) or informing only."""
-    return replace(claim, gates=gates)
 
 
 def decide(bias: Array, half: Array, limit: float) -> tuple[Verdict, str]:
@@ -133,11 +138,8 @@ def complete(residual: Array) -> Array:
     return known
 
 
-def too_few(name: str, ambient_C: float, n: int) -> Claim:
-    """Make the claim for fewer occasions than a scatter needs: it gates, so that nothing ships on it."""
-    reason = f"{n} occasions, at least {LEAST_OCCASIONS} are needed"
-    nothing = np.empty(0)
-    return Claim(name, ambient_C, "not enough data", reason, True, nothing, nothing, nothing, nothing, np.nan, "")
+def _too_few(occasions: int, which: str = "") -> str:
+    return f"{occasions} occasions{which}, at least {LEAST_OCCASIONS} are needed"
 
 
 def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
@@ -146,7 +148,7 @@ def voltage_claim(held: HeldOut, limits: Limits, cutoff_V: float, known: Uncerta
     at = judged_instants(held, limits, cutoff_V)
     residual = complete(held.residual_V()[:, at])
     if len(residual) < LEAST_OCCASIONS:
-        return too_few(name, held.ambient_C, len(residual))
+        return claim_without_bias(name, held.ambient_C, _too_few(len(residual)), gates=True)
     b = budgets.voltage_budget(held, at, residual, known)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.voltage_V)
@@ -196,10 +198,8 @@ def _timed(name: str, held: HeldOut, levels_V: Array, limits: Limits, known: Unc
     reached = np.isfinite(measured).all(axis=1)
     residual = _by_occasion(runs, (model - measured).mean(axis=1), reached)
     if len(residual) < LEAST_OCCASIONS:
-        reason = f"{len(residual)} occasions fall to {at[0]:.4g} V, at least {LEAST_OCCASIONS} are needed"
-        nothing = np.empty(0)
-        return Claim(name, held.ambient_C, "not enough data", reason, True, nothing, nothing, nothing, nothing,
-                     limits.time_s, "s")  # fmt: skip
+        reason = _too_few(len(residual), f" fall to {at[0]:.4g} V")
+        return claim_without_bias(name, held.ambient_C, reason, gates=True, limit=limits.time_s, unit="s")
     b = budgets.time_budget(held, levels_V, residual, _slope(runs, levels_V), known)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.time_s)
@@ -240,7 +240,7 @@ def surface_claim(held: HeldOut, limits: Limits, known: Uncertainty) -> Claim | 
     samples = np.isfinite(gap[:, :, kept]).any(axis=(0, 2))
     residual = complete(gap[:, samples][:, :, kept].mean(axis=1))
     if len(residual) < LEAST_OCCASIONS or not kept.any():
-        return informing(name, held.ambient_C, f"{len(residual)} occasions, at least {LEAST_OCCASIONS} are needed")
+        return claim_without_bias(name, held.ambient_C, _too_few(len(residual)))
     b = budgets.surface_budget(held.time_s[kept], residual, known)
     bias, half = residual.mean(axis=0), b.expanded
     verdict, reason = decide(bias, half, limits.surface_K)

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.dataset import Levels, Uncertainty
 from uavbatt.validation.gating import budget, gate
-from uavbatt.validation.gating.gate import Claim, Limits, Verdict, informing
+from uavbatt.validation.gating.gate import Claim, Limits, Verdict, claim_without_bias
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
 from uavbatt.validation.iso5725.intermediate import crossed
@@ -46,31 +47,31 @@ def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding]
     drifts = [f for f in found if f.kind == "drift" and "voltage" in f.title]
     reason += f"; warning: {drifts[0].title}" if drifts else ""
     numbers = {"A_r": A_r, "degrees_of_freedom": float(df), "largest_s_r_V": s_r, "drift": float(bool(drifts))}
-    nothing = np.empty(0)
-    return Claim("repeatability", levels.ambient_C, verdict, reason, True, nothing, nothing, nothing, nothing,
-                 limits.precision_A_r, "1", statistics=numbers)  # fmt: skip
+    return claim_without_bias("repeatability", levels.ambient_C, reason, numbers, verdict=verdict, gates=True,
+                              limit=limits.precision_A_r, unit="1")  # fmt: skip
 
 
 def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_V: float, known: Uncertainty) -> Claim:
     """Judge the bias for another sample; it informs, does not gate (a pack of the same make ships without it)."""
     name = "reproducibility"
+    not_judged = partial(claim_without_bias, name, held.ambient_C)
     shared = shared_table(levels).table
     k, linked = shared.shape[1], dependence(shared, resolution=known.voltage_resolution_V or 0.0)
     p_value = {"samples": float(k), "p_dependence": linked.p_value}
     if k < LEAST_SAMPLES:
         also = ", and they depend on each other" if linked.dependent else ""
-        return informing(name, held.ambient_C, f"{k} sample(s){also}: at least {LEAST_SAMPLES} are needed", p_value)
+        return not_judged(f"{k} sample(s){also}: at least {LEAST_SAMPLES} are needed", p_value)
     if linked.dependent is not False:
         unknown = "too few runs to tell whether the samples are independent"
         reason = unknown if linked.dependent is None else f"the samples depend on each other (p = {linked.p_value:.1g})"
-        return informing(name, held.ambient_C, reason, p_value)
+        return not_judged(reason, p_value)
     at = gate.judged_instants(held, limits, cutoff_V)
     if not at.size:
-        return informing(name, held.ambient_C, "no instant can be judged", p_value)
+        return not_judged("no instant can be judged", p_value)
     A_R = max(precision(levels.cells(int(i))).A_R for i in at)
     if not limits.precision_A_R >= A_R:
         reason = f"s_R known to ±{A_R:.0%} only (declared: ±{limits.precision_A_R:.0%}), {k} samples"
-        return informing(name, held.ambient_C, reason, {**p_value, "A_R": A_R})
+        return not_judged(reason, {**p_value, "A_R": A_R})
     table = (held.model_V - held.measured_V)[:, :, at]
     table = table[np.isfinite(table).all(axis=(1, 2))]
     u, df = _random_samples(table)

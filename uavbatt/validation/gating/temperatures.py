@@ -26,10 +26,9 @@ from uavbatt.validation.gating.gate import Claim, Limits
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.gating.temperature_gains import TERMS, Gain, VariantOutcome, conclusions_of, gains_of
 from uavbatt.validation.judging.readings import Readings
-from uavbatt.validation.judging.series import unflagged_voltage
+from uavbatt.validation.judging.series import COLD_C, unflagged_voltage
 
 LEAST_TESTS = 8
-COLD_C = -10.0
 FOLDS = 4
 RISE_S = (60.0, 180.0)
 START_FITS = 0.5  # one start of a variant takes about half as long as one fit of the circuit model

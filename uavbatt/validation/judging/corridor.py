@@ -26,7 +26,7 @@ from uavbatt.validation.judging.crossing import Which, crossing_time
 from uavbatt.validation.judging.readings import VOLTAGE, Readings
 from uavbatt.validation.judging.series import QuasiReplicates
 
-MIN_OCCASIONS = 3
+LEAST_OCCASIONS = 3
 NDBool = NDArray[np.bool_]
 Basis = Literal["repeats", "quasi-replicates", "one run"]
 
@@ -128,9 +128,9 @@ def corridor(readings: Readings, ambient_C: float, quantity: str = VOLTAGE, seed
         return None
     shared = shared_table(levels)
     table, notes = shared.table, levels.left_out + levels.notes + shared.notes
-    if len(table) >= MIN_OCCASIONS:
+    if len(table) >= LEAST_OCCASIONS:
         return from_table(ambient_C, quantity, levels.time_s, table, notes, seed)
-    group = _group_at(readings, ambient_C) if quantity == VOLTAGE else None
+    group = readings.near_repeats_at(ambient_C) if quantity == VOLTAGE else None
     if group is not None:
         return from_quasi_replicates(ambient_C, group, notes, seed)
     return _unknown(ambient_C, quantity, levels.time_s, table, notes)
@@ -172,7 +172,7 @@ def time_corridor(
     timed = Levels(ambient_C, "crossing_s", levels.samples, levels.occasions, volts, values)
     shared = shared_table(timed)
     table, notes = shared.table, levels.left_out + shared.notes
-    if len(table) >= MIN_OCCASIONS:
+    if len(table) >= LEAST_OCCASIONS:
         return from_table(ambient_C, "crossing_s", volts, table, notes, seed)
     return _unknown(ambient_C, "crossing_s", volts, table, notes)
 
@@ -223,11 +223,6 @@ def _effective_df(parts: bands.Components, with_samples: bool) -> Array:
     return np.array(found)
 
 
-def _group_at(readings: Readings, ambient_C: float) -> QuasiReplicates | None:
-    hits = (g for g in readings.near_repeats if np.any(np.abs(g.ambients_C - ambient_C) < 0.25))
-    return next(hits, None)
-
-
 def from_quasi_replicates(
     ambient_C: float, group: QuasiReplicates, notes: tuple[str, ...] = (), seed: int = 5725
 ) -> Corridor:
@@ -261,7 +256,8 @@ def from_quasi_replicates(
 
 def _unknown(ambient_C: float, quantity: str, at: Array, table: Array, notes: tuple[str, ...]) -> Corridor:
     nan, mean = np.full(len(at), math.nan), np.full(len(at), math.nan) if table.size == 0 else table.mean(axis=(0, 1))
-    said = (f"{len(table)} run{'s' * (len(table) != 1)} at {ambient_C:g} °C: a corridor needs {MIN_OCCASIONS} repeats",)
+    runs = f"{len(table)} run{'s' * (len(table) != 1)}"
+    said = (f"{runs} at {ambient_C:g} °C: a corridor needs {LEAST_OCCASIONS} repeats",)
     return Corridor(
         ambient_C, quantity, at, mean, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, math.nan, math.nan,
         math.nan, len(table), table.shape[1], "one run", "not enough data", notes + said,
@@ -273,7 +269,7 @@ def leave_one_out(levels: Levels) -> LeaveOneOut | None:
     shared = shared_table(levels)
     table = shared.table
     o, k, size = table.shape
-    if o < MIN_OCCASIONS + 1:
+    if o < LEAST_OCCASIONS + 1:
         return None
     inside = np.empty((o, k, size), dtype=bool)
     for i in range(o):

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from uavbatt.battery.equations import REFERENCE_TEMP_C
 from uavbatt.dataset import DataSet, Levels, Run, whole_minutes
 from uavbatt.validation.judging.fast_records import at_minutes
@@ -37,6 +39,10 @@ class Readings:
     def levels(self, ambient_C: float, quantity: str = VOLTAGE) -> Levels | None:
         """Return the runs at `ambient_C` [°C], occasion x sample x time; None if `quantity` was not measured there."""
         return self.tables.get((ambient_C, quantity))
+
+    def near_repeats_at(self, ambient_C: float) -> QuasiReplicates | None:
+        """Return the group of near repeats that holds a test at `ambient_C` [°C]; None without one."""
+        return next((g for g in self.near_repeats if np.any(np.abs(g.ambients_C - ambient_C) < 0.25)), None)
 
 
 def read_once(dataset: DataSet) -> Readings:

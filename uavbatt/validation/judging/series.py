@@ -18,7 +18,7 @@ from uavbatt.validation.iso5725.cells import Array
 from uavbatt.validation.judging.crossing import crossing_time
 
 KNEE_CELL_V = np.linspace(0.2, 0.9, 8) / 3  # above the cut-off, a cell; 9.5 to 10.2 V on the study's pack
-COLDEST_C = -10.0  # below, cold resistance and self-heating bend the law by themselves
+COLD_C = -10.0  # below, cold resistance and self-heating bend the law by themselves
 BREAK_SCORE = 5.0
 MIN_CURVES = 5
 
@@ -87,7 +87,7 @@ def breaks(dataset: DataSet, series: tuple[Run, ...]) -> tuple[Break, ...] | Non
     Returns None with fewer than eight temperatures.
     Score: knee-time difference of neighbours less the median slope, over the robust scatter (1.483·MAD).
     """
-    runs = [r for r in series if r.ambient_C >= COLDEST_C]
+    runs = [r for r in series if r.ambient_C >= COLD_C]
     knee = np.array([knee_time(r, dataset) for r in runs])
     T = np.array([r.ambient_C for r in runs])[~np.isnan(knee)]
     knee = knee[~np.isnan(knee)]
