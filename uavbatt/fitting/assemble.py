@@ -12,12 +12,10 @@ from uavbatt.fitting import prior
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.prior import Slot
 
-DECIMALS = 6
 
-
-def rounded(value: float) -> float:
-    """Return a value to six significant digits: what the data can carry, and what a person can compare."""
-    return float(f"{value:.{DECIMALS}g}")
+def rounded(value: float, digits: int = 6) -> float:
+    """Return a value to so many significant digits: what the data can carry, and what a person can compare."""
+    return float(f"{value:.{digits}g}")
 
 
 def parameter_table(

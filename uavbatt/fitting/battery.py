@@ -9,13 +9,14 @@ import msgspec
 import numpy as np
 
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate
+from uavbatt.battery.equations import SECONDS_PER_HOUR
 from uavbatt.battery.sections import FITTED_HIGH, FITTED_LOW
 from uavbatt.battery.sizing import PackOptions, PackSize, believed, size_of_pack
 from uavbatt.battery.statements import first_seen
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, wander
-from uavbatt.fitting.generic import generic_lipo
+from uavbatt.fitting.generic import LOW_CELL_V, generic_lipo
 from uavbatt.fitting.observed import Stack
 from uavbatt.fitting.solve import BatteryFit, OwnPrior
 from uavbatt.limits import Resting, Seen, cells_doubt, ending_doubt
@@ -23,7 +24,6 @@ from uavbatt.records import Flight, PackFacts
 
 # Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
-LOW_CELL_V = 3.5
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
 
 
@@ -169,12 +169,14 @@ def _known(found: BatteryFit) -> tuple[str, ...]:
 
 def _range_C(stack: Stack) -> dict[str, float]:
     """The temperatures [°C] that the records hold, as the certificate's statistics; empty when none was measured."""
+    return {FITTED_LOW: round(span[0], 1), FITTED_HIGH: round(span[1], 1)} if (span := _measured_C(stack)) else {}
+
+
+def _measured_C(stack: Stack) -> tuple[float, float] | None:
+    """The 1st and the 99th percentile of the measured temperatures [°C]; None when none was measured."""
     temps = stack.temp_C[stack.compare]
     temps = temps[np.isfinite(temps)]
-    if not temps.size:
-        return {}
-    low, high = np.percentile(temps, (1.0, 99.0))
-    return {FITTED_LOW: round(float(low), 1), FITTED_HIGH: round(float(high), 1)}
+    return (float(np.percentile(temps, 1.0)), float(np.percentile(temps, 99.0))) if temps.size else None
 
 
 def _unknown(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
@@ -185,17 +187,15 @@ def _unknown(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...
     lines = []
     if told_nothing:
         lines.append(f"your data say little about {', '.join(told_nothing)} (typical LiPo values used)")
-    temps = stack.temp_C[stack.compare]
-    temps = temps[np.isfinite(temps)]
-    if temps.size == 0:
+    span = _measured_C(stack)
+    if span is None:
         lines.append("no temperature was measured: resistance in the cold and in the heat is the prior's")
     else:
-        low, high = float(np.percentile(temps, 1)), float(np.percentile(temps, 99))
-        if low > 5.0:
-            lines.append(f"no cold data: nothing below {low:.0f} °C")
-        if high < 35.0:
-            lines.append(f"no warm data: nothing above {high:.0f} °C")
-    drawn = np.sum(stack.current_A * stack.dt_s, axis=0) / 3600.0 / stack.capacity_Ah
+        if span[0] > 5.0:
+            lines.append(f"no cold data: nothing below {span[0]:.0f} °C")
+        if span[1] < 35.0:
+            lines.append(f"no warm data: nothing above {span[1]:.0f} °C")
+    drawn = np.sum(stack.current_A * stack.dt_s, axis=0) / SECONDS_PER_HOUR / stack.capacity_Ah
     lowest = float(np.min(found.own[:, 0] - drawn))
     if lowest > 0.1:
         lines.append(f"no deep discharge: nothing below a charge of {lowest:.2f}")

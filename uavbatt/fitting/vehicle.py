@@ -15,12 +15,11 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import Estimator
-from uavbatt.fitting.powers import powers
+from uavbatt.fitting.powers import SHORTEST_S, powers
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Flight
 
 GRID_S = 10.0
-SHORTEST_S = 120.0
 LANDING_SHARE = 0.6  # of the flight's median power: the last rows below it are the landing, not the flight
 
 

@@ -22,6 +22,7 @@ from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array
 from uavbatt.battery.openloop import Trajectory
+from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.observed import Stack
 
 SOC = np.array([0.0, 0.1, 0.2, 0.35, 0.65, 0.8, 0.9, 1.0])
@@ -30,6 +31,7 @@ LEAST_CELL_V, LEAST_NOISE_CELL_V, LEAST_REST_CELL_V = 0.003, 0.0005, 0.0015  # n
 LEAST_K, LEAST_NOISE_K = 0.15, 0.02
 USUAL_CELL_V, USUAL_REST_CELL_V, USUAL_TIME_S, USUAL_NOISE_CELL_V = 0.007, 0.0025, 120.0, 0.002
 USUAL_K, USUAL_TIME_K_S, USUAL_NOISE_K = 0.3, 700.0, 0.05
+DIGITS = 4
 PRIOR_SD, NEIGHBOUR_SD = 1.0, 0.5  # of logarithms
 NUDGE = 1e-3
 
@@ -118,16 +120,12 @@ def learned(stack: Stack, trajectory: Trajectory, records: list[int], cells: int
     one_more = np.append(means, USUAL_REST_CELL_V * cells)  # counted as one record, so that two do not decide alone
     return Wander(
         soc=[float(z) for z in SOC],
-        voltage_sd_V=[_rounded(v) for v in volts[:-2]],
-        voltage_time_s=_rounded(volts[-2]),
-        voltage_noise_V=_rounded(volts[-1]),
-        rest_sd_V=_rounded(max(float(np.sqrt(np.mean(one_more**2))), LEAST_REST_CELL_V * cells)),
-        temperature_sd_K=_rounded(warmth[0]),
-        temperature_time_s=_rounded(warmth[1]),
-        temperature_noise_K=_rounded(warmth[2]),
-        coldest_C=_rounded(float(np.min(starts_C))) if np.isfinite(starts_C).all() else None,
+        voltage_sd_V=[rounded(v, DIGITS) for v in volts[:-2]],
+        voltage_time_s=rounded(volts[-2], DIGITS),
+        voltage_noise_V=rounded(volts[-1], DIGITS),
+        rest_sd_V=rounded(max(float(np.sqrt(np.mean(one_more**2))), LEAST_REST_CELL_V * cells), DIGITS),
+        temperature_sd_K=rounded(warmth[0], DIGITS),
+        temperature_time_s=rounded(warmth[1], DIGITS),
+        temperature_noise_K=rounded(warmth[2], DIGITS),
+        coldest_C=rounded(float(np.min(starts_C)), DIGITS) if np.isfinite(starts_C).all() else None,
     )
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")

@@ -20,11 +20,10 @@ from uavbatt.dataset import DataSet
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
 from uavbatt.fitting.assemble import rounded
 from uavbatt.fitting.battery import MAKE_CAPACITY_SD, MAKE_RESISTANCE_SD
+from uavbatt.fitting.generic import LOW_CELL_V
 from uavbatt.validation.gating.gate import Claim, Limits, judged_instants
 from uavbatt.validation.gating.heldout import HeldOut, is_metered, mean_test
 from uavbatt.validation.judging.corridor import Corridor
-
-LOW_CELL_V = 3.5
 
 
 def battery_file(

@@ -104,23 +104,11 @@ def validate(
     Raises NotEnoughData below three occasions at one ambient temperature, and for tests that begin at the cut-off.
     """
     readings = read_once(dataset)
-    ambient_C = readings.ambient_C
     declared = (limits or Limits()).for_cells(dataset.cells_series)
-    levels = readings.levels(ambient_C)
-    if levels is None or len(levels.occasions) < LEAST_OCCASIONS:
-        n = 0 if levels is None else len(levels.occasions)
-        raise NotEnoughData(
-            f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {LEAST_OCCASIONS} repeated "
-            "runs at one ambient temperature to judge dispersion"
-        )
-    if not gate.before_limiter(np.nanmean(levels.values, axis=(0, 1)), declared, dataset.cutoff_V).size:
-        raise NotEnoughData(
-            f"{dataset.path}: expected instants at {ambient_C:g} °C at which the mean voltage is more than "
-            f"{declared.limiter_margin_V:.2g} V above the cut-off of {dataset.cutoff_V:g} V, found none"
-        )
+    levels = _judged_repeats(readings, declared)
     volts = corridors(readings)
-    found = volts[ambient_C]
-    said = findings(readings, ambient_C, found)
+    found = volts[readings.ambient_C]
+    said = findings(readings, readings.ambient_C, found)
     done = _shares(progress, len(levels.occasions) + (temperatures.fits(readings) if close_loop else 0.0))
     held = heldout.circuit(readings, done)
     rival = regression.held_out(readings)
@@ -145,6 +133,24 @@ def validate(
         temperatures=temperatures.close_loop(readings, limits or Limits(), done) if close_loop else None,
         method=method,
     )
+
+
+def _judged_repeats(readings: Readings, limits: Limits) -> Levels:
+    """The repeated runs that are gated. Raises NotEnoughData for too few, and for none above the limiter."""
+    dataset, ambient_C = readings.dataset, readings.ambient_C
+    levels = readings.levels(ambient_C)
+    if levels is None or len(levels.occasions) < LEAST_OCCASIONS:
+        n = 0 if levels is None else len(levels.occasions)
+        raise NotEnoughData(
+            f"{dataset.path}: {n} occasion(s) at {ambient_C:g} °C: expected at least {LEAST_OCCASIONS} repeated "
+            "runs at one ambient temperature to judge dispersion"
+        )
+    if not gate.before_limiter(np.nanmean(levels.values, axis=(0, 1)), limits, dataset.cutoff_V).size:
+        raise NotEnoughData(
+            f"{dataset.path}: expected instants at {ambient_C:g} °C at which the mean voltage is more than "
+            f"{limits.limiter_margin_V:.2g} V above the cut-off of {dataset.cutoff_V:g} V, found none"
+        )
+    return levels
 
 
 def _shares(progress: Callable[[float], None] | None, fits: float) -> Callable[[float], None]:
