@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.sizing import GUESSED_FROM, PackOptions, PackSize, resting, size_of_pack
+from uavbatt.battery.sizing import GUESSED_FROM, PackOptions, PackSize, counts_of_cells, resting, size_of_pack
 from uavbatt.battery.statements import PowerRange, Statements
-from uavbatt.limits import Doubt, Resting, Seen, cells_from_voltage
+from uavbatt.limits import Doubt, Resting, Seen
 from uavbatt.records import NAN, PackFacts, Sample
 
 SURE_ROWS = 2  # one alone may be damaged
@@ -93,10 +93,7 @@ class KnownSize(NamedTuple):
 
     def _counts(self, first_V: float) -> tuple[int, ...]:
         """Return the counts of cells that fit the first voltage [V] and what the vehicle says, the likeliest first."""
-        facts, capacity_Ah = self.facts, self.options.capacity_Ah
-        capacity_Ah = capacity_Ah if math.isfinite(capacity_Ah) else facts.capacity_Ah
-        rate = self.first_A / capacity_Ah if math.isfinite(self.first_A) and capacity_Ah > 0.0 else 0.0
-        return cells_from_voltage(first_V, self.battery.battery.cells_series, facts.endings_V, rate)
+        return counts_of_cells(self.battery, self.options, self.facts, first_V, self.first_A)
 
     def _of_count(self, size: PackSize) -> tuple[Doubt, ...]:
         """Return the doubt about a count that nobody states, where another one fits the first voltage as well."""

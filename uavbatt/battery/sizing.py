@@ -27,6 +27,7 @@ from uavbatt.limits import (
     Seen,
     capacity_doubt,
     cells_doubt,
+    cells_from_voltage,
     check_stated,
     ending_doubt,
 )
@@ -164,6 +165,15 @@ def size_of_pack(
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
         fullest_cell_V=fullest_V,
     )
+
+
+def counts_of_cells(
+    battery: BatteryFile, given: PackOptions, said: PackFacts, volts: float, current_A: float
+) -> tuple[int, ...]:
+    """Return the counts of cells that fit a voltage [V] under a current [A, NaN if unknown], the likeliest first."""
+    capacity_Ah = given.capacity_Ah if math.isfinite(given.capacity_Ah) else said.capacity_Ah
+    rate = current_A / capacity_Ah if math.isfinite(current_A) and capacity_Ah > 0.0 else 0.0
+    return cells_from_voltage(volts, battery.battery.cells_series, said.endings_V, rate)
 
 
 def pack_from(battery: BatteryFile, given: PackOptions) -> Pack:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.initial_state import IDLE_C_RATE
-from uavbatt.battery.sizing import PackOptions, PackSize, checked, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize, checked, counts_of_cells, size_of_pack
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
     C_RATE,
@@ -26,7 +26,6 @@ from uavbatt.limits import (
     Resting,
     Seen,
     cells_doubt,
-    cells_from_voltage,
 )
 from uavbatt.records import NAN, Flight, PackFacts, Sample
 
@@ -243,10 +242,10 @@ def size_from_rows(battery: BatteryFile, options: PackOptions, flight: Flight, s
 
     Raises UsageError when there is no voltage, or when what the caller states cannot be by the first rows.
     """
-    first_V = next((s.voltage_V for s in flight.samples if math.isfinite(s.voltage_V)), NAN)
-    if math.isnan(first_V):
+    first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
+    if first is None:
         raise UsageError(f"{flight.source}: expected at least one row with a voltage")
-    guess = cells_from_voltage(first_V, battery.battery.cells_series, said.endings_V)[0]
+    guess = counts_of_cells(battery, options, said, first.voltage_V, first.current_A)[0]
     try:
         seen = first_seen(flight.samples, size_of_pack(battery, options, said, guess).capacity_Ah)
         size = size_of_pack(battery, options, said, guess, seen=seen, rested_V=seen.rested_V)
