@@ -59,6 +59,15 @@ def test_two_logs_of_one_flight_count_once_and_the_longer_one_stays(tmp_path):
             assert found.flight.key == whole.key
 
 
+def test_a_flight_without_a_clock_is_none_of_those_that_have_one(tmp_path):
+    clockless = replace(FLIGHTS[0], key="clockless", start_utc_s=math.nan, duration_s=300.0)
+    for number, order in enumerate(([FLIGHTS[1], clockless], [clockless, FLIGHTS[1]])):
+        with Ledger(tmp_path / f"{number}.sqlite") as ledger:
+            for one in order:
+                ledger.save("A", one)
+            assert [found.flight.key for found in ledger.flights("A")] == [FLIGHTS[1].key, "clockless"]
+
+
 def test_a_flight_comes_back_as_it_was_saved(tmp_path):
     stated = replace(FLIGHTS[0], soc_start=0.97, cycles=12, weak_cell=2, weak_cell_V=0.05, temp_max_C=41.0)
     with Ledger(tmp_path / "packs.sqlite") as ledger:

@@ -6,6 +6,7 @@ depends on the battery file that a flight was read with, so that a new file does
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,9 +66,11 @@ class FlightRecord:
 
 
 def _overlap(a: FlightRecord, b: FlightRecord) -> bool:
-    """Return True if the flights share more than half of the shorter one's time."""
+    """Return True if the flights share more than half of the shorter one's time; False where a start is unknown."""
+    if math.isnan(a.start_utc_s + b.start_utc_s):  # `min` and `max` would skip the NaN and find the other flight whole
+        return False
     shared_s = min(a.start_utc_s + a.duration_s, b.start_utc_s + b.duration_s) - max(a.start_utc_s, b.start_utc_s)
-    return shared_s > 0.5 * min(a.duration_s, b.duration_s)  # False where a time is unknown
+    return shared_s > 0.5 * min(a.duration_s, b.duration_s)
 
 
 class Known(NamedTuple):
