@@ -89,6 +89,19 @@ def test_a_process_that_dies_in_the_air_loses_seconds(tmp_path, rows):
     assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
 
 
+@pytest.mark.parametrize("utc_s", (math.nan, UTC_S + 86_400.0), ids=("no_clock", "a_day_later"))
+def test_a_flight_that_cannot_be_resumed_keeps_its_rows_apart_from_those_of_the_next(tmp_path, rows, utc_s):
+    """The next flight is in the air at the first row, before anything has looked after what was left over."""
+    path, half = tmp_path / "packs.sqlite", len(rows) // 2
+    flown(keeper(path), rows[:half])._worker.shutdown()
+    flown(keeper(path, utc=utc_s), rows[half + 15 :]).close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        durations_s = [found.flight.duration_s for found in ledger.flights("A")]
+        assert airborne.left_over(ledger) == []
+    assert len(durations_s) == 2
+    assert max(durations_s) < 0.7 * rows[-1].time_s and sum(durations_s) > 0.9 * rows[-1].time_s
+
+
 def test_a_flight_whose_process_never_came_back_is_saved_by_the_next_one(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     flown(keeper(path), rows[: 3 * len(rows) // 4])._worker.shutdown()

@@ -121,8 +121,7 @@ class PackKeeper:
             elif now_s - kept.flushed_s >= FLUSH_S:
                 self._flush(kept, now_s)
         for name, left in list(self._left_over.items()):
-            age_s = self._utc_s(now_s) - left.last_utc_s
-            if not 0.0 <= age_s <= RESUMED_WITHIN_S:
+            if not self._is_resumable(left, now_s):
                 del self._left_over[name]
                 self._worker.submit(self._noting_errors, self._learned, left.number, left.flight)
 
@@ -136,8 +135,9 @@ class PackKeeper:
 
     def _take_off(self, kept: Kept, now_s: float, cells: int, capacity_Ah: float) -> None:
         """The pack is armed: its rows go into the ledger from now on, on top of those of a process that died."""
-        left = self._left_over.pop(kept.name, None)
-        if left is not None:
+        left = self._left_over.get(kept.name)
+        if left is not None and self._is_resumable(left, now_s):  # what is not, `look_after` lands
+            del self._left_over[kept.name]
             kept.number = Future()
             kept.number.set_result(left.number)
             kept.start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
@@ -145,6 +145,10 @@ class PackKeeper:
         kept.start_s = kept.rows[0].time_s if kept.rows else now_s
         flight = Airborne(kept.name, self._utc_s(kept.start_s), cells, capacity_Ah, kept.cycles)
         kept.number = self._worker.submit(airborne.begun, self._ledger, flight)
+
+    def _is_resumable(self, left: LeftOver, now_s: float) -> bool:
+        """Return True if the flight may be going on still; without a clock, then or now, nobody knows its age."""
+        return 0.0 <= self._utc_s(now_s) - left.last_utc_s <= RESUMED_WITHIN_S
 
     def _flush(self, kept: Kept, now_s: float) -> None:
         assert kept.number is not None
