@@ -22,13 +22,15 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.battery import state_space as b
+from uavbatt.battery.model import Array
 from uavbatt.battery.pack import c_rate
-from uavbatt.battery.scaling import pack_of
+from uavbatt.battery.scaling import Pack, pack_of
 from uavbatt.battery.state_space import SIZE
 from uavbatt.estimation import kalman, noise, recursion
 from uavbatt.estimation.block import Block
 from uavbatt.estimation.filter import SocFilter
-from uavbatt.estimation.kalman import Moments
+from uavbatt.estimation.kalman import Condition, Moments
+from uavbatt.estimation.recursion import FilterState, Innovation
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.telemetry import read_log
 
@@ -36,31 +38,32 @@ DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] /
 SETS = ("reference/r0", "practice/p1")
 
 
-def unscented_close(pack, state, _):
+def unscented_close(
+    pack: Pack, state: FilterState, condition: Condition = kalman.condition
+) -> tuple[FilterState, Innovation]:
     """Do what `recursion._close` does, with filterpy's unscented transform for both steps.
 
-    The linear maps that it is handed go unused.
+    condition : takes the pseudo-measurement in by which a cell is never more than full; the block's own goes unscented.
     """
     block, at = state.block, state.moments
-    mean_A = block.charge_As / block.duration_s
+    mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     points = MerweScaledSigmaPoints(SIZE, alpha=0.3, beta=2.0, kappa=0.0)
     ukf = UnscentedKalmanFilter(SIZE, 2, dt=1.0, hx=None, fx=None, points=points)
     ukf.x, ukf.P = at.x[0].copy(), at.P[0] + 1e-12 * np.eye(SIZE)
-    rate, before = (float(c_rate(pack.installation, amps)) for amps in (mean_A, state.block_A))
-    ukf.Q = np.diag(noise.process_variances(pack, at.x[0], rate, block.duration_s, before))
-    ukf.predict(fx=lambda x, dt: b.transition(pack, x, mean_A, state.ambient_C, block.duration_s))
+    ukf.Q = np.diag(noise.process_variances(pack, at.x[0], float(c_rate(pack.installation, mean_A)), dt_s))
+    ukf.predict(fx=lambda x, dt: b.transition(pack, x, mean_A, state.air.ambient_C, dt_s))
     updates = 0
 
-    def by_unscented(x, P, innovation, observation, noise_R):
+    def by_unscented(x: Array, P: Array, innovation: Array, observation: Array, noise_R: Array) -> tuple[Array, Array]:
         nonlocal updates
         updates += 1
         if updates > 1:  # a cell is never more than full
-            return kalman.condition(x, P, innovation, observation, noise_R)
+            return condition(x, P, innovation, observation, noise_R)
         count = innovation.shape[1]
 
-        def reading(x):
+        def reading(x: Array) -> Array:
             volts = float(b.voltage(pack, x, block.current_A))
-            return np.array([volts, x[b.X.SENSOR]])[:count]
+            return np.array([volts, x[b.X.SENSOR] + pack.installation.offset_K])[:count]
 
         ukf._dim_z = count
         ukf.z, ukf.sigmas_h = np.zeros((count, 1)), np.zeros((2 * SIZE + 1, count))
@@ -68,8 +71,11 @@ def unscented_close(pack, state, _):
         return ukf.x[None].copy(), ukf.P[None].copy()
 
     predicted = Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
-    moments, shown = recursion._update(pack, predicted, block, block.current_A - state.block_A, by_unscented)
-    return state._replace(moments=moments, block_A=block.current_A, block=Block()), shown
+    step_A = block.current_A - state.block_A
+    moments, shown, warmer_K = recursion._update(pack, predicted, block, step_A, by_unscented)
+    is_read = np.isfinite(warmer_K)
+    air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
+    return state._replace(moments=moments, block_A=block.current_A, block=Block(), air=air), shown
 
 
 def score(battery: battery_file.BatteryFile) -> tuple[float, float, float]:
