@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from uavbatt import dataset
 from uavbatt.battery.battery_file import Battery, BatteryFile, Certificate, Discrepancy, ParameterTable
 from uavbatt.battery.sizing import PackOptions, pack_from
-from uavbatt.diagnosis import close
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
+from uavbatt.diagnosis.heldout import open_loop
+from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
@@ -83,8 +84,8 @@ def row(name: str, model: str, records: list[Observed], file: BatteryFile, cutof
     except NotEnoughData as error:
         return f"| {name} | {model} | not enough data: {error} | – | – |"
     empty = [np.zeros(0)] * len(found.problem.evidence.names)
-    before_V, _ = close.open_loop(found.problem, found.before, empty)
-    after_V, _ = close.open_loop(found.problem, found.after, close.left_out_values(found.problem, found.after))
+    before_V, _ = open_loop(found.problem, found.before, empty)
+    after_V, _ = open_loop(found.problem, found.after, left_out_values(found.problem, found.after))
     left = "; ".join(found.reasons) or "nothing"
     return f"| {name} | {model} | {words(found)} | {1000 * before_V:.0f} → {1000 * after_V:.0f} | {left} |"
 
