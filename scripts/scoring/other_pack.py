@@ -140,7 +140,6 @@ class Sensors:
     stuck_A: float = NAN  # NaN: what it read last
 
 
-EXACT = Sensors()
 ORDINARY = Sensors(voltage_sd_V=0.01, current_sd_A=0.15, voltage_digit_V=0.01, current_digit_A=0.05)
 
 

@@ -1,7 +1,8 @@
 """Our own frames: MAVLink 2, packed by pymavlink, unknown values as each field's sentinel.
 
-Components of the vehicle's system: ONBOARD (193 unless configured) is the companion, BATTERY (180) a battery of its
-own. Signed when a key is given, at the time of the wall clock: a receiver refuses a stream that begins a minute late.
+Components of the vehicle's system: the companion itself (`own_component` of its configuration), and BATTERY, a battery
+of its own. Signed when a key is given, at the time of the wall clock: a receiver refuses a stream that begins a minute
+late.
 What of them may travel towards the autopilot stands in `originated`.
 """
 
@@ -14,7 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-ONBOARD, BATTERY = 193, 180
+BATTERY, BATTERY_2 = 180, 181  # MAV_COMP_ID
 SET_MESSAGE_INTERVAL = 511
 SEVERITY_CRITICAL, SEVERITY_WARNING, SEVERITY_NOTICE = 2, 4, 5
 UINT16_MAX, INT16_MAX = 65535, 32767
@@ -52,7 +53,8 @@ class Outgoing:
 
     def heartbeat(self) -> bytes:
         """Return a HEARTBEAT: of an onboard controller, or of a battery when this is a battery's component."""
-        kind = dialect.MAV_TYPE_BATTERY if self.component in (180, 181) else dialect.MAV_TYPE_ONBOARD_CONTROLLER
+        is_battery = self.component in (BATTERY, BATTERY_2)
+        kind = dialect.MAV_TYPE_BATTERY if is_battery else dialect.MAV_TYPE_ONBOARD_CONTROLLER
         return self.pack(
             dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3)
         )

@@ -56,12 +56,6 @@ def add(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
         connection.executemany("INSERT OR REPLACE INTO rows VALUES (?, ?, ?, ?, ?)", values)
 
 
-def rows_of(ledger: Ledger, number: int) -> tuple[Sample, ...]:
-    """Return the rows of a flight."""
-    with ledger.reading() as connection:
-        return _rows(connection, number)
-
-
 def left_over(ledger: Ledger) -> list[LeftOver]:
     """Return the flights that never landed here."""
     with ledger.reading() as connection:
