@@ -159,12 +159,8 @@ class Flight:
 
     def facts_at(self, time_s: float) -> PackFacts:
         """Return the facts known at `time_s` [s]; an empty `PackFacts` before the first."""
-        known = PackFacts()
-        for since_s, facts in self.facts:
-            if since_s > time_s:
-                break
-            known = facts
-        return known
+        count = bisect_right(self.facts, time_s, key=lambda known: known[0])
+        return self.facts[count - 1][1] if count else PackFacts()
 
     @property
     def has_way(self) -> bool:
@@ -262,18 +258,13 @@ class Route:
 
     def later(self, age_s: float) -> Route:
         """Return the same as it stands `age_s` [s] later."""
-        return replace(
-            self,
-            left_s=_less(self.left_s, age_s),
-            turn_back_s=_less(self.turn_back_s, age_s),
-            turn_back_lo_s=_less(self.turn_back_lo_s, age_s),
-            turn_back_hi_s=_less(self.turn_back_hi_s, age_s),
-        )
+        times_s = {key: getattr(self, key) for key in ("left_s", "turn_back_s", "turn_back_lo_s", "turn_back_hi_s")}
+        return replace(self, **{key: max(at_s - age_s, 0.0) for key, at_s in times_s.items() if math.isfinite(at_s)})
 
-
-def _less(time_s: float, age_s: float) -> float:
-    """Return a time less its age, not below zero; unknown stays unknown."""
-    return max(time_s - age_s, 0.0) if math.isfinite(time_s) else time_s
+    @property
+    def must_turn_back_now(self) -> bool:
+        """Return True if turning back later may be too late, at a risk of 5 %; False where that is not known."""
+        return self.turn_back_lo_s <= 0.0
 
 
 @dataclass(frozen=True, slots=True)

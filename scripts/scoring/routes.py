@@ -242,7 +242,7 @@ def _alarm_s(mission: Mission) -> float:
     """When 'turn back now' is said first; never is the end of the flight."""
     said = (s.remaining for s in mission.run if s.remaining.route is not None)
     return next(
-        (r.time_s for r in said if r.route is not None and r.route.turn_back_lo_s <= 0.0),
+        (r.time_s for r in said if r.route is not None and r.route.must_turn_back_now),
         mission.run[-1].remaining.time_s,
     )
 

@@ -104,7 +104,7 @@ class WaySaid(NamedTuple):
     @property
     def turn_back_now_s(self) -> float:
         """Return when "turn back now" was said first [s]; NaN where it was not."""
-        return next((time_s for time_s, route in self.rows if route.turn_back_lo_s <= 0.0), NAN)
+        return next((time_s for time_s, route in self.rows if route.must_turn_back_now), NAN)
 
     @property
     def why_no_route(self) -> str:

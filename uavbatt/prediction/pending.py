@@ -45,7 +45,7 @@ class Pending(NamedTuple):
             found = replace(found, warnings=(*found.warnings, ALARM))
         if self._ends_unsaid(remaining):
             found = replace(found, warnings=(*found.warnings, ENDS_SOON))
-        if remaining.route is not None and remaining.route.turn_back_lo_s <= 0.0:
+        if remaining.route is not None and remaining.route.must_turn_back_now:
             found = replace(found, warnings=(*found.warnings, TURN_BACK))
         return found, remaining
 

@@ -47,7 +47,7 @@ def _planned(flight: Flight) -> list[Point]:
 def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
     time_s, last = said[-1]
     words = [f"“Turn back now” was said {duration(turn_s)} after the log's start."] if math.isfinite(turn_s) else []
-    if math.isfinite(last.home_soc) and not last.turn_back_lo_s <= 0.0:  # too late, home is no promise any more
+    if math.isfinite(last.home_soc) and not last.must_turn_back_now:  # too late, home is no promise any more
         charge = f"{last.home_soc:.0%} of the charge (at worst {last.home_soc_lo:.0%})"
         words.append(f"At {duration(time_s)} turning back would have brought it home with {charge}.")
     if not words:
