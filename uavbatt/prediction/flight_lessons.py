@@ -21,8 +21,8 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers
 from uavbatt.navigation import Wind
 from uavbatt.prediction.route_legs import Leg, Phase
+from uavbatt.records import NAN
 
-NAN = math.nan
 STRETCH, STRETCH_SD, SPEEDING, SPEEDING_SD = 1.03, 0.1, 0.32, 0.12
 SHORT_LEG_S = 20.0
 UNUSUAL, UNUSUAL_S = 0.4, 8.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.prediction.load import RecentLoad
+from uavbatt.prediction.load import LOWEST_POWER_W, RecentLoad
 from uavbatt.records import NAN, Sample
 
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
@@ -41,7 +41,7 @@ class Flown(NamedTuple):
     @property
     def mean_W(self) -> float:
         """Return the mean power of the flight [W], before there is any that of the last rows; at least 1 W."""
-        return max(1.0, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
+        return max(LOWEST_POWER_W, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
     def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool = False) -> Flown:
         """Return the past with one more row, its power [W] and its C-rate [1/h].

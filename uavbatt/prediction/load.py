@@ -24,6 +24,7 @@ PRIOR_SPREAD, PRIOR_GUST = 0.062, 0.116
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
 SCENARIOS = 9
 SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
+LOWEST_POWER_W = 1.0  # of a load: a forecast divides by it
 
 
 class Scenarios(NamedTuple):
@@ -124,7 +125,7 @@ class RecentMean:
 
     def typical_W(self, now: Now) -> float:
         """Return the mean power of about the last minute [W], at least 1 W."""
-        return max(now.recent.mean_W, 1.0)
+        return max(now.recent.mean_W, LOWEST_POWER_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return powers around the recent mean, with swings as the flight has shown them."""
@@ -168,7 +169,7 @@ class LoggedLoad:
 
     def typical_W(self, now: Now) -> float:
         """Return the mean power of the rows [W], at least 1 W."""
-        return max(float(np.mean(self.power_W)), 1.0)
+        return max(float(np.mean(self.power_W)), LOWEST_POWER_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return the one scenario that came true; beyond the log, the mean of its last minute.
@@ -185,11 +186,12 @@ class LoggedLoad:
         edges_s = now.time_s + stretches_s(length_s)
         beyond_s = np.maximum(edges_s - self.time_s[-1], 0.0)
         drawn_J = np.interp(edges_s, self.time_s, energy_J) + beyond_s * last_W
-        return Scenarios(np.maximum(np.diff(drawn_J) / np.diff(edges_s), 1.0)[:, None], np.ones(1), length_s)
+        power_W = np.maximum(np.diff(drawn_J) / np.diff(edges_s), LOWEST_POWER_W)
+        return Scenarios(power_W[:, None], np.ones(1), length_s)
 
     def _rows(self, time_s: float, dt_s: float, steps: int, last_W: float) -> Scenarios:
         later = self.time_s >= time_s - 1e-6
         beyond = max(steps - int(later.sum()), 1)
         power_W = np.concatenate([self.power_W[later], np.full(beyond, last_W)])
         gaps_s = np.concatenate([np.diff(self.time_s[later]), np.full(beyond + 1, dt_s)])[: power_W.size]
-        return Scenarios(np.maximum(power_W, 1.0)[:, None], np.ones(1), gaps_s)
+        return Scenarios(np.maximum(power_W, LOWEST_POWER_W)[:, None], np.ones(1), gaps_s)

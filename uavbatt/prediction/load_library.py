@@ -19,7 +19,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels, swinging
+from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, Load, Now, Scenarios, equal_levels, swinging
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -31,7 +31,7 @@ STATED_OVER_S = 60.0
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-PRIOR_SPREAD = 0.06
+FLIGHT_SPREAD = 0.06
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class LearnedLoad:
         levels = equal_levels(OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
         weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
-        return Scenarios(np.maximum(power_W, 1.0), weight, np.full(steps, dt_s))
+        return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
 
 
 def learned_load(file: VehicleFile) -> LearnedLoad:
@@ -123,12 +123,12 @@ class UnknownAircraft:
 
     def typical_W(self, now: Now) -> float:
         """Return the middle between the mean powers of the flight so far and of its last minute [W], at least 1 W."""
-        return max(0.5 * (now.flight_W + now.recent.mean_W), 1.0)
+        return max(0.5 * (now.flight_W + now.recent.mean_W), LOWEST_POWER_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
         swings = now.recent.swings
-        spread = float(np.hypot(PRIOR_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
+        spread = float(np.hypot(FLIGHT_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
         levels = self.typical_W(now) * equal_levels(spread, LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
         surging = share[:, None] >= SURGE_BEGINS

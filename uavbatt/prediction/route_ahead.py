@@ -18,8 +18,8 @@ from uavbatt.prediction.route_legs import Leg, Point, legs_table
 from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, way_home
 from uavbatt.prediction.route_pieces import Pieces, Way, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
+from uavbatt.records import NAN
 
-NAN = math.nan
 LEAST_TIMING_SD = 0.02
 FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
 

@@ -20,8 +20,7 @@ from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import Way, waiting
 from uavbatt.prediction.route_progress import Progress
-from uavbatt.prediction.turn_back import Turning, looks, turned
-from uavbatt.prediction.turn_back import turn_back_times as turn_back_of
+from uavbatt.prediction.turn_back import Turning, looks, turn_back_times, turned
 from uavbatt.records import Route
 
 NAMES = {
@@ -164,5 +163,5 @@ def route_answer(asked: RouteAsked, end_s: Array) -> Route:
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)
     if is_in_time:
         return replace(said, reason=said.reason or "the route comes home in time")
-    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_of(turn, end_s), (0.05, 0.5, 0.95)))
+    lo_s, middle_s, hi_s = map(float, np.quantile(turn_back_times(turn, end_s), (0.05, 0.5, 0.95)))
     return replace(said, turn_back_s=middle_s, turn_back_lo_s=lo_s, turn_back_hi_s=hi_s)

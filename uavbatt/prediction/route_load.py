@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import Powers, power, terms
-from uavbatt.prediction.load import Now, Scenarios, stretches_s, swinging
+from uavbatt.prediction import sampling
+from uavbatt.prediction.load import LOWEST_POWER_W, Now, Scenarios, stretches_s, swinging
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_pieces import Pieces
 from uavbatt.prediction.swings import Swings
 
 SCENARIOS = 64
 SLOW_MS, FAST_MS, STEEP_MS = 4.0, 10.0, 1.5  # between them flight becomes what `fast_sd` speaks of
-LOWEST_POWER_W = 1.0
 GUSTS = 0.2  # sd of the airspeed over the wind's: the turbulence of open land
 
 
@@ -68,7 +67,7 @@ class RouteLoad:
 def factors(load: RouteLoad) -> Array:
     """Return the factors on level, fast flight and time, [3, SCENARIOS], around 1."""
     sds = np.array([load.level_sd / load.level, load.powers.fast_sd, load.ahead.timing_sd])
-    return np.asarray(np.exp(sds[:, None] * _normals()))
+    return np.asarray(np.exp(sds[:, None] * sampling.whitened(SCENARIOS, 3, SCENARIOS)))
 
 
 def piece_terms(pieces: Pieces, induced_ms: float) -> Array:
@@ -87,14 +86,6 @@ def farness(pieces: Pieces) -> Array:
     """Return how much each piece counts as fast flight or climb, 0..1."""
     fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
     return np.maximum(fast, np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0))
-
-
-@cache
-def _normals() -> Array:
-    """[3, SCENARIOS] standard normals in antithetic pairs with covariance 1, exactly."""
-    half = np.random.default_rng(SCENARIOS).standard_normal((3, SCENARIOS // 2))
-    raw = np.concatenate([half, -half], axis=1)
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(raw @ raw.T / SCENARIOS), raw))
 
 
 def _energy_J(ends_s: Array, watts: Array, at_s: Array) -> Array:

@@ -11,8 +11,8 @@ from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
 from uavbatt.prediction.route_path import Path, path, place
+from uavbatt.records import NAN
 
-NAN = math.nan
 OVER_HOME_M = 6.0
 STALE_POSITION_S = 10.0
 OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0

@@ -21,12 +21,17 @@ _SEED = 5725
 
 
 @cache
-def normals() -> Array:
-    """Return standard normals [9, DRAWS] with mean 0 and covariance 1, exactly."""
-    half = np.random.default_rng(_SEED).standard_normal((SIZE, DRAWS // 2))
+def whitened(seed: int, rows: int, draws: int) -> Array:
+    """Return standard normals [rows, draws] in antithetic pairs, with mean 0 and covariance 1, exactly."""
+    half = np.random.default_rng(seed).standard_normal((rows, draws // 2))
     raw = np.concatenate([half, -half], axis=1)
-    root = np.linalg.cholesky(raw @ raw.T / DRAWS)
+    root = np.linalg.cholesky(raw @ raw.T / draws)
     return np.asarray(np.linalg.solve(root, raw))
+
+
+def normals() -> Array:
+    """Return the standard normals [9, DRAWS] of the belief's draws."""
+    return whitened(_SEED, SIZE, DRAWS)
 
 
 def wander(steps: int, by_rows: bool = False) -> Normals:

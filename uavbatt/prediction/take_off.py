@@ -21,7 +21,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.typical_power import typical_power_W
-from uavbatt.prediction.load import ConstantLoad, Load, Now, Scenarios, equal_levels
+from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, Load, Now, Scenarios, equal_levels
 from uavbatt.prediction.load_library import (
     FEW_SPREAD,
     GRID_S,
@@ -31,7 +31,6 @@ from uavbatt.prediction.load_library import (
 )
 from uavbatt.prediction.time_to_end import EndTimes
 
-LOWEST_POWER_W = 1.0
 SETTLED_S = 60.0
 FORGOTTEN_S = 240.0
 NEAR_S = 120.0  # a pack that is this near its end shows it

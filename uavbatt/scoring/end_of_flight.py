@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from uavbatt.battery.model import Array
+from uavbatt.records import NAN
 
 MEAN_WINDOW_S = 5.0
-NAN = math.nan
 
 
 def end_of_flight(

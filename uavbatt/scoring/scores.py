@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from uavbatt.records import NAN
 from uavbatt.scoring.end_of_flight import end_of_flight
 from uavbatt.scoring.metrics import FloatArray, binomial_interval, crps_quantiles, mass_within
 
@@ -43,7 +44,6 @@ MAX_AGE_S = 60.0
 """The slowest telemetry scored so far has a row every 12 s and gaps of 30 s; beyond a minute it is silence."""
 CRA_FLOOR_S = 30.0
 """Nearer to the end than this [s] the relative accuracy divides by next to nothing."""
-NAN = math.nan
 
 
 @dataclass(frozen=True, slots=True)
