@@ -130,7 +130,7 @@ class Announcer:
         return [(severity, _fitting(f"Battery {self._instance}: {text}", LONGEST_TEXT)) for severity, text in said]
 
     def _alarm(self, now_s: float, shown: Display) -> list[tuple[int, str]]:
-        left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
+        left_s = shown.at_worst_s
         for threshold_s in self._waiting:
             if left_s > REARM * threshold_s:
                 self._waiting[threshold_s] = True

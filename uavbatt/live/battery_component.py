@@ -80,7 +80,6 @@ def charge_state(shown: Display) -> int:
     UNDEFINED where no time is known. It goes to ground stations only: what PX4 or ArduPilot does when a battery is
     critical stays with their own monitors.
     """
-    left_s = shown.remaining_alarm_s if math.isfinite(shown.remaining_alarm_s) else shown.remaining_lo_s
-    if not math.isfinite(left_s):
+    if not math.isfinite(shown.at_worst_s):
         return UNDEFINED
-    return next((state for below_s, state in CHARGE_STATES if left_s <= below_s), GOOD)
+    return next((state for below_s, state in CHARGE_STATES if shown.at_worst_s <= below_s), GOOD)

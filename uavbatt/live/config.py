@@ -148,10 +148,9 @@ def checked(config: Config) -> Config:
     """Return the configuration if its parts fit together. Raises UsageError, in words, if they do not."""
     if not config.link.endpoint:
         raise UsageError("no ENDPOINT: name one, or set link.endpoint in uavbatt.toml")
-    if "proxy" in config.feed.kinds and not config.link.gcs:
-        raise UsageError("feed proxy: expected --gcs ENDPOINT, where the ground station is")
-    if "battery" in config.feed.kinds and not config.link.gcs:
-        raise UsageError("feed battery: expected --gcs ENDPOINT, where the ground station is")
+    for kind in ("proxy", "battery"):
+        if kind in config.feed.kinds and not config.link.gcs:
+            raise UsageError(f"feed {kind}: expected --gcs ENDPOINT, where the ground station is")
     if config.packs.name and not config.packs.file:
         raise UsageError(f"--pack {config.packs.name}: expected --packs FILE as well, the ledger that remembers it")
     if config.http.listen:

@@ -10,6 +10,7 @@ feeds the watchdog and sends the heartbeat, so that both stop when the process h
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
@@ -79,7 +80,7 @@ class Daemon:
         self._recorder = Recorder(config.record) if config.record.folder else None
         self._sender = Sender(config, link, stations, key)
         self._headline = Headline()
-        self._status_s = self._state_s = self._watch_s = float("-inf")
+        self._status_s = self._state_s = self._watch_s = -math.inf
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
         """Run the loop until told to stop, then write out what is held."""
@@ -201,6 +202,6 @@ class Daemon:
         if not reports:
             return self._link.problem or NOTHING_YET
         shown = reports[0].at(now_s)
-        if shown.remaining_s == shown.remaining_s:
+        if math.isfinite(shown.remaining_s):
             return f"{shown.remaining_s / 60:.1f} min left ({shown.remaining_lo_s / 60:.1f} at worst), {shown.status}"
         return shown.reason if reports[0].is_waiting else f"{shown.status}: {shown.reason}"

@@ -33,6 +33,11 @@ class Display:
     remaining_to_low_s: float
     remaining_alarm_s: float
 
+    @property
+    def at_worst_s(self) -> float:
+        """Return the time that alarms go by [s]: the alarm's own point, the 5 % point of a forecast without one."""
+        return self.remaining_alarm_s if math.isfinite(self.remaining_alarm_s) else self.remaining_lo_s
+
 
 class EnduranceNow(NamedTuple):
     """It tells how long a flight that begins now would last [s]: median, 5 % and 95 % point; NaN is unknown."""
@@ -125,7 +130,6 @@ class Report:
         made |= {"status": shown.status.value, "reason": shown.reason}
         endurance = UNKNOWN if stale else self.endurance
         volts = made["voltage_V"]
-        known = isinstance(volts, float) and self.cells > 0
         return made | {
             "instance": self.instance,
             "age_s": rounded(self.age_s(now_s), 2),
@@ -135,7 +139,7 @@ class Report:
             "plan_hi_s": rounded(endurance.hi_s, 1),
             "flight_s": rounded(now_s - self.flying_since_s, 1),
             "cells": self.cells or None,
-            "cell_voltage_V": round(volts / self.cells, 3) if known and isinstance(volts, float) else None,
+            "cell_voltage_V": round(volts / self.cells, 3) if self.cells > 0 and isinstance(volts, float) else None,
             "battery": self.battery,
             "certificate": self.certificate,
         }
