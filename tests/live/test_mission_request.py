@@ -8,15 +8,17 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from uavbatt.live.config import LinkSection
 from uavbatt.live.mission_request import REST_S, MissionRequest
 from uavbatt.mavlink import originated
 from uavbatt.mavlink.framing import header
-from uavbatt.mavlink.outgoing import ONBOARD, Outgoing
+from uavbatt.mavlink.outgoing import Outgoing
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.route.messages import NavigationListener
 
 ITEMS = [(0, 16), (3, 22), *[(3, 16)] * 6, (3, 20)]
 STEP_S = 0.1
+OWN = LinkSection().own_component
 
 
 class Autopilot:
@@ -61,8 +63,8 @@ class Flight:
 
     def __init__(self, autopilot: Autopilot) -> None:
         self.autopilot, self.now_s = autopilot, 0.0
-        self.route = NavigationListener(own=(1, ONBOARD))
-        self.request, self.out = MissionRequest(), Outgoing(1, ONBOARD)
+        self.route = NavigationListener(own=(1, OWN))
+        self.request, self.out = MissionRequest(), Outgoing(1, OWN)
         self.sent: list[int] = []
         self.route.take(0.0, 0, dialect.MAVLink_heartbeat_message(2, 3, 129, 3, 4, 3))
 
