@@ -96,7 +96,7 @@ def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
         yield flight.facts[count - 1][1] if count else PackFacts(), rows
 
 
-class WaySaid(NamedTuple):
+class RouteForecasts(NamedTuple):
     """It holds the forecasts of a replay about a route or the way home, each with its time [s]."""
 
     rows: list[tuple[float, Route]]
@@ -113,6 +113,8 @@ class WaySaid(NamedTuple):
         return reasons.most_common(1)[0][0] if reasons else ""
 
 
-def way_said(run: Iterable[ReplayedRow]) -> WaySaid:
+def route_forecasts(run: Iterable[ReplayedRow]) -> RouteForecasts:
     """Return the forecasts of a replay about route and way home; empty where neither mission nor home was known."""
-    return WaySaid([(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None])
+    return RouteForecasts(
+        [(row.remaining.time_s, row.remaining.route) for row in run if row.remaining.route is not None]
+    )

@@ -25,7 +25,7 @@ from uavbatt.navigation import Home, Mission, ReturnSettings, Wind
 from uavbatt.plan.endurance import EMPTY_SOC, TABLE_C, range_remark, rested
 from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
-from uavbatt.prediction.long_steps import begun, edges_through, flown_on
+from uavbatt.prediction.long_steps import edges_through, fly_draws, start_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_forecast import IN_TIME, Flying, ToCome
 from uavbatt.prediction.route_legs import Point, legs_table
@@ -169,7 +169,7 @@ def _fit(
     known = ToCome(load, "route", "", ahead, elsewhere, None if elsewhere else home)
     end_s = np.minimum(end_times(question, enough=1.0).end_s, question.horizon_s)
     turns_by_s = looked_s if looked_s == ahead.touchdown_s else float(end_s.max())
-    asked = route_forecast.ask(known, flying, way, planned.settings, turns_by_s)
+    asked = route_forecast.fly_ways(known, flying, way, planned.settings, turns_by_s)
     route = _with_charge_shown(route_forecast.route_answer(asked, end_s))
     assert asked.route_s is not None
     spare = np.quantile(np.maximum(end_s - asked.route_s, 0.0), LEVELS)
@@ -200,9 +200,9 @@ def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
     goes_on = (pieces.end[1:] != pieces.end[:-1]).any(axis=1) | (pieces.seq[1:] != pieces.seq[:-1])
     last = np.append(np.flatnonzero(goes_on), pieces.seq.size - 1)
     ends_s: Array = pieces.ends_s[last]
-    going = begun(flying.pack, flying.x, flying.ambient_C)
+    draws = start_draws(flying.pack, flying.x, flying.ambient_C)
     edges_s = edges_through(ends_s)
-    passed = flown_on(going, flying.power_W, flying.dt_s, edges_s).of(np.searchsorted(edges_s, ends_s))
+    passed = fly_draws(draws, flying.power_W, flying.dt_s, edges_s).of(np.searchsorted(edges_s, ends_s))
     soc = np.quantile(passed.state.soc, LEVELS, axis=1)
     ended = (end_s < ends_s[:, None]).mean(axis=1)
     return tuple(

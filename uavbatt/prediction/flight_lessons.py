@@ -85,7 +85,7 @@ class FlightLessons(NamedTuple):
         timed = all(t.ss > 0.0 and t.ee > 0.0 and t.ss * t.ee > t.se**2 for t in (self.short, self.long))
         return timed and self.level_s >= 0.0 and self.level_sum_s >= 0.0
 
-    def timed(self, behind: Sequence[Leg], flown_s: float) -> FlightLessons:
+    def with_timing(self, behind: Sequence[Leg], flown_s: float) -> FlightLessons:
         """Return the lessons after the legs `behind` took `flown_s` [s] together.
 
         The planned waits do not count. Take-offs, unusual times, and short legs mixed with long ones teach nothing.
@@ -102,7 +102,7 @@ class FlightLessons(NamedTuple):
             return self._replace(long=self.long.after(flown_s, planned_s, speeds_ms))
         return self
 
-    def blown(self, wind: Wind | None, row_s: float) -> FlightLessons:
+    def with_wind(self, wind: Wind | None, row_s: float) -> FlightLessons:
         """Return the lessons with the wind, as the autopilot estimates it, averaged over a minute.
 
         row_s : time since the row before [s]; a wind of None changes nothing.
@@ -117,7 +117,7 @@ class FlightLessons(NamedTuple):
             wind_east_ms=self.wind_east_ms + share * (wind.east_ms - self.wind_east_ms),
         )
 
-    def powered(self, ratio: float, told_s: float) -> FlightLessons:
+    def with_power_ratio(self, ratio: float, told_s: float) -> FlightLessons:
         """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power."""
         return self._replace(level_s=self.level_s + told_s, level_sum_s=self.level_sum_s + told_s * ratio)
 

@@ -196,7 +196,7 @@ class Forecaster:
             scenario,
             question.reserve_soc,
         )
-        route = route_forecast.ask(known, flying, way_of(self._progress), navigation.settings, typical_s)
+        route = route_forecast.fly_ways(known, flying, way_of(self._progress), navigation.settings, typical_s)
         return question._replace(route=route, ways=ways)
 
     def before_take_off(self, belief: Belief, time_s: float) -> Forecast | None:

@@ -26,7 +26,7 @@ STEP_S = 20.0
 LONGEST_STEP_S = 2.0 * STEP_S  # where only the charge is asked, not the sag of each step
 
 
-class Going(NamedTuple):
+class FlyingDraws(NamedTuple):
     """It holds draws of a pack on their way: cell, installation, state, and the model's error [V] of each."""
 
     pack: Pack
@@ -37,7 +37,7 @@ class Going(NamedTuple):
     bias_V: Array
     tables: Array  # `curves.curve_tables`
 
-    def of(self, which: NDArray[Any] | slice) -> Going:
+    def of(self, which: NDArray[Any] | slice) -> FlyingDraws:
         """Return the draws of some of several beginnings [beginnings, draws] that go on side by side."""
         return self._replace(state=State(*(column[which] for column in self.state)), bias_V=self.bias_V[which])
 
@@ -53,25 +53,25 @@ class Source(NamedTuple):
     drift_sd_V: Array
 
 
-def begun(pack: Pack, x: Array, ambient_C: float) -> Going:
+def start_draws(pack: Pack, x: Array, ambient_C: float) -> FlyingDraws:
     """Return the draws at the start of their way, from the belief columns x [9, draws]."""
-    return Going(pack, ambient_C, *unpack(pack, x), x[X.BIAS], curve_tables(pack))
+    return FlyingDraws(pack, ambient_C, *unpack(pack, x), x[X.BIAS], curve_tables(pack))
 
 
-def source(going: Going) -> Source:
+def source_of(draws: FlyingDraws) -> Source:
     """Return the voltage source that a load meets in each draw now."""
-    charged_V, new_ohmAh, drift_sd_V = looked_up(going.tables, going.state.soc)
-    emf_V, r_ohmAh = model.source_from(going.cell, going.state, charged_V, new_ohmAh)
-    return Source(emf_V + going.bias_V, r_ohmAh, drift_sd_V)
+    charged_V, new_ohmAh, drift_sd_V = looked_up(draws.tables, draws.state.soc)
+    emf_V, r_ohmAh = model.source_from(draws.cell, draws.state, charged_V, new_ohmAh)
+    return Source(emf_V + draws.bias_V, r_ohmAh, drift_sd_V)
 
 
-def walked(going: Going, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> Going:
+def step_draws(draws: FlyingDraws, at: Source, power_W: Array, dt_s: Array | float, normals: Array) -> FlyingDraws:
     """Return the draws after `dt_s` [s] of `power_W` [W]; `at` is their source now, `normals` kick the model error."""
-    cell, state, pack, under = going.cell, going.state, going.pack, _under(going, at, power_W)
-    later = model.step_cell(cell, state, under, at.r_ohmAh, going.ambient_C, dt_s, model.cell_lags(cell, dt_s))
+    cell, state, pack, under = draws.cell, draws.state, draws.pack, _under(draws, at, power_W)
+    later = model.step_cell(cell, state, under, at.r_ohmAh, draws.ambient_C, dt_s, model.cell_lags(cell, dt_s))
     doubt_V2 = drift_variance(at.drift_sd_V, under.c_rate * (dt_s / SECONDS_PER_HOUR))
     kick_V = np.sqrt(bias_variance(pack, dt_s) + doubt_V2) * normals
-    return going._replace(state=later, bias_V=going.bias_V + kick_V)
+    return draws._replace(state=later, bias_V=draws.bias_V + kick_V)
 
 
 def edges_through(times_s: Array) -> Array:
@@ -80,21 +80,21 @@ def edges_through(times_s: Array) -> Array:
     return np.unique(np.concatenate(parts))
 
 
-def flown_on(going: Going, power_W: Array, dt_s: Array, edges_s: Array) -> Going:
+def fly_draws(draws: FlyingDraws, power_W: Array, dt_s: Array, edges_s: Array) -> FlyingDraws:
     """Return the draws at `edges_s` [edges, draws], the first is now, under a power in steps of `dt_s` [steps]."""
     ends_s = np.concatenate([[0.0], np.cumsum(dt_s)])
     drawn_J = np.concatenate([np.zeros_like(power_W[:1]), np.cumsum(power_W * dt_s[:, None], axis=0)])
-    passed, lengths_s = [going], np.diff(edges_s)
+    passed, lengths_s = [draws], np.diff(edges_s)
     mean_W = np.diff(_between(drawn_J, ends_s, edges_s), axis=0) / lengths_s[:, None]
     for length_s, watts, normals in zip(lengths_s, mean_W, wander(lengths_s.size).bias, strict=True):
-        passed.append(walked(passed[-1], source(passed[-1]), watts, float(length_s), normals))
+        passed.append(step_draws(passed[-1], source_of(passed[-1]), watts, float(length_s), normals))
     columns = zip(*(now.state for now in passed), strict=True)
     state = State(*(np.stack(np.broadcast_arrays(*column)) for column in columns))
-    return going._replace(state=state, bias_V=np.stack([now.bias_V for now in passed]))
+    return draws._replace(state=state, bias_V=np.stack([now.bias_V for now in passed]))
 
 
-def charge_at(passed: Going, edges_s: Array, at_s: Array) -> Array:
-    """Return the charge of each draw at its own time [draws], from the draws at edges [edges, draws] (`flown_on`)."""
+def charge_at(passed: FlyingDraws, edges_s: Array, at_s: Array) -> Array:
+    """Return the charge of each draw at its own time [draws], from the draws at edges [edges, draws] (`fly_draws`)."""
     soc = np.asarray(passed.state.soc)
     own = (np.interp(own_s, edges_s, column) for own_s, column in zip(at_s, soc.T, strict=True))
     return np.asarray(np.maximum(np.fromiter(own, float, at_s.size), 0.0))
@@ -107,23 +107,23 @@ def _between(values: Array, edges_s: Array, at_s: Array) -> Array:
     return np.asarray(values[right - 1] + share[:, None] * (values[right] - values[right - 1]))
 
 
-def above_cutoff_V(going: Going, at: Source, power_W: Array) -> Array:
+def above_cutoff_V(draws: FlyingDraws, at: Source, power_W: Array) -> Array:
     """Return how far the metered voltage of the pack is above its cut-off under a power [W]; negative below it."""
-    installation, under = going.installation, _under(going, at, power_W)
+    installation, under = draws.installation, _under(draws, at, power_W)
     series_ohmAh = series_resistance(installation, at.r_ohmAh)
     cell_V = model.voltage_under(at.emf_V, series_ohmAh, under)
     if is_on(installation.deficit):
-        strong_V = cell_V - going.bias_V + under.c_rate * (series_ohmAh - at.r_ohmAh)
-        cell_V = cell_V + weak_lag(installation, going.cell, going.state, under.c_rate, strong_V)
-    return np.asarray(metered_voltage(installation, installation.cells * cell_V) - going.pack.cutoff_V)
+        strong_V = cell_V - draws.bias_V + under.c_rate * (series_ohmAh - at.r_ohmAh)
+        cell_V = cell_V + weak_lag(installation, draws.cell, draws.state, under.c_rate, strong_V)
+    return np.asarray(metered_voltage(installation, installation.cells * cell_V) - draws.pack.cutoff_V)
 
 
-def _under(going: Going, at: Source, power_W: Array) -> UnderLoad:
+def _under(draws: FlyingDraws, at: Source, power_W: Array) -> UnderLoad:
     """The cells under a power.
 
     A pack far beyond empty, whose voltage has turned round, gives nothing: it must not be charged by the way.
     """
-    installation = going.installation
+    installation = draws.installation
     size = installation.cells * installation.present_capacity_Ah
-    under = model.under_power(going.cell, at.emf_V, series_resistance(installation, at.r_ohmAh), power_W / size)
+    under = model.under_power(draws.cell, at.emf_V, series_resistance(installation, at.r_ohmAh), power_W / size)
     return UnderLoad(np.maximum(under.c_rate, 0.0), np.maximum(under.transfer_V, 0.0))

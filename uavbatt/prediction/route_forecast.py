@@ -14,13 +14,13 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.navigation import Navigation, ReturnSettings
 from uavbatt.prediction.load import ConstantLoad, Load, LoggedLoad, RecentMean
 from uavbatt.prediction.load_library import LearnedLoad, UnknownAircraft
-from uavbatt.prediction.long_steps import begun, charge_at, edges_through, flown_on
+from uavbatt.prediction.long_steps import charge_at, edges_through, fly_draws, start_draws
 from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
 from uavbatt.prediction.route_load import SCENARIOS, RouteLoad, factors
 from uavbatt.prediction.route_path import ENDLESS_S
 from uavbatt.prediction.route_pieces import Way, waiting
 from uavbatt.prediction.route_progress import Progress
-from uavbatt.prediction.turn_back import Turning, looks, turn_back_times, turned
+from uavbatt.prediction.turn_back import Turning, fly_home, turn_back_times, turn_instants
 from uavbatt.records import Route
 
 NAMES = {
@@ -115,14 +115,14 @@ class Flying(NamedTuple):
     reserve_soc: float = 0.0
 
 
-def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
+def fly_ways(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typical_s: float) -> RouteAsked:
     """Return the time and charge at the route's touchdown, and the draws at the instants at which they may turn home.
 
     The draws fly on once: through the instants of turning to the last touchdown.
     """
     asked = RouteAsked(known.name, _reason(known), None, None, None)
     scenario = flying.scenario % SCENARIOS  # of another load the numbers of scenarios mean nothing
-    homewards, look_s, last_s = known.homewards, np.zeros(1), np.zeros(1)
+    homewards, turn_at_s, last_s = known.homewards, np.zeros(1), np.zeros(1)
     if known.route is not None and known.route.lands:
         stretch = factors(RouteLoad(known.route, UNKNOWN, 1.0, 0.0))[2][scenario]
         asked = asked._replace(route_s=known.route.touchdown_s * stretch)
@@ -130,16 +130,16 @@ def ask(known: ToCome, flying: Flying, way: Way, settings: ReturnSettings, typic
     if homewards is not None:
         here = homewards.ahead.begin  # without a route it is taken to stay as far from home as it is
         flown = known.route or Ahead(here, waiting(here, ENDLESS_S), lands=False)
-        look_s = looks(min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf))
+        turn_at_s = turn_instants(min(HORIZON_SHARE * typical_s, flown.touchdown_s if flown.lands else math.inf))
     if asked.route_s is None and homewards is None:
         return asked
-    edges_s = edges_through(np.unique(np.concatenate([look_s, last_s])))
-    passed = flown_on(begun(flying.pack, flying.x, flying.ambient_C), flying.power_W, flying.dt_s, edges_s)
+    edges_s = edges_through(np.unique(np.concatenate([turn_at_s, last_s])))
+    passed = fly_draws(start_draws(flying.pack, flying.x, flying.ambient_C), flying.power_W, flying.dt_s, edges_s)
     if asked.route_s is not None:
         asked = asked._replace(route_soc=charge_at(passed, edges_s, asked.route_s))
     if homewards is not None:
-        at_turn = passed.of(np.searchsorted(edges_s, look_s))
-        turning = Turning(at_turn, look_s, flown, homewards, scenario, way, settings, flying.reserve_soc)
+        at_turn = passed.of(np.searchsorted(edges_s, turn_at_s))
+        turning = Turning(at_turn, turn_at_s, flown, homewards, scenario, way, settings, flying.reserve_soc)
         asked = asked._replace(turning=turning)
     return asked
 
@@ -158,7 +158,7 @@ def route_answer(asked: RouteAsked, end_s: Array) -> Route:
     if asked.turning is None:
         return said
     is_in_time = said.risk <= IN_TIME  # all the later instants are most of the work
-    turn = turned(asked.turning.now if is_in_time else asked.turning)
+    turn = fly_home(asked.turning.now if is_in_time else asked.turning)
     home_soc_lo, home_soc = map(float, np.quantile(turn.home_soc, (0.05, 0.5)))
     said = replace(said, home_soc=home_soc, home_soc_lo=home_soc_lo)
     if is_in_time:

@@ -57,7 +57,7 @@ class RouteLoad:
         """Return the scenarios over steps of `dt_s` [steps] without the noise of rows."""
         levels, fast, stretch = factors(self)
         watts = np.append(self.piece_W, self.level * self.powers.hover_W)[:, None] * levels
-        watts *= np.append(farness(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
+        watts *= np.append(fast_shares(self.ahead.pieces), 0.0)[:, None] * (fast - 1.0) + 1.0
         edges_s = stretches_s(dt_s)
         drawn_J = _energy_J(self.ahead.pieces.ends_s, watts, edges_s[:, None] / stretch) * stretch
         power_W = np.maximum(np.diff(drawn_J, axis=0) / np.diff(edges_s)[:, None], LOWEST_POWER_W)
@@ -82,7 +82,7 @@ def roughness(load: RouteLoad, wind_ms: float) -> Array:
     return np.hypot(load.powers.row_sd, (faster.piece_W / load.piece_W - 1.0) * GUSTS * wind_ms)
 
 
-def farness(pieces: Pieces) -> Array:
+def fast_shares(pieces: Pieces) -> Array:
     """Return how much each piece counts as fast flight or climb, 0..1."""
     fast = np.clip((pieces.airspeed_ms - SLOW_MS) / (FAST_MS - SLOW_MS), 0.0, 1.0)
     return np.maximum(fast, np.clip(pieces.climb_ms / STEEP_MS, 0.0, 1.0))

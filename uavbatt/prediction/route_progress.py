@@ -50,7 +50,7 @@ class Progress(NamedTuple):
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(navigation)
-        moved = moved._replace(time_s=time_s, lessons=moved.lessons.blown(navigation.wind, row_s))
+        moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
         if navigation.mode is Mode.MISSION:
             moved = moved._followed(time_s, navigation)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
@@ -60,7 +60,7 @@ class Progress(NamedTuple):
         if flown is None or not told_s > 0.0:
             return moved
         ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
-        return moved._replace(lessons=moved.lessons.powered(ratio, told_s))
+        return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
     def _on_path(self, navigation: Navigation) -> Progress:
         """The leg by what the autopilot says that it flies to, and the timing of those behind."""
@@ -78,7 +78,7 @@ class Progress(NamedTuple):
             return moved
         since_s, began_s = navigation.current_since_s, moved.leg_since_s
         if navigation.mode is Mode.MISSION and 0 <= moved.at < at and math.isfinite(began_s):
-            moved = moved._replace(lessons=moved.lessons.timed(found.legs[moved.at : at], since_s - began_s))
+            moved = moved._replace(lessons=moved.lessons.with_timing(found.legs[moved.at : at], since_s - began_s))
         return moved._replace(at=at, leg_since_s=since_s, behind=0, behind_s=since_s, arrived_s=NAN)
 
     @property

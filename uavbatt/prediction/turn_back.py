@@ -18,30 +18,30 @@ from uavbatt.battery.model import Array
 from uavbatt.battery.powers import TURN_S, turning_power
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
-from uavbatt.prediction.long_steps import STEP_S, Going, Source, above_cutoff_V, source, walked
+from uavbatt.prediction.long_steps import STEP_S, FlyingDraws, Source, above_cutoff_V, source_of, step_draws
 from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import Leg, legs_table
-from uavbatt.prediction.route_load import RouteLoad, factors, farness, roughness
+from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
 from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, Pieces, Way
 from uavbatt.prediction.route_progress import OVER_HOME_M
 from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
-LOOKS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
+TURNS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
 CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
 FASTEST_CLIMB_MS = 0.3
 ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is judged, is hardly above one
 
 
 class Turning(NamedTuple):
-    """It holds draws that turn at instants `look_s` [s], being `at_turn` [looks, draws] after flying along `flown`.
+    """It holds draws that turn at instants `turn_at_s` [s], being `at_turn` [turns, draws] after flying along `flown`.
 
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
     reserve_soc : the charge at which a flight ends, as it does at the cut-off
     """
 
-    at_turn: Going
-    look_s: Array
+    at_turn: FlyingDraws
+    turn_at_s: Array
     flown: Ahead
     load: RouteLoad
     scenario: Array
@@ -52,45 +52,49 @@ class Turning(NamedTuple):
     @property
     def now(self) -> Turning:
         """Return only the first instant, in which the aircraft turns now."""
-        return self._replace(at_turn=self.at_turn.of(slice(1)), look_s=self.look_s[:1])
+        return self._replace(at_turn=self.at_turn.of(slice(1)), turn_at_s=self.turn_at_s[:1])
 
 
 class TurnBack(NamedTuple):
     """It says how far above cut-off and reserve each draw stayed on its way home, after turning at some instants."""
 
-    look_s: Array  # [looks] from now
-    above_V: Array  # [looks, draws]
+    turn_at_s: Array  # [turns] from now
+    above_V: Array  # [turns, draws]
     home_soc: Array  # [draws] at touchdown after turning now
 
 
 class Homewards(NamedTuple):
     """It holds ways home in equally many steps each: lengths [s], middle powers [W], shares of fast flight (0..1)."""
 
-    length_s: Array  # [steps, looks]
+    length_s: Array  # [steps, turns]
     power_W: Array
-    far: Array
+    fast_shares: Array
     rough: Array  # relative sd of the power within the step
-    turn_W: Array  # [looks] while it turns and speeds up; a hover where it is over home
+    turn_W: Array  # [turns] while it turns and speeds up; a hover where it is over home
 
-    def drawn_W(self, k: int, looks: Column, scenarios: Array) -> Array:
-        """Return the power of step `k` on the ways of these looks [looks, draws]; `scenarios` as in `_flown_home`."""
+    def drawn_W(self, k: int, turns: Column, scenarios: Array) -> Array:
+        """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
         levels, fast, _ = scenarios
-        return np.asarray(self.power_W[k, looks][:, None] * levels * (1.0 + self.far[k, looks][:, None] * (fast - 1.0)))
+        power_W, fast_share = self.power_W[k, turns][:, None], self.fast_shares[k, turns][:, None]
+        return np.asarray(power_W * levels * (1.0 + fast_share * (fast - 1.0)))
 
 
-def looks(longest_s: float) -> Array:
+def turn_instants(longest_s: float) -> Array:
     """Return the instants within `longest_s` [s] at which a turn home is simulated."""
-    return np.asarray(longest_s * np.linspace(0.0, 1.0, LOOKS) ** CROWDED)
+    return np.asarray(longest_s * np.linspace(0.0, 1.0, TURNS) ** CROWDED)
 
 
-def turned(asked: Turning) -> TurnBack:
+def fly_home(asked: Turning) -> TurnBack:
     """Simulate the ways home after turning at each instant, and return how far above its end each draw stays."""
-    home = _homewards(asked.flown, asked.look_s, asked.load, asked.way, asked.settings)
-    return _flown_home(asked.at_turn, asked.look_s, home, factors(asked.load)[:, asked.scenario], asked.reserve_soc)
+    home = _homewards(asked.flown, asked.turn_at_s, asked.load, asked.way, asked.settings)
+    scenarios = factors(asked.load)[:, asked.scenario]
+    return _fly_home(asked.at_turn, asked.turn_at_s, home, scenarios, asked.reserve_soc)
 
 
-def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array, reserve_soc: float) -> TurnBack:
-    """Return what comes of the ways home that begin with the draws `at_turn` [looks, draws].
+def _fly_home(
+    at_turn: FlyingDraws, turn_at_s: Array, home: Homewards, scenarios: Array, reserve_soc: float
+) -> TurnBack:
+    """Return what comes of the ways home that begin with the draws `at_turn` [turns, draws].
 
     scenarios : factors of level, fast flight and time of each draw [3, draws]
     """
@@ -98,7 +102,7 @@ def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))
     least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels, reserve_soc), np.empty(at_turn.bias_V.shape)
-    flying = np.arange(look_s.size)  # the looks whose ways are not over yet: each has a length of its own
+    flying = np.arange(turn_at_s.size)  # the turns whose ways are not over yet: each has a length of its own
     for k in range(int(steps.max()) + 1):
         is_asked = _is_asked(least_V)[flying]
         if not is_asked.all():
@@ -107,59 +111,59 @@ def _flown_home(at_turn: Going, look_s: Array, home: Homewards, scenarios: Array
         if is_down.any():
             down, landed = flying[is_down], at_turn.of(is_down)
             power_W = home.drawn_W(max(k - 1, 0), down, scenarios)
-            least_V[down] = np.minimum(least_V[down], _above_V(landed, source(landed), power_W, reserve_soc))
+            least_V[down] = np.minimum(least_V[down], _above_V(landed, source_of(landed), power_W, reserve_soc))
             soc[down] = landed.state.soc
             flying, at_turn = flying[~is_down], at_turn.of(~is_down)
         if not flying.size:
             break
-        at, rough = source(at_turn), home.rough[k, flying][:, None]
+        at, rough = source_of(at_turn), home.rough[k, flying][:, None]
         power_W = home.drawn_W(k, flying, scenarios)
         above_V = _above_V(at_turn, at, power_W * (1.0 + ROUGH * rough), reserve_soc)
         least_V[flying] = np.minimum(least_V[flying], above_V)
         length_s = home.length_s[k, flying][:, None] * stretch
-        at_turn = walked(at_turn, at, power_W, length_s, normals[k % len(normals)])
-    return TurnBack(look_s, least_V, np.maximum(soc[0], 0.0))
+        at_turn = step_draws(at_turn, at, power_W, length_s, normals[k % len(normals)])
+    return TurnBack(turn_at_s, least_V, np.maximum(soc[0], 0.0))
 
 
 def _is_asked(least_V: Array) -> Column:
-    """True for each look [looks] whose way home still counts: charge is asked of the first, a crossing of the others.
+    """True for each turn [turns] whose way home still counts: charge is asked of the first, a crossing of the others.
 
-    No draw comes home from the others, nor from the look before: no crossing lies there (`last_crossing`).
+    No draw comes home from the others, nor from the turn before: no crossing lies there (`last_crossing`).
     """
     comes_home = np.asarray((least_V >= 0.0).any(axis=1))
     return np.asarray(comes_home | np.concatenate([[True], comes_home[:-1]]))
 
 
-def _above_V(going: Going, at: Source, power_W: Array, reserve_soc: float) -> Array:
+def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float) -> Array:
     """Return the height above the end of flight: above the cut-off, or above the reserve where that is nearer."""
-    above_V = above_cutoff_V(going, at, power_W)
+    above_V = above_cutoff_V(draws, at, power_W)
     if not reserve_soc > 0.0:
         return above_V
-    return np.asarray(np.minimum(above_V, (going.state.soc - reserve_soc) * SOC_IN_VOLTS))
+    return np.asarray(np.minimum(above_V, (draws.state.soc - reserve_soc) * SOC_IN_VOLTS))
 
 
-def _turning_V(at_turn: Going, power_W: Array, reserve_soc: float) -> Array:
+def _turning_V(at_turn: FlyingDraws, power_W: Array, reserve_soc: float) -> Array:
     """Return the height above the end of flight while the draws turn, in the middle of it."""
-    halfway = walked(at_turn, source(at_turn), power_W, 0.5 * TURN_S, np.zeros_like(power_W))
-    return _above_V(halfway, source(halfway), power_W, reserve_soc)
+    halfway = step_draws(at_turn, source_of(at_turn), power_W, 0.5 * TURN_S, np.zeros_like(power_W))
+    return _above_V(halfway, source_of(halfway), power_W, reserve_soc)
 
 
-def _homewards(flown: Ahead, look_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
+def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
     """The way home from where each instant finds the aircraft."""
-    legs = [way_home(point, settings) for point in flown.points(look_s)]
+    legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
-    look_of = np.repeat(np.arange(look_s.size), [len(those) for those in legs])[leg_of]
-    pieces, look_of = _in_steps(pieces, look_of)
+    turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
+    pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
-    told = np.stack([pieces.length_s, there.piece_W, farness(pieces), roughness(there, math.hypot(*way.wind))])
-    counts = np.bincount(look_of, minlength=look_s.size)
+    told = np.stack([pieces.length_s, there.piece_W, fast_shares(pieces), roughness(there, math.hypot(*way.wind))])
+    counts = np.bincount(turn_of, minlength=turn_at_s.size)
     ends = np.cumsum(counts)
     step = np.arange(counts.max())[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
-    length_s, power_W, far_share, rough = told[:, index]  # a way that is over goes on as it ended, in no time
+    length_s, power_W, fast, rough = told[:, index]  # a way that is over goes on as it ended, in no time
     speeds_ms = np.array([_speed_home_ms(those) for those in legs])
     turn_W = load.level * turning_power(load.powers, speeds_ms)
-    return Homewards(np.where(is_flown, length_s, 0.0), power_W, far_share, rough, turn_W)
+    return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough, turn_W)
 
 
 def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
@@ -167,18 +171,18 @@ def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
     return max((leg.speed_ms for leg in legs if leg.run_m > OVER_HOME_M), default=0.0)
 
 
-def _in_steps(pieces: Pieces, look_of: Column) -> tuple[Pieces, Column]:
-    """The pieces, and the look of each, in steps short enough for their sag."""
+def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:
+    """The pieces, and the turn of each, in steps short enough for their sag."""
     least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, 1)
     count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
     pieces = pieces._replace(length_s=pieces.length_s / count)
-    return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(look_of, count)
+    return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(turn_of, count)
 
 
 def turn_back_times(asked: TurnBack, end_s: Array) -> Array:
     """Return the last time at which each draw can turn back [s], which ends at `end_s`; 0 if it is too late already."""
-    alive = asked.look_s[:, None] <= end_s
-    return last_crossing(asked.look_s, np.where(alive, asked.above_V, -np.abs(asked.above_V)))
+    alive = asked.turn_at_s[:, None] <= end_s
+    return last_crossing(asked.turn_at_s, np.where(alive, asked.above_V, -np.abs(asked.above_V)))
 
 
 def last_crossing(at_s: Array, height: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.log_replay.outcome import Outcome
-from uavbatt.log_replay.run import ReplayedRow, way_said
+from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.navigation import Mode
 from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.prediction.pending import ALARM_S
@@ -77,7 +77,7 @@ def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
     alarm_s = next((r.time_s for r in said if r.remaining_alarm_s <= ALARM_S), math.nan)
     if math.isfinite(alarm_s):
         yield Event(alarm_s, "alarm", True)
-    turn_s = way_said(steps).turn_back_now_s
+    turn_s = route_forecasts(steps).turn_back_now_s
     if math.isfinite(turn_s):
         yield Event(turn_s, "turn back now", True)
 

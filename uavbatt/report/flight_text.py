@@ -9,7 +9,7 @@ from typing import Any
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackSize
 from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
-from uavbatt.log_replay.run import ReplayedRow, way_said
+from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_limits import against_a_reserve, limits_of
@@ -121,7 +121,7 @@ def summary(
 
 def _route_summary(run: list[ReplayedRow]) -> dict[str, Any]:
     """How far the route was the load to come, and when "turn back now" was said; nulls without a route or home."""
-    said = way_said(run)
+    said = route_forecasts(run)
     turn_s = said.turn_back_now_s
     return {
         "route_share": sum(route.load == "route" for _, route in said.rows) / len(said.rows) if said.rows else None,

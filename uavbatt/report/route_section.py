@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from uavbatt.log_replay.run import ReplayedRow, WaySaid, way_said
+from uavbatt.log_replay.run import ReplayedRow, RouteForecasts, route_forecasts
 from uavbatt.prediction.route_legs import Point
 from uavbatt.prediction.route_path import path, place
 from uavbatt.records import Flight, Route
@@ -16,7 +16,7 @@ from uavbatt.report.route_map import route_map
 
 def route_section(flight: Flight, steps: Sequence[ReplayedRow]) -> list[Html]:
     """Return the section on the route; an empty list where neither a route nor home is known."""
-    said = way_said(steps)
+    said = route_forecasts(steps)
     if not said.rows:
         return []
     turn_s = said.turn_back_now_s
@@ -56,7 +56,7 @@ def _words(said: Sequence[tuple[float, Route]], turn_s: float) -> str:
     return " ".join(words)
 
 
-def _loads(said: WaySaid) -> str:
+def _loads(said: RouteForecasts) -> str:
     """Which load to come was used in how many rows, and why not the route's."""
     loads = Counter(route.load for _, route in said.rows)
     used = ", ".join(f"{load} in {count} of {len(said.rows)} rows" for load, count in loads.most_common())
