@@ -7,7 +7,7 @@ import numpy as np
 from scoring.m100 import LEARNED, LOG, UNKNOWN, Result
 from scoring.peer_lines import MAH
 from scoring.table import DASH, Table, figure, grid, share, with_error
-from uavbatt.scoring.metrics import fixed_percentage
+from uavbatt.scoring.metrics import percentage_interval
 from uavbatt.scoring.scores import Instant, PooledScores, ScoreRow, pool
 
 INSTANTS = ("360 s", "240 s", "120 s", "60 s", "25%", "50%", "75%")
@@ -147,7 +147,7 @@ def _each(ours: list[Result], rival: list[Result]) -> list[str]:
         hits, at = _own(ours, label)[1], _at(rival, label)
         if not 0 < hits <= len(at):
             return [DASH] * (len(JUDGED) + 1)
-        percent, width_s = fixed_percentage([i.truth_s for i in at], [i.forecast_s for i in at], hits)
+        percent, width_s = percentage_interval([i.truth_s for i in at], [i.forecast_s for i in at], hits)
         cells.append(f"{_cell(width_s, hits)}, p {share(percent)}" if np.isfinite(percent) else "none holds")
         widths_s.append(width_s)
     return [*cells, _mean(widths_s)]
@@ -157,7 +157,7 @@ def _one(ours: list[Result], rival: list[Result]) -> list[str]:
     """The rival with one p for all instants."""
     hits = sum(_own(ours, label)[1] for label in JUDGED)
     every = [i for label in JUDGED for i in _at(rival, label)]
-    percent, _ = fixed_percentage([i.truth_s for i in every], [i.forecast_s for i in every], hits)
+    percent, _ = percentage_interval([i.truth_s for i in every], [i.forecast_s for i in every], hits)
     if not np.isfinite(percent):
         return ["none holds"] * len(JUDGED) + [DASH]
     cells, widths_s = [], []

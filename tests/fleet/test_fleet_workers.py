@@ -22,7 +22,7 @@ pytest.importorskip("pyarrow", reason="the extra `fleet` is not installed")
 from uavbatt.battery import battery_file
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.fleet.errand import Errand
-from uavbatt.fleet.fly import Job, fly_log, lost
+from uavbatt.fleet.fly import Job, fly_log, lost_row
 from uavbatt.fleet.logs import JOURNAL, LogFile, find_logs
 from uavbatt.fleet.processes import TRIES, Processes
 from uavbatt.fleet.row import LOST, FlightRow
@@ -50,7 +50,7 @@ def waiting(tmp_path: Path) -> LogFile:
 
 def errand(log: LogFile) -> Errand[FlightRow]:
     job = Job(battery_file.read_battery("lipo-generic"), PackOptions())
-    return Errand(log, partial(fly_log, job=job), partial(lost, job=job))
+    return Errand(log, partial(fly_log, job=job), partial(lost_row, job=job))
 
 
 def tree(pid: int) -> list[int]:

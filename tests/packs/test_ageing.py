@@ -112,7 +112,7 @@ def test_a_worse_pack_that_was_another_is_forgotten_when_the_old_one_comes_back(
 
 def test_a_month_on_the_shelf_is_known_less_than_a_day():
     known = ageing.history([flight(k) for k in range(4)])[-1].known
-    day, month = (np.diag(ageing.later(known, days).covariance) for days in (1.0, 30.0))
+    day, month = (np.diag(ageing.predicted(known, days).covariance) for days in (1.0, 30.0))
     assert (month[:2] > day[:2]).all()
 
 

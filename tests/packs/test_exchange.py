@@ -8,7 +8,7 @@ import pytest
 from packs.made import flight
 
 from uavbatt.errors import BadInput
-from uavbatt.packs.exchange import exported, read_pack, take_in, text_of
+from uavbatt.packs.exchange import import_pack, plain_pack, read_pack, text_of
 from uavbatt.packs.ledger import Ledger
 
 FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k, cycles=30 + k) for k in range(3)]
@@ -19,20 +19,20 @@ def pack_file(tmp_path):
     path = tmp_path / "A.json"
     with Ledger(tmp_path / "first.sqlite") as ledger:
         ledger.save_all("A", FLIGHTS)
-        path.write_text(text_of(exported(ledger, "A")), "utf-8")
+        path.write_text(text_of(plain_pack(ledger, "A")), "utf-8")
     return path
 
 
 def test_a_pack_arrives_as_it_left(tmp_path, pack_file):
     with Ledger(tmp_path / "first.sqlite") as first, Ledger(tmp_path / "second.sqlite") as second:
-        assert take_in(second, read_pack(pack_file)) == "A"
+        assert import_pack(second, read_pack(pack_file)) == "A"
         assert repr(second.pack("A")) == repr(first.pack("A"))
 
 
 def test_taking_a_pack_in_twice_counts_its_flights_once(tmp_path, pack_file):
     with Ledger(tmp_path / "second.sqlite") as ledger:
-        take_in(ledger, read_pack(pack_file))
-        take_in(ledger, read_pack(pack_file))
+        import_pack(ledger, read_pack(pack_file))
+        import_pack(ledger, read_pack(pack_file))
         assert ledger.pack("A").outlook.flights == len(FLIGHTS)
 
 
@@ -72,10 +72,10 @@ def test_a_file_that_is_no_pack_changes_nothing(tmp_path, pack_file, change, wor
     pack_file.write_text(json.dumps(change(json.loads(pack_file.read_text("utf-8")))), "utf-8")
     with Ledger(tmp_path / "second.sqlite") as ledger:
         with pytest.raises(BadInput, match=words):
-            take_in(ledger, read_pack(pack_file))
+            import_pack(ledger, read_pack(pack_file))
         assert ledger.packs() == []
 
 
 def test_a_pack_that_is_not_there_is_named_with_those_that_are(tmp_path, pack_file):
     with Ledger(tmp_path / "first.sqlite") as ledger, pytest.raises(BadInput, match="a pack named B, found A"):
-        exported(ledger, "B")
+        plain_pack(ledger, "B")

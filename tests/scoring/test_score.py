@@ -103,11 +103,11 @@ def test_mass_within_the_interval_is_ninety_percent() -> None:
     assert metrics.mass_within(90.0, 110.0, 100.0, 100.0, 100.0) == pytest.approx(1.0)
 
 
-def test_fixed_percentage_is_the_least_that_covers() -> None:
-    share, width = metrics.fixed_percentage([110.0, 80.0, 130.0, 50.0], [100.0, 100.0, 100.0, NAN], hits=3)
+def test_percentage_interval_is_the_least_that_covers() -> None:
+    share, width = metrics.percentage_interval([110.0, 80.0, 130.0, 50.0], [100.0, 100.0, 100.0, NAN], hits=3)
     assert share == pytest.approx(0.3)
     assert width == pytest.approx(2 * 0.3 * 75.0)
-    assert math.isinf(metrics.fixed_percentage([50.0], [NAN], hits=1)[0])
+    assert math.isinf(metrics.percentage_interval([50.0], [NAN], hits=1)[0])
 
 
 # --- one flight ------------------------------------------------------------------------------------------

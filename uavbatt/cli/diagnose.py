@@ -88,13 +88,13 @@ def diagnose(
     content = read_battery(battery, allow_uncertified)
     stated = stated_pack(cells, capacity_ah, cutoff_voltage)
     if follow:
-        from uavbatt.cli.diagnose_follow import Asked, followed
+        from uavbatt.cli.diagnose_follow import Asked, follow_and_tell
 
         if gate is not None or output is not None:
             raise UsageError(
                 "--follow: expected neither --gate nor -o: it tells since when, and changes no battery file"
             )
-        followed(sources, content, stated, Asked(instance, tuple(without or ()), packs, pack), json_file, report)
+        follow_and_tell(sources, content, stated, Asked(instance, tuple(without or ()), packs, pack), json_file, report)
         return
     datasets = [data.load(p) for p in sources if p.is_dir()]
     flights = distinct([read_log(p, instance) for p in sources if not p.is_dir()])

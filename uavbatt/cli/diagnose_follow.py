@@ -30,7 +30,7 @@ class Asked:
     pack: str
 
 
-def followed(
+def follow_and_tell(
     sources: Sequence[Path],
     content: BatteryFile,
     stated: PackOptions,

@@ -36,7 +36,7 @@ def base_pack(packs: Path | None, stated: str, flights: list[Flight], file: Batt
     from uavbatt.packs.ledger import prior
     from uavbatt.packs.remembering import key_of
 
-    with pack_memory.opened(packs, stated, only_read=True) as memory:
+    with pack_memory.open_memory(packs, stated, only_read=True) as memory:
         if memory.ledger is None:
             return BasePack(pack, file)
         name = _name(flights, stated)

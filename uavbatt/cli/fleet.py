@@ -146,7 +146,7 @@ def _met(
         _worked_off(run.learn_all(crew(), found, job, output), output / LESSONS, "packs")
         lessons = list(run.lessons(output, found, job))
         filled = fleet_ledger.fill(ledger, lessons)
-        met = fleet_ledger.met(ledger, lessons, filled, len(found), job.battery.certificate.content_sha256)
+        met = fleet_ledger.packs_met(ledger, lessons, filled, len(found), job.battery.certificate.content_sha256)
         count = len(ledger.packs())
     for number, words in filled.left_out.items():
         remark(f"uavbatt: {found[number].name}: {words}")

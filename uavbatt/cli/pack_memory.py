@@ -89,7 +89,7 @@ class PackMemory:
 
 
 @contextmanager
-def opened(packs: Path | None, pack: str = "", *, only_read: bool = False) -> Iterator[PackMemory]:
+def open_memory(packs: Path | None, pack: str = "", *, only_read: bool = False) -> Iterator[PackMemory]:
     """Open the ledger that the options name, for a block. Raises UsageError for a name without a ledger."""
     if packs is None:
         if pack:

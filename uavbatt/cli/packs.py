@@ -62,14 +62,14 @@ def _change(path: Path, forget: str, take_in: Path | None) -> None:
         if forget and ledger.forget(forget):
             remark(f"{forget} is forgotten")
         if carried is not None:
-            remark(f"{exchange.take_in(ledger, carried)} is taken in")
+            remark(f"{exchange.import_pack(ledger, carried)} is taken in")
 
 
 def _export(ledger: Ledger, pack: str, path: Path) -> None:
     from uavbatt.files import atomic_write, json_for
-    from uavbatt.packs.exchange import exported, text_of
+    from uavbatt.packs.exchange import plain_pack, text_of
 
-    content = exported(ledger, pack)
+    content = plain_pack(ledger, pack)
     with atomic_write(path) as stream:
         stream.write(json_for(stream, text_of(content)))
 

@@ -84,7 +84,7 @@ def plan(
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
     resolved = resolve(content, options, flight)
-    with pack_memory.opened(packs, pack, only_read=True) as memory:
+    with pack_memory.open_memory(packs, pack, only_read=True) as memory:
         remembered = memory.recalled_now(content)
     if mission is not None and vehicle is not None:
         conditions = (ambient_c, start_soc, reserve_soc)

@@ -103,7 +103,7 @@ def replay(
     flown = vehicle_file.read_vehicle(vehicle) if vehicle is not None else None
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     results, failed = list[dict[str, Any]](), False
-    with pack_memory.opened(packs, pack) as memory:
+    with pack_memory.open_memory(packs, pack) as memory:
         for log, of_one in zip(logs, targets, strict=True):
             chosen, to_come, outputs_of_one = (instance, join, system), (load, flown), (*of_one, summary)
             stated = (options, reserve_soc)

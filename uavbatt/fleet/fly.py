@@ -68,12 +68,12 @@ def fly_log(log: LogFile, job: Job, met: PackMet = NOT_MET) -> FlightRow:
     try:
         return _flown(read(log, job), log, job, met)
     except Unreadable as error:
-        return bad(log, job, _reason(error, log), LOST)
+        return bad_row(log, job, _reason(error, log), LOST)
     except UavbattError as error:
         reason = _reason(error, log)
     except Exception as error:  # a row with its reason, whatever it is: one log must not end the others
         reason = f"{type(error).__name__} in uavbatt itself: {error}"
-    return bad(log, job, reason)
+    return bad_row(log, job, reason)
 
 
 def _reason(error: UavbattError, log: LogFile) -> str:
@@ -93,15 +93,15 @@ def read(log: LogFile, job: Job) -> Flight:
     return bytes_joined(name, data, Wiring(job.join)) if job.join else read_bytes(name, data, job.instance)
 
 
-def bad(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
+def bad_row(log: LogFile, job: Job, reason: str, status: str = BAD) -> FlightRow:
     """Return the row of a log that could not be flown."""
     aircraft, reason = _aircraft(log, job, None), " ".join(reason.split())
     return FlightRow(file=log.name, status=status, reason=reason, look=reason, aircraft=aircraft, size_bytes=log.size)
 
 
-def lost(log: LogFile, reason: str, job: Job) -> FlightRow:
+def lost_row(log: LogFile, reason: str, job: Job) -> FlightRow:
     """Return the row of a log whose worker died, which the next run flies again."""
-    return bad(log, job, reason, LOST)
+    return bad_row(log, job, reason, LOST)
 
 
 def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
@@ -111,7 +111,7 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     run = list(steps(flight, estimator))
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
-        return bad(log, job, "expected at least one row with a voltage")
+        return bad_row(log, job, "expected at least one row with a voltage")
     found = outcome(run, pack.cutoff_V, job.settings.reserve_soc)
     who, info = flight.identity, describe(flight)
     last = run[-1].estimate

@@ -41,7 +41,9 @@ def fill(ledger: Ledger, lessons: Iterable[Numbered]) -> Filled:
     return Filled(saved, left_out)
 
 
-def met(ledger: Ledger, lessons: Iterable[Numbered], filled: Filled, logs: int, battery_sha256: str) -> list[PackMet]:
+def packs_met(
+    ledger: Ledger, lessons: Iterable[Numbered], filled: Filled, logs: int, battery_sha256: str
+) -> list[PackMet]:
     """Return the pack of each of so many logs as the flights before it left it, once the ledger is filled."""
     found = [NOT_MET] * logs
     for name, flights in _by_pack(lessons).items():

@@ -70,13 +70,13 @@ def learn(log: LogFile, job: Job) -> Lesson:
         name = name_of(flight)
         found = taught(job.battery, job.options, flight).record if name else None
     except Unreadable as error:
-        return lost(log, str(error))
+        return no_lesson(log, str(error))
     except Exception:  # whatever it is, the row of the flight will say it
         return Lesson(file=log.name, status=BAD)
     start_utc_s = flight.identity.start_utc_s
     return Lesson(file=log.name, pack=name, key=key_of(flight.samples), start_utc_s=start_utc_s, taught=found)
 
 
-def lost(log: LogFile, _: str) -> Lesson:
+def no_lesson(log: LogFile, _: str) -> Lesson:
     """Return the lesson of a log that could not be read, or whose worker died; the flight's own row will say why."""
     return Lesson(file=log.name, status=LOST)

@@ -89,7 +89,7 @@ def learn_all(
     """
 
     def errand(number: int, _: int) -> Errand[Lesson]:
-        return Errand(logs[number], partial(lesson.learn, job=job), lesson.lost)
+        return Errand(logs[number], partial(lesson.learn, job=job), lesson.no_lesson)
 
     keys = _lesson_keys(logs, job)
     with Journal(folder / LESSONS, _numbers(keys), lesson_of) as done:
@@ -120,7 +120,7 @@ def run_fleet(
     def errand(number: int, each: int) -> Errand[FlightRow]:
         flown = replace(job, flights_each=each)
         work = partial(fly.fly_log, job=flown, met=met[number] if met else NOT_MET)
-        return Errand(logs[number], work, partial(fly.lost, job=flown))
+        return Errand(logs[number], work, partial(fly.lost_row, job=flown))
 
     keys = _keys(logs, job, met)
     with Journal(folder / JOURNAL, _numbers(keys), row_of) as done:

@@ -144,7 +144,7 @@ class PackKeeper:
             return
         kept.start_s = kept.rows[0].time_s if kept.rows else now_s
         flight = Airborne(kept.name, self._utc_s(kept.start_s), cells, capacity_Ah, kept.cycles)
-        kept.number = self._worker.submit(airborne.begun, self._ledger, flight)
+        kept.number = self._worker.submit(airborne.store_flight, self._ledger, flight)
 
     def _is_resumable(self, left: LeftOver, now_s: float) -> bool:
         """Return True if the flight may be going on still; without a clock, then or now, nobody knows its age."""
@@ -157,7 +157,7 @@ class PackKeeper:
         kept.rows.clear()
         if rows:
             number = kept.number
-            self._worker.submit(self._noting_errors, lambda: airborne.add(self._ledger, number.result(), rows))
+            self._worker.submit(self._noting_errors, lambda: airborne.store_rows(self._ledger, number.result(), rows))
 
     def _land(self, kept: Kept) -> None:
         """The flight is over: what it taught is saved, and known the next time the pack is met."""
@@ -194,13 +194,13 @@ class PackKeeper:
         log = Flight("live", "live", left.rows, facts=((0.0, facts),), identity=identity)
         found = taught(self._battery, self._options, log)
         if found.record is None:
-            airborne.dropped(self._ledger, number)
+            airborne.delete_flight(self._ledger, number)
             self.note = f"pack {flight.name}: nothing learned: {found.why_not}"
             return
         try:
             after = self._ledger.save(flight.name, found.record, landed=number)
         except AnotherSize as error:
-            airborne.dropped(self._ledger, number)
+            airborne.delete_flight(self._ledger, number)
             self.note = f"pack {flight.name}: not remembered: {error}"
             return
         words = "; ".join(finding.words for finding in after.findings)

@@ -84,7 +84,7 @@ def _likelihood(known: Known, flight: FlightRecord) -> float:
     return math.exp(-0.5 * float(apart @ np.linalg.solve(spread, apart))) / math.sqrt(float(np.linalg.det(spread)))
 
 
-def later(known: Known, days: float) -> Known:
+def predicted(known: Known, days: float) -> Known:
     """Return the belief `days` [days] later, before the next flight; unknown days (NaN) count as none."""
     days = min(max(days, 0.0), LONGEST_DAYS) if math.isfinite(days) else 0.0
     walked = FLIGHT_SD**2 + MONTH_SD**2 * days / DAYS_A_MONTH
@@ -115,7 +115,7 @@ def oddness(known: Known, flight: FlightRecord, doubt: Array) -> Array:
 
 def oddness_together(before: Known, one: FlightRecord, next_one: FlightRecord) -> Array:
     """Return how many sd two flights in a row lie, by the same step, from what was expected before both, [2]."""
-    after = later(before, 0.0)
+    after = predicted(before, 0.0)
     found = []
     for k in (OHM, CHARGE):
         shared, grown = float(before.covariance[k, k]), float(after.covariance[k, k])
@@ -158,7 +158,7 @@ def _taken(expected: Known, flight: FlightRecord) -> Known:
 def _next(course: AgeingState, flight: FlightRecord) -> tuple[AgeingState, tuple[PackFinding, ...]]:
     """One flight more: as expected, damaged since the last one, or not this pack at all."""
     beside = odd.between(course.last, flight)
-    expected = later(course.known, days_between(course.last, flight.start_utc_s))
+    expected = predicted(course.known, days_between(course.last, flight.start_utc_s))
     z = oddness(expected, flight, flight.told.matrix)
     change = flight.told.mean - H @ expected.mean
     if max(-z[OHM], z[CHARGE]) > ODD_ALONE:
@@ -185,15 +185,15 @@ def _improved(
 ) -> tuple[AgeingState, PackFinding]:
     """A flight better than the pack can be: set aside, unless it is the pack from before, or the new one again."""
     old = course.undamaged
-    if old is not None and np.abs(oddness(later(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
+    if old is not None and np.abs(oddness(predicted(old, 0.0), flight, flight.told.matrix)).max() < FITS_AGAIN:
         again = "as before the damage: the flights in between were another pack's"
-        return AgeingState(_taken(later(old, 0.0), flight), old, flight, is_settled=False), PackFinding(
+        return AgeingState(_taken(predicted(old, 0.0), flight), old, flight, is_settled=False), PackFinding(
             said.kind, again
         )
     if course.aside is not None:
         anew = first_known(course.aside)
         said = PackFinding(said.kind, "again another pack: remembered anew under this name")
-        return AgeingState(_taken(later(anew, 0.0), flight), anew, flight, is_settled=False), said
+        return AgeingState(_taken(predicted(anew, 0.0), flight), anew, flight, is_settled=False), said
     return AgeingState(expected, expected, course.last, aside=flight, is_settled=False), said
 
 
@@ -207,7 +207,7 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
         return None
     change = 0.5 * (course.last.told.mean + flight.told.mean) - H @ course.expected.mean
     begun = (_shaken(course.expected, z), course.expected)
-    between = [later(_taken(one, course.last), 0.0) for one in begun]
+    between = [predicted(_taken(one, course.last), 0.0) for one in begun]
     likely = np.array([DAMAGED_SHARE, 1.0 - DAMAGED_SHARE])
     likely *= [_likelihood(a, course.last) * _likelihood(b, flight) for a, b in zip(begun, between, strict=True)]
     known = _together(_shares(likely), [_taken(one, flight) for one in between])
@@ -217,7 +217,7 @@ def _odd_together(course: AgeingState, flight: FlightRecord) -> tuple[AgeingStat
 
 def prior(known: Known, days: float, other_file: bool = False) -> PackHealth:
     """Return the prior of the next flight, `days` [days] after the last; `other_file`: with another battery file."""
-    expected = later(known, days)
+    expected = predicted(known, days)
     doubt = OTHER_CONDITIONS_SD**2 + (OTHER_FILE_SD**2 if other_file else 0.0)
     log_ohm, log_Ah = (float(value) for value in expected.mean[:2])
     return PackHealth(log_ohm, log_Ah, expected.covariance[:2, :2] + np.diag(doubt))

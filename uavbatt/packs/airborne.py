@@ -39,7 +39,7 @@ class LeftOver(NamedTuple):
         return self.flight.start_utc_s + (self.rows[-1].time_s if self.rows else 0.0)
 
 
-def begun(ledger: Ledger, flight: Airborne) -> int:
+def store_flight(ledger: Ledger, flight: Airborne) -> int:
     """Store a flight that has begun; return the number under which it is kept."""
     row = (flight.name, _stored(flight.start_utc_s), flight.cells, flight.capacity_Ah, flight.cycles)
     with ledger.writing() as connection:
@@ -49,7 +49,7 @@ def begun(ledger: Ledger, flight: Airborne) -> int:
     return int(found.lastrowid or 0)
 
 
-def add(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
+def store_rows(ledger: Ledger, number: int, rows: Sequence[Sample]) -> None:
     """Append rows to a flight; their times count from its start [s]."""
     values = [(number, r.time_s, r.voltage_V, _stored(r.current_A), _stored(r.temp_C)) for r in rows]
     with ledger.writing() as connection:
@@ -63,7 +63,7 @@ def left_over(ledger: Ledger) -> list[LeftOver]:
         return [LeftOver(int(row["id"]), _airborne(row), _rows(connection, int(row["id"]))) for row in found]
 
 
-def dropped(ledger: Ledger, number: int) -> None:
+def delete_flight(ledger: Ledger, number: int) -> None:
     """Delete a flight that taught nothing."""
     with ledger.writing() as connection:
         connection.execute("DELETE FROM airborne WHERE id = ?", (number,))

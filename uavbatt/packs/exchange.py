@@ -28,7 +28,7 @@ class PackFile(msgspec.Struct, frozen=True):
     flights: list[dict[str, Any]]
 
 
-def exported(ledger: Ledger, name: str) -> dict[str, Any]:
+def plain_pack(ledger: Ledger, name: str) -> dict[str, Any]:
     """Return the pack of that name as plain values. Raises BadInput when there is none."""
     found = ledger.flights(name)
     if not found:
@@ -65,7 +65,7 @@ def read_pack(path: Path) -> CarriedPack:
     return CarriedPack(content.name, flights)
 
 
-def take_in(ledger: Ledger, pack: CarriedPack) -> str:
+def import_pack(ledger: Ledger, pack: CarriedPack) -> str:
     """Save the flights of a pack, and return its name; flights that are there already count once."""
     ledger.save_all(pack.name, pack.flights)
     return pack.name

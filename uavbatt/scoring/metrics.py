@@ -70,7 +70,7 @@ def binomial_interval(hits: int, trials: int, confidence: float = 0.95) -> tuple
     return low, high
 
 
-def fixed_percentage(truth_s: ArrayLike, forecast_s: ArrayLike, hits: int) -> tuple[float, float]:
+def percentage_interval(truth_s: ArrayLike, forecast_s: ArrayLike, hits: int) -> tuple[float, float]:
     """Return (p, mean width [s]) of the plain rival of an interval: forecast +- p of itself.
 
     p is the least share that covers `hits` truths. A forecast of 0 (a refusal) is never covered. Raises ValueError

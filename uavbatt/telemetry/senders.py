@@ -74,7 +74,7 @@ class Senders:
         if len(by_sender) == 1:
             return
         for other, rows in by_sender.items():
-            what = "" if other == sender else apart(_recent(own, time_s), _recent(rows, time_s))
+            what = "" if other == sender else disagreement(_recent(own, time_s), _recent(rows, time_s))
             if what:
                 self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")
 
@@ -88,7 +88,7 @@ class Senders:
         return [(number, words) for number in self._conflicts if (words := self.conflict(number, time_s))]
 
 
-def apart(one: Iterable[SenderRow], other: Iterable[SenderRow]) -> str:
+def disagreement(one: Iterable[SenderRow], other: Iterable[SenderRow]) -> str:
     """Return the quantity in which two sources cannot be one battery, in words; empty when they can."""
     a, b = list(one), list(other)
     for name, share, least in (
