@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from bench import missions
+from bench.memory import resident_MB
 
 from uavbatt.mavlink import framing
 from uavbatt.records import Sample
@@ -31,12 +32,6 @@ from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 VEHICLE, STATION = ("127.0.0.1", 24_651), ("127.0.0.1", 24_650)
 TICKS = os.sysconf("SC_CLK_TCK")
 WARM_S, WARM_ON_ROUTE_S = 5.0, 25.0  # on a route nothing is said of the way home before 20 s of flight tell the power
-
-
-def rss_MB(pid: int) -> float:
-    """Return the resident memory of a process [MB]."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def cpu_s(pid: int) -> float:
@@ -135,11 +130,11 @@ def measure(feed: str, rate: float, seconds: float, mission: Path | None = None)
             delays["named"].append(got_s - max(vehicle.sent_s.values()))
         elif head.message_id == 251 and b"HOME_SOC" in frame:
             home_values += 1
-    found = {"ready_s": ready_s, "rss_MB": rss_MB(process.pid)}
+    found = {"ready_s": ready_s, "rss_MB": resident_MB(process.pid)}
     found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - cpu0_s) / seconds
     if feed == "proxy":
         pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.live.proxy.*24651"]).split()[0])
-        found["proxy_rss_MB"] = rss_MB(pid)
+        found["proxy_rss_MB"] = resident_MB(pid)
         found["proxy_p50_ms"] = 1e3 * statistics.median(delays["frame"])
         found["proxy_p99_ms"] = 1e3 * statistics.quantiles(delays["frame"], n=100)[98]
         found["frames"] = len(delays["frame"])

@@ -18,8 +18,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+from scoring.truth import truth_battery
 
-from uavbatt import dataset
 from uavbatt.battery import battery_file
 from uavbatt.battery import state_space as b
 from uavbatt.battery.model import Array
@@ -31,7 +31,6 @@ from uavbatt.estimation.block import Block
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimation.kalman import Condition, Moments
 from uavbatt.estimation.recursion import FilterState, Innovation
-from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.telemetry import read_log
 
 DATA = Path(os.environ.get("UAVBATT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -102,9 +101,7 @@ def main() -> None:
         path = Path(sys.argv[1])
     else:
         path = Path(tempfile.mkdtemp()) / "truth.battery.toml"
-        flights = [read_log(DATA / f"truth/reference/r0/flight_{n}.tlog") for n in (1, 2, 3, 4)]
-        fitted = fit_battery(Size("truth", 4, 5.0, 13.2), [dataset.load(DATA / "truth/lab")], flights)
-        battery_file.write_battery(fitted.file, path)
+        battery_file.write_battery(truth_battery(DATA), path)
     battery = battery_file.read_battery(path)
     print("filter     soc RMSE   worst flight   us a sample")
     for name, close in (("extended", recursion._close), ("unscented", unscented_close)):

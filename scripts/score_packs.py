@@ -29,13 +29,14 @@ def main(arguments: list[str] | None = None) -> int:
 
     from scoring import data, packs
     from scoring.progress import progress
+    from scoring.truth import truth_battery
 
     from uavbatt.packs.ledger import Ledger
 
     say, folder = progress(time.monotonic()), data.folder()
     names = given.pack or sorted(path.name for path in (folder / "packs/practice").iterdir())
     say("packs: fitting the battery")
-    battery = packs.fitted(folder)
+    battery = truth_battery(folder)
     with tempfile.TemporaryDirectory() as place, Ledger(Path(place) / "packs.sqlite") as ledger:
         found = [flown for name in names for flown in packs.flown(folder, name, battery, ledger, say)]
     tables = [packs.table(found), packs.summary(found, KEPT_BACK)]

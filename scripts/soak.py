@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from bench.memory import resident_MB
 from daemon_bench import Bench
 
 from uavbatt.battery.sizing import PackOptions
@@ -26,10 +27,10 @@ from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 FLIGHT_S, GROUND_S = 900.0, 60.0
 
 
-def rss_MB() -> float:
-    """Return the resident memory of this process [MB]."""
+def used_MB() -> float:
+    """Return the resident memory of this process [MB], without what nobody holds any more."""
     gc.collect()
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return resident_MB(os.getpid())
 
 
 def frames(in_flight_s: float, dice: random.Random, bench: Bench) -> list[bytes]:
@@ -82,11 +83,11 @@ def main() -> int:
                 bench.now_s += dice.choice([2.0, 60.0, 600.0])
             if int((k + 1) / args.rate / 3600.0) > hour or k == steps - 1:
                 hour += 1
-                used_MB = rss_MB()
-                after_first_MB = after_first_MB or used_MB
+                now_MB = used_MB()
+                after_first_MB = after_first_MB or now_MB
                 rows, bad = daemon.board.counts["rows"], daemon.board.counts["bad_checksums"]
-                print(f"hour {hour:3}: {used_MB:6.1f} MB, {rows} rows, {bad} bad", flush=True)
-        grown_MB = rss_MB() - after_first_MB
+                print(f"hour {hour:3}: {now_MB:6.1f} MB, {rows} rows, {bad} bad", flush=True)
+        grown_MB = used_MB() - after_first_MB
         recorded_MB = sum(f.stat().st_size for f in Path(folder).iterdir()) / 1e6
         daemon.close()
     print(f"grown by {grown_MB:.1f} MB since the first hour (limit 5); recordings hold {recorded_MB:.1f} MB")

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from scoring.data import M100_CELLS, M100_CUTOFF_V
 from scoring.m100 import RATED_AH
-from scoring.routes import TRUTH_AH, TRUTH_CELLS, TRUTH_CUTOFF_V
 from scoring.shared import STATED
-from uavbatt import dataset
+from scoring.truth import PACK as TRUTH_PACK
+from scoring.truth import truth_battery
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
@@ -35,7 +35,6 @@ from uavbatt.telemetry import read_log
 AFTER_S = (0.0, 5.0, 15.0, 30.0)  # since the first interval that is shown
 EARLY_S = 90.0
 LOADED_A = 2.0
-TRUTH_PACK = PackOptions(cells=TRUTH_CELLS, capacity_Ah=TRUTH_AH, cutoff_V=TRUTH_CUTOFF_V)
 M100_PACK = PackOptions(cells=M100_CELLS, capacity_Ah=RATED_AH, cutoff_V=M100_CUTOFF_V)
 
 
@@ -93,9 +92,7 @@ def fitted(data: Path) -> Iterator[Set]:
         tables = tuple(data / "flights/m100" / f"{path.stem}.csv" for path in own)
         yield Set("M100, fitted", tables, battery, load, M100_PACK, {})
         yield Set("M100 with routes, fitted", own, battery, load, M100_PACK, {})
-    reference = [read_log(path) for path in _paths(data, ("truth/reference/r0/flight_*.tlog",))]
-    size = Size("truth-lab", TRUTH_CELLS, TRUTH_AH, TRUTH_CUTOFF_V)
-    battery = fit_battery(size, [dataset.load(data / "truth/lab")], reference).file
+    battery = truth_battery(data)
     learn = [read_log(path) for path in _paths(data, ("missions/learn/*.tlog",))]
     load, practice = learned_load(vehicle_file("learn", learn, battery, TRUTH_PACK)), ("missions/practice/*.tlog",)
     yield Set("missions, fitted", _paths(data, practice), battery, load, TRUTH_PACK, _mission_ends_s(data))

@@ -14,13 +14,11 @@ from peers.columns import FloatArray
 
 from scoring.lines import ours
 from scoring.table import DASH, Table, figure
-from scoring.truth import CAPACITY_AH, CELLS, CUTOFF_V, FLYING_A
-from uavbatt import dataset
+from scoring.truth import FLYING_A
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
-from uavbatt.fitting.battery import Size, fit_battery
 from uavbatt.log_replay.run import steps
 from uavbatt.packs import remembering
 from uavbatt.packs.ledger import Ledger
@@ -70,13 +68,6 @@ class Flown:
     with_ledger: Forecast
     after: Remembered | None
     known_Ah: tuple[float, float, float]  # after the flight: value, 5 %, 95 %
-
-
-def fitted(data: Path) -> BatteryFile:
-    """Fit the battery of all these packs, from its bench tests and reference flights."""
-    reference = [read_log(log) for log in sorted((data / "truth/reference/r0").glob("flight_*.tlog"))]
-    size = Size("truth-lab", CELLS, CAPACITY_AH, CUTOFF_V)
-    return fit_battery(size, [dataset.load(data / "truth/lab")], reference).file
 
 
 def flown(data: Path, pack: str, battery: BatteryFile, ledger: Ledger, say: Callable[[str], None]) -> list[Flown]:

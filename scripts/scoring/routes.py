@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from scoring import truth
 from scoring.data import M100_CELLS, M100_CUTOFF_V, M100_LOADED_A
 from scoring.lines import Lines, logged, ours
 from scoring.m100 import PX4_SET, RATED_AH
 from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from scoring.peer_turns import turn_lines
 from scoring.table import Table, figure, grid
-from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
@@ -41,7 +41,6 @@ ROUTE, LEARNED, LOG = "ours, route", "ours, learned", "ours, log"
 INSTANTS = ("360 s", "240 s", "120 s", "60 s")
 BEFORE_TURN_S = (300.0, 120.0, 60.0)
 OF_MISSION = (0.5, 0.75, 0.9)
-TRUTH_CELLS, TRUTH_AH, TRUTH_CUTOFF_V = 4, 5.0, 13.2
 LATE_S = 15.0
 
 
@@ -132,14 +131,11 @@ def _span_s(flight: Flight, cutoff_V: float, loaded_A: float) -> tuple[float, fl
 
 def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], dict[str, list[FlightScore]]]:
     say("routes: learning battery and vehicle of the simulated missions")
-    pack = PackOptions(cells=TRUTH_CELLS, capacity_Ah=TRUTH_AH, cutoff_V=TRUTH_CUTOFF_V)
-    reference = [read_log(path) for path in sorted((data / "truth/reference/r0").glob("flight_*.tlog"))]
-    size = Size("truth-lab", TRUTH_CELLS, TRUTH_AH, TRUTH_CUTOFF_V)
-    battery = fit_battery(size, [dataset.load(data / "truth" / "lab")], reference).file
+    pack, battery = truth.PACK, truth.truth_battery(data)
     learn = [read_log(path) for path in sorted((data / "missions/learn").glob("*.tlog"))]
     answers = data / "missions/answers"
     emptied = [(f, end_s) for f in learn if (end_s := _answer(answers, Path(f.source).stem)["end_s"]) is not None]
-    peers = calibrated(TRUTH_CELLS, TRUTH_AH, emptied)
+    peers = calibrated(truth.CELLS, truth.CAPACITY_AH, emptied)
     known = Known(battery, pack, learned_load(vehicle_file("learn", learn, battery, pack)), peers)
     missions, scores = [], dict[str, list[FlightScore]]()
     for path in sorted((data / "missions/practice").glob("*.tlog")):
@@ -149,7 +145,7 @@ def _missions(data: Path, say: Callable[[str], None]) -> tuple[list[Mission], di
         missions.append(Mission(path.stem, answer, run, turn_lines(known.peers, flight)))
         if answer["end_s"] is None:
             continue
-        start_s, _ = _span_s(flight, TRUTH_CUTOFF_V, 2.0)
+        start_s, _ = _span_s(flight, truth.CUTOFF_V, 2.0)
         for method, score in _scored(flight, known, (start_s, answer["end_s"]), run).items():
             scores.setdefault(method, []).append(score)
     return missions, scores

@@ -24,6 +24,8 @@ from uavbatt.scoring.scores import end_of_flight
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
+SIZE = Size("truth-lab", CELLS, CAPACITY_AH, CUTOFF_V)
+PACK = PackOptions(cells=CELLS, capacity_Ah=CAPACITY_AH, cutoff_V=CUTOFF_V)
 FLYING_A = 2.0
 PERIOD_S = 10.0
 SETS = ("reference/r0", "practice/p1")
@@ -51,17 +53,22 @@ class Judged:
     inside: str
 
 
+def truth_battery(data: Path) -> BatteryFile:
+    """Fit the battery of the simulated truth, from its bench tests and reference flights."""
+    reference = [read_log(log) for log in sorted((data / "truth/reference/r0").glob("flight_*.tlog"))]
+    return fit_battery(SIZE, [dataset.load(data / "truth/lab")], reference).file
+
+
 def tables(data: Path, say: Callable[[str], None]) -> list[Table]:
     """Return two tables: from the bench alone, and from bench and reference flights."""
     folder = data / "truth"
     flights = {name: _flights(folder, name) for name in SETS}
     lab = dataset.load(folder / "lab")
-    size = Size("truth-lab", CELLS, CAPACITY_AH, CUTOFF_V)
     say("truth: fitting the bench tests")
-    bench = fit_battery(size, [lab], []).file
+    bench = fit_battery(SIZE, [lab], []).file
     say("truth: fitting the bench tests and the reference flights")
     reference = [flight for flight, _ in flights["reference/r0"]]
-    both = fit_battery(size, [lab], reference).file
+    both = fit_battery(SIZE, [lab], reference).file
     return [
         _table("Simulated truth, battery from truth/lab alone", bench, flights, SETS, say),
         _table("Simulated truth, battery from truth/lab and truth/reference", both, flights, SETS[1:], say),
