@@ -33,6 +33,17 @@ from uavbatt.records import Status
 EVENT_PERIOD_S = 0.25
 SAID_S = 120.0  # what was said aloud stands on the page as long
 PAGE = Path(__file__).with_name("page.html")
+PROMETHEUS = "text/plain; version=0.0.4; charset=utf-8"
+# What a companion computer's menu lists of us (/register_service).
+ABOUT = {
+    "name": "uavbatt",
+    "description": "Remaining flight time",
+    "icon": "mdi-battery-clock",
+    "webpage": "/",
+    "company": "uavbatt",
+    "version": __version__,
+    "api": "",
+}
 _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)  # the page's own; its data are no script
 
 
@@ -130,6 +141,13 @@ def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
 
 
+def _is_allowed(request: Any, token: str) -> bool:
+    """Return True if a request offers the token, in its address or as a bearer; where there is none, any may ask."""
+    header = request.headers.get("authorization", "").removeprefix("Bearer ")
+    offered = request.query_params.get("token", "") or header
+    return not token or hmac.compare_digest(offered.encode(), token.encode())
+
+
 def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
     """Return the ASGI application. Raises MissingExtra without the extra `web`."""
     try:
@@ -143,18 +161,13 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
 
     host, _ = address(settings.listen)
 
-    def is_allowed(request: Request) -> bool:
-        if not settings.token:
-            return True
-        header = request.headers.get("authorization", "").removeprefix("Bearer ")
-        offered = request.query_params.get("token", "") or header
-        return hmac.compare_digest(offered.encode(), settings.token.encode())
-
     def guarded(answer: Callable[[Request], Response]) -> Callable[[Request], Any]:
         async def endpoint(request: Request) -> Response:
             if not is_own_name(request.headers.get("host", ""), host):
                 return PlainTextResponse("ask for this page by its address, localhost or NAME.local\n", 421)
-            return answer(request) if is_allowed(request) else PlainTextResponse("token wanted\n", 401)
+            if not _is_allowed(request, settings.token):
+                return PlainTextResponse("token wanted\n", 401)
+            return answer(request)
 
         return endpoint
 
@@ -170,16 +183,13 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
 
     page = PAGE.read_text(encoding="utf-8")
     policy = {"Content-Security-Policy": security_policy(page), "X-Content-Type-Options": "nosniff"}
-    about = {"name": "uavbatt", "description": "Remaining flight time", "icon": "mdi-battery-clock", "webpage": "/"}
-    about |= {"company": "uavbatt", "version": __version__, "api": ""}
-    prometheus = "text/plain; version=0.0.4; charset=utf-8"
     return Starlette(
         routes=[
             Route("/", guarded(lambda r: HTMLResponse(filled(page, board(), clock_s()), headers=policy))),
             Route("/now.json", guarded(lambda r: JSONResponse(content(board(), clock_s())))),
-            Route("/metrics", guarded(lambda r: Response(metrics(board(), clock_s()), media_type=prometheus))),
+            Route("/metrics", guarded(lambda r: Response(metrics(board(), clock_s()), media_type=PROMETHEUS))),
             Route("/events", guarded(lambda r: EventSourceResponse(stream()))),
-            Route("/register_service", guarded(lambda r: JSONResponse(about))),
+            Route("/register_service", guarded(lambda r: JSONResponse(ABOUT))),
             Route("/healthz", health),
         ]
     )
