@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,8 @@ class Vehicle(threading.Thread):
         super().__init__(daemon=True)
         from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-        self.rate, self.sent_s, self.is_over = rate, {}, False
+        self.rate, self.is_over = rate, False
+        self.sent_s: dict[int, float] = {}  # by sequence number
         self._is_on_route = is_on_route
         self._dialect: Any = dialect
         self._link: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -98,6 +100,33 @@ def ready(command: list[str], env: dict[str, str]) -> tuple[subprocess.Popen[byt
     return process, took_s
 
 
+@dataclass(slots=True)
+class Heard:
+    """Heard holds what a ground station heard: how late frames and new times came [s], and values about home."""
+
+    frame_delays_s: list[float] = field(default_factory=list)
+    named_delays_s: list[float] = field(default_factory=list)
+    home_values: int = 0
+
+
+def listen(station: socket.socket, vehicle: Vehicle, seconds: float) -> Heard:
+    """Listen as a ground station for so long."""
+    heard, end_s = Heard(), time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        try:
+            frame = station.recv(2048)
+        except TimeoutError:
+            continue
+        got_s, head = time.monotonic(), framing.header(frame)
+        if head.component == 1:
+            heard.frame_delays_s.append(got_s - vehicle.sent_s.get(frame[4], got_s))
+        elif head.message_id == 251 and b"REM_S" in frame:
+            heard.named_delays_s.append(got_s - max(vehicle.sent_s.values()))
+        elif head.message_id == 251 and b"HOME_SOC" in frame:
+            heard.home_values += 1
+    return heard
+
+
 def measure(feed: str, rate: float, seconds: float, mission: Path | None = None) -> dict[str, float]:
     """Run daemon, vehicle and ground station; return what they took. With a mission file the vehicle flies along it."""
     station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -110,39 +139,22 @@ def measure(feed: str, rate: float, seconds: float, mission: Path | None = None)
     process, ready_s = ready(command, dict(os.environ))
     vehicle = Vehicle(rate, mission is not None)
     vehicle.start()
-    delays: dict[str, list[float]] = {"frame": [], "named": []}
-    home_values = 0
-    begin_s, cpu0_s = time.monotonic(), 0.0
-    warm_s = WARM_S if mission is None else WARM_ON_ROUTE_S
-    while (now_s := time.monotonic()) < begin_s + warm_s + seconds:
-        if not cpu0_s and now_s > begin_s + warm_s:
-            cpu0_s = cpu_s(process.pid)
-        try:
-            frame = station.recv(2048)
-        except TimeoutError:
-            continue
-        got_s, head = time.monotonic(), framing.header(frame)
-        if got_s < begin_s + warm_s:
-            continue
-        if head.component == 1:
-            delays["frame"].append(got_s - vehicle.sent_s.get(frame[4], got_s))
-        elif head.message_id == 251 and b"REM_S" in frame:
-            delays["named"].append(got_s - max(vehicle.sent_s.values()))
-        elif head.message_id == 251 and b"HOME_SOC" in frame:
-            home_values += 1
+    listen(station, vehicle, WARM_S if mission is None else WARM_ON_ROUTE_S)
+    before_s = cpu_s(process.pid)
+    heard = listen(station, vehicle, seconds)
     found = {"ready_s": ready_s, "rss_MB": resident_MB(process.pid)}
-    found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - cpu0_s) / seconds
+    found["cpu_percent"] = 100.0 * (cpu_s(process.pid) - before_s) / seconds
     if feed == "proxy":
         pid = int(subprocess.check_output(["pgrep", "-f", "uavbatt.live.proxy.*24651"]).split()[0])
         found["proxy_rss_MB"] = resident_MB(pid)
-        found["proxy_p50_ms"] = 1e3 * statistics.median(delays["frame"])
-        found["proxy_p99_ms"] = 1e3 * statistics.quantiles(delays["frame"], n=100)[98]
-        found["frames"] = len(delays["frame"])
-    elif delays["named"]:
-        found["named_values"] = len(delays["named"])
-        found["named_after_last_row_max_s"] = max(delays["named"])
+        found["proxy_p50_ms"] = 1e3 * statistics.median(heard.frame_delays_s)
+        found["proxy_p99_ms"] = 1e3 * statistics.quantiles(heard.frame_delays_s, n=100)[98]
+        found["frames"] = len(heard.frame_delays_s)
+    elif heard.named_delays_s:
+        found["named_values"] = len(heard.named_delays_s)
+        found["named_after_last_row_max_s"] = max(heard.named_delays_s)
     if mission is not None:
-        found["home_soc_values"] = home_values
+        found["home_soc_values"] = heard.home_values
     vehicle.is_over = True
     process.terminate()
     process.wait(10.0)

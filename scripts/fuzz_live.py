@@ -64,6 +64,15 @@ def is_sound(sample: Sample) -> bool:
     return abs(sample.voltage_V - VOLTAGE_V) < 1e-6 and abs(sample.current_A - CURRENT_A) < 1e-6
 
 
+def good_frames(bench: Bench) -> list[bytes]:
+    """Return frames as the vehicle sends them, two batteries first, then a heartbeat; the last is of MAVLink 1."""
+    said: list[Any] = [battery_status(Sample(0.0, VOLTAGE_V, CURRENT_A, 25.0, 0.1), i) for i in (0, 1)]
+    said += [heartbeat(True), dialect.MAVLink_sys_status_message(0, 0, 0, 0, 16000, 1200, 70, 0, 0, 0, 0, 0, 0)]
+    said += [dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0)]
+    old: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    return [bench.framed(message) for message in said] + [bytes(said[0].pack(old, force_mavlink1=True))]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=1_000_000)
@@ -86,11 +95,7 @@ def main() -> int:
             forged.append(estimate)
 
     daemon._step = watched  # type: ignore[method-assign]
-    said: list[Any] = [battery_status(Sample(0.0, VOLTAGE_V, CURRENT_A, 25.0, 0.1), i) for i in (0, 1)]
-    said += [heartbeat(True), dialect.MAVLink_sys_status_message(0, 0, 0, 0, 16000, 1200, 70, 0, 0, 0, 0, 0, 0)]
-    said += [dialect.MAVLink_param_value_message(b"BATT_CAPACITY", 5000.0, 9, 1, 0)]
-    old: Any = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-    good = [bench.framed(message) for message in said] + [bytes(said[0].pack(old, force_mavlink1=True))]
+    good = good_frames(bench)
     changed = sent_good = 0
     body = struct.pack(ESTIMATE_LAYOUT, 1, 1, 0, OK, 321.0, 0.5, bench.now_s)
     for k in range(args.frames // A_TURN):
