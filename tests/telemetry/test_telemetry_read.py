@@ -6,6 +6,7 @@ import math
 import random
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -140,6 +141,15 @@ def test_what_is_wrong_is_said(constant: dict[str, float], trust: str, reason: s
     assert info.trust == trust
     assert reason in "; ".join(info.reasons)
     assert all("nan" not in line for line in lines(info))
+
+
+@pytest.mark.parametrize("facts", (PackFacts(), PackFacts(4, 5.0), PackFacts(3, 5.0)))
+def test_rows_without_a_voltage_change_no_verdict(facts: PackFacts) -> None:
+    """As in a log of joined batteries, of which one is heard later than the other, or is lost for a row."""
+    whole, lacking = flown(), [*range(5), 100]
+    rows = [replace(row, voltage_V=math.nan) if n in lacking else row for n, row in enumerate(whole)]
+    found, expected = (describe(flight(some, facts)) for some in (rows, whole))
+    assert (found.trust, len(found.reasons)) == (expected.trust, len(expected.reasons))
 
 
 def test_gaps_counter_and_facts() -> None:

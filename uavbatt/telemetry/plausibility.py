@@ -67,7 +67,7 @@ def sag_correlation(samples: Sequence[Sample]) -> float:
         for a, b in itertools.pairwise(samples)
         if 0 < b.time_s - a.time_s <= _MAX_STEP_S
     ]
-    steps = [(dv, di) for dv, di in steps if abs(di) > _MIN_STEP_A]
+    steps = [(dv, di) for dv, di in steps if math.isfinite(dv) and abs(di) > _MIN_STEP_A]
     if len(steps) < _MIN_STEPS:
         return NAN
     cross = sum(dv * di for dv, di in steps)

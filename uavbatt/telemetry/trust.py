@@ -109,19 +109,20 @@ def _voltage(found: Findings) -> Iterator[Finding]:
                 " not simultaneous, or sag-compensated"
             ),
         )
-    if found.samples:
-        yield from _statements(found.facts, found.samples)
+    known_V = [s.voltage_V for s in found.samples if math.isfinite(s.voltage_V)]
+    if known_V:
+        yield from _statements(found.facts, known_V)
 
 
-def _statements(facts: PackFacts, samples: Sequence[Sample]) -> Iterator[Finding]:
-    """Compare what the vehicle states of its pack with the voltages of the log."""
-    lowest_V, highest_V = min(s.voltage_V for s in samples), max(s.voltage_V for s in samples)
+def _statements(facts: PackFacts, known_V: Sequence[float]) -> Iterator[Finding]:
+    """Compare what the vehicle states of its pack with the voltages that were measured [V], at least one."""
+    lowest_V, highest_V = min(known_V), max(known_V)
     cells = facts.cells_series
     if cells and (lowest_V < LOWEST_CELL_V * cells or highest_V > HIGHEST_CELL_V * cells):
         spoken = f"{lowest_V / cells:.2f} .. {highest_V / cells:.2f} V per cell"
         yield _CARE, f"{spoken} with {cells} cells: is the count right?"
         cells = None
-    cells = cells or cells_from_voltage(samples[0].voltage_V, endings_V=facts.endings_V)[0]
+    cells = cells or cells_from_voltage(known_V[0], endings_V=facts.endings_V)[0]
     for doubt in (
         capacity_doubt(facts.capacity_Ah),
         ending_doubt("critical voltage ", facts.critical_voltage_V, cells),
