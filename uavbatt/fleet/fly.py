@@ -12,7 +12,7 @@ import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing import PackOptions, PackSize
 from uavbatt.battery.vehicle_file import VehicleFile
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
@@ -112,16 +112,26 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
     pack = estimator.pack_size
     if pack is None or estimator.belief is None:
         return bad_row(log, job, "expected at least one row with a voltage")
-    found = outcome(run, pack.cutoff_V, job.settings.reserve_soc)
-    who, info = flight.identity, describe(flight)
-    last = run[-1].estimate
-    limit_s = gap_limit_s(median_step_s(flight.samples))
-    total = drawn(flight.samples, limit_s)
-    temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
-    row = FlightRow(
+    found, info = outcome(run, pack.cutoff_V, job.settings.reserve_soc), describe(flight)
+    row = replace(
+        _row(flight, run, pack, found),
         file=log.name,
+        aircraft=_aircraft(log, job, flight.identity.system),
+        trust=info.trust,
+        size_bytes=log.size,
+    )
+    row = _scored(_identified(row, job), found)
+    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons)]))
+
+
+def _row(flight: Flight, run: list[ReplayedRow], pack: PackSize, found: Outcome) -> FlightRow:
+    """The row of a replayed flight, as far as the flight itself tells it."""
+    who, last = flight.identity, run[-1].estimate
+    total = drawn(flight.samples, gap_limit_s(median_step_s(flight.samples)))
+    temps = [s.estimate.temp_C for s in run if math.isfinite(s.estimate.temp_C)]
+    return FlightRow(
+        file=flight.source,
         kind=flight.kind,
-        aircraft=_aircraft(log, job, who.system),
         system=who.system,
         hardware=who.hardware,
         firmware=who.firmware,
@@ -150,13 +160,9 @@ def _flown(flight: Flight, log: LogFile, job: Job, met: PackMet) -> FlightRow:
         resistance_scale_sd=last.resistance_scale_sd,
         capacity_scale=last.capacity_scale,
         capacity_scale_sd=last.capacity_scale_sd,
-        trust=info.trust,
         skipped_bytes=flight.skipped_bytes,
         warnings="; ".join(_warnings(flight, run)),
-        size_bytes=log.size,
     )
-    row = _scored(_identified(row, job), found)
-    return replace(row, look="; ".join([*met.findings, *_reasons(row, info.reasons)]))
 
 
 def _identified(row: FlightRow, job: Job) -> FlightRow:

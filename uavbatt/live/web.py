@@ -177,9 +177,8 @@ def application(settings: HttpSection, board: ReadBoard, clock_s: Clock) -> Any:
             await asyncio.sleep(EVENT_PERIOD_S)
 
     async def health(request: Request) -> Response:
-        reports = board().reports
-        fresh = any(not report.is_stale(clock_s()) for report in reports)
-        return PlainTextResponse("ok\n" if fresh else "stale\n", 200 if fresh else 503)
+        is_fresh = not all(report.is_stale(clock_s()) for report in board().reports)
+        return PlainTextResponse("ok\n" if is_fresh else "stale\n", 200 if is_fresh else 503)
 
     page = PAGE.read_text(encoding="utf-8")
     policy = {"Content-Security-Policy": security_policy(page), "X-Content-Type-Options": "nosniff"}
