@@ -29,7 +29,7 @@ from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 
 FLUSH_S = 10.0
 BEFORE_S, LANDED_S = 30.0, 20.0  # of rest before the take-off and after the landing, for the rested voltage
-SILENT_S = 120.0  # without a row a flight is over
+FLIGHT_SILENT_S = 120.0  # without a row a flight is over
 RESUMED_WITHIN_S = 600.0
 
 Result = TypeVar("Result")
@@ -116,7 +116,7 @@ class PackKeeper:
         for kept in self._kept.values():
             if kept.number is None:
                 continue
-            if now_s - kept.disarmed_s >= LANDED_S or now_s - kept.last_s >= SILENT_S:
+            if now_s - kept.disarmed_s >= LANDED_S or now_s - kept.last_s >= FLIGHT_SILENT_S:
                 self._land(kept)
             elif now_s - kept.flushed_s >= FLUSH_S:
                 self._flush(kept, now_s)

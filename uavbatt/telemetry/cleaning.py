@@ -18,7 +18,7 @@ from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_
 HELD_CURRENT_S = 5.0
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
-LOWEST_CELL_V, HIGHEST_CELL_V = 0.5, 5.0
+LOWEST_READING_V, HIGHEST_READING_V = 0.5, 5.0  # of a cell: what is beyond is a fault of the monitor
 CELL_SPREAD_TAU_S = 30.0
 NOTICED_CELL_SPREAD_V = 0.02
 
@@ -105,7 +105,7 @@ class Cleaner(NamedTuple):
     def _with_cells(self, sample: Sample) -> Cleaner:
         """Take the cell voltages in: how far the weakest cell is below the mean, smoothed over half a minute."""
         cells = [v for v in sample.cell_voltages_V if math.isfinite(v) and v > 0.0]
-        if len(cells) < 2 or not all(LOWEST_CELL_V < v < HIGHEST_CELL_V for v in cells):
+        if len(cells) < 2 or not all(LOWEST_READING_V < v < HIGHEST_READING_V for v in cells):
             return self
         spread_V = sum(cells) / len(cells) - min(cells)
         if not math.isfinite(self.spread_s):

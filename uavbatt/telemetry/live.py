@@ -3,9 +3,9 @@
     frame (any system) -> its vehicle -> is its sender believed? -> `Vehicle`: rows, parameters, the armed bit
 
 Followed is the first autopilot that speaks of a battery twice; before any does, the first that is heard, so that it can
-be asked. Who is followed keeps its place until it has been silent for SILENT_S while another speaks of batteries. With
-system or component given only such vehicles count. Each autopilot is read for itself, so that nothing of one (its
-parameters, rows that wait) ever mixes with another's.
+be asked. Who is followed keeps its place until it has been silent for VEHICLE_SILENT_S while another speaks of
+batteries. With system or component given only such vehicles count. Each autopilot is read for itself, so that nothing
+of one (its parameters, rows that wait) ever mixes with another's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fie
 
 __all__ = ["LiveReader", "LiveRow", "Taken", "checksum"]
 
-SILENT_S = 10.0
+VEHICLE_SILENT_S = 10.0
 MOST_VEHICLES = 16
 _TOLD_BY = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
 WANTED = _TOLD_BY | OF_AUTOPILOT | OF_OTHERS
@@ -267,7 +267,7 @@ class LiveReader:
         if old is vehicle:
             return
         if old is not None:
-            if not vehicle.speaks or (old.speaks and stamp_s - old.heard_s <= SILENT_S):
+            if not vehicle.speaks or (old.speaks and stamp_s - old.heard_s <= VEHICLE_SILENT_S):
                 return
             if old.speaks:
                 self._resumed = {}  # they were another's

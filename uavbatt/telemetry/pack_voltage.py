@@ -20,7 +20,7 @@ WHOLE = 0.15  # of a cell: so near to a whole number of them is a difference tha
 AGREE = 0.3  # of a cell
 REPEATS = 3  # rows: between two messages the load may change by a cell's worth
 MOST_TOLD = 10  # cells in the array that every sender has: the rest may be left out
-LOWEST_CELL_V, HIGHEST_CELL_V = 1.0, 5.0  # outside nothing is a cell's voltage in flight
+LOWEST_IN_FLIGHT_V, HIGHEST_IN_FLIGHT_V = 1.0, 5.0  # outside nothing is a cell's voltage in flight
 ANOTHER_PACK_S = 5.0  # of silence on the ground
 
 
@@ -61,9 +61,9 @@ class PackVoltages:
         if is_armed is False and time_s - before.time_s > ANOTHER_PACK_S:
             before = Cells()
         told_V = battery.cell_voltages_V
-        if not told_V and before.most > 1 and battery.voltage_V < HIGHEST_CELL_V:
+        if not told_V and before.most > 1 and battery.voltage_V < HIGHEST_IN_FLIGHT_V:
             told_V = (battery.voltage_V,)  # the last one that is left is no pack
-        sound_V = [volts for volts in told_V if LOWEST_CELL_V < volts < HIGHEST_CELL_V]
+        sound_V = [volts for volts in told_V if LOWEST_IN_FLIGHT_V < volts < HIGHEST_IN_FLIGHT_V]
         if not sound_V:
             return battery
         mean_V = sum(sound_V) / len(sound_V)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from uavbatt.mavlink.fields import BatteryFields
 from uavbatt.telemetry.streams import Stream
 
-SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
+SENDER_SILENT_S = 2.0  # heartbeats come every second; telemetry is stale after 3 s
 WORDLESS_S = 10.0  # without a word of batteries, while another has some
 WINDOW_S, FEWEST_ROWS = 10.0, 4
 HELD_S = 10.0  # after the last row of one that disagreed; a conflict that flickers is one
@@ -50,7 +50,7 @@ class Senders:
     def admits(self, sender: object, time_s: float, is_battery: bool) -> bool:
         """Return True if a frame of this sender, received at `time_s` [s], counts."""
         if sender != self._believed:
-            is_silent = time_s - self._heard_s > SILENT_S
+            is_silent = time_s - self._heard_s > SENDER_SILENT_S
             if not (is_silent or (is_battery and time_s - self._spoke_s > WORDLESS_S)):
                 return False
             self._believed = sender

@@ -11,7 +11,13 @@ from uavbatt.mavlink import fields
 from uavbatt.telemetry.columns import UNKNOWN, Column, distinct, latest_before
 from uavbatt.telemetry.formats.chain import Mask
 from uavbatt.telemetry.formats.tlog_payloads import BatteryMessages
-from uavbatt.telemetry.pack_voltage import AGREE, HIGHEST_CELL_V, LOWEST_CELL_V, PackVoltages, is_in_sys_status
+from uavbatt.telemetry.pack_voltage import (
+    AGREE,
+    HIGHEST_IN_FLIGHT_V,
+    LOWEST_IN_FLIGHT_V,
+    PackVoltages,
+    is_in_sys_status,
+)
 
 
 class Heard(NamedTuple):
@@ -69,7 +75,7 @@ def _are_sound(said: BatteryMessages, row: Row, sys_status: Heard) -> bool:
     assert said.cells_V is not None
     told = np.isfinite(said.cells_V)
     counts = np.count_nonzero(told, axis=1)
-    if not np.all((said.cells_V[told] > LOWEST_CELL_V) & (said.cells_V[told] < HIGHEST_CELL_V)):
+    if not np.all((said.cells_V[told] > LOWEST_IN_FLIGHT_V) & (said.cells_V[told] < HIGHEST_IN_FLIGHT_V)):
         return False
     for number in distinct(said.instance):
         if len(distinct(counts[said.instance == number])) > 1:

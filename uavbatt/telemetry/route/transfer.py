@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from uavbatt.navigation import Mission, MissionItem
 from uavbatt.telemetry.route import commands
 
-SILENT_S = 10.0  # a transfer without a word for so long is over; autopilots give up after 8 s
+TRANSFER_SILENT_S = 10.0  # a transfer without a word for so long is over; autopilots give up after 8 s
 ACCEPTED = 0
 MOST_ITEMS = 5000
 
@@ -40,7 +40,7 @@ class Transfer:
 
     def is_others(self, time_s: float) -> bool:
         """Return True if another station has been transferring a mission in the last seconds before `time_s` [s]."""
-        return time_s - self._others_heard_s <= SILENT_S
+        return time_s - self._others_heard_s <= TRANSFER_SILENT_S
 
     def of_another(self, time_s: float) -> None:
         """Note a message of the mission protocol that is not between the autopilot and this process."""
@@ -54,8 +54,8 @@ class Transfer:
         return next((seq for seq in range(self._count) if seq not in self._items), None)
 
     def passes(self, time_s: float) -> None:
-        """Note that it is `time_s` [s] now: a transfer that has been silent for more than SILENT_S is over."""
-        if self._count is not None and time_s - self._heard_s > SILENT_S:
+        """Note that it is `time_s` [s] now: a transfer that has been silent for more than TRANSFER_SILENT_S is over."""
+        if self._count is not None and time_s - self._heard_s > TRANSFER_SILENT_S:
             self._end(in_doubt=self._in_doubt or (self._is_upload and bool(self._items)))
 
     def begins(self, time_s: float, count: int, is_upload: bool, old: Sequence[MissionItem] = ()) -> None:
@@ -85,7 +85,7 @@ class Transfer:
 
     def explains_acknowledgement(self, time_s: float) -> bool:
         """Return True if a writing transfer was heard that the autopilot may be acknowledging at `time_s` [s]."""
-        return self._is_clearing or time_s - self._written_s <= SILENT_S
+        return self._is_clearing or time_s - self._written_s <= TRANSFER_SILENT_S
 
     def acknowledged(self, result: int, source: str, has_home_item: bool) -> Mission | None:
         """Return the mission that the autopilot has accepted, if this acknowledgement is of one."""
