@@ -91,6 +91,13 @@ def plain(value: Any) -> Any:
     return value
 
 
+def without_none(value: Any) -> Any:
+    """Return plain values without their Nones, at any depth: TOML has no null, an absent key says the same."""
+    if isinstance(value, dict):
+        return {k: without_none(v) for k, v in value.items() if v is not None}
+    return [without_none(v) for v in value] if isinstance(value, list) else value
+
+
 def write_json(path: Path, content: Any, indent: int = 2) -> None:
     """Write `content`, made `plain`, to `path`."""
     with atomic_write(path, "w") as stream:

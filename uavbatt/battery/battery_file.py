@@ -39,7 +39,7 @@ from uavbatt.battery.sections import (
     Wander,
 )
 from uavbatt.errors import BadInput, Uncertified, misread
-from uavbatt.files import atomic_write, read_bounded
+from uavbatt.files import atomic_write, read_bounded, without_none
 
 __all__ = [
     "Battery",
@@ -90,7 +90,7 @@ def write_battery(file: BatteryFile, path: Path) -> Path:
 
     Raises BadInput, and writes nothing, when `read_battery` would refuse what is in it.
     """
-    content = _without_none(msgspec.to_builtins(sealed(file)))
+    content = without_none(msgspec.to_builtins(sealed(file)))
     _check_values(_decoded(tomli_w.dumps(content).encode(), str(path)), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as stream:
@@ -221,10 +221,3 @@ def _numbers(value: Any, place: str = "") -> Iterator[tuple[str, float]]:
             yield from _numbers(inner, place)
     elif isinstance(value, float):
         yield place, value
-
-
-def _without_none(value: Any) -> Any:
-    """TOML has no null: an absent key says the same."""
-    if isinstance(value, dict):
-        return {k: _without_none(v) for k, v in value.items() if v is not None}
-    return [_without_none(v) for v in value] if isinstance(value, list) else value

@@ -15,7 +15,7 @@ import tomli_w
 
 from uavbatt.battery.powers import Powers
 from uavbatt.errors import BadInput, misread
-from uavbatt.files import atomic_write, read_bounded
+from uavbatt.files import atomic_write, read_bounded, without_none
 
 SUFFIX = ".vehicle.toml"
 MOST_BYTES, MOST_POINTS, MOST_TRACES = 50_000_000, 100_000, 10_000
@@ -82,8 +82,7 @@ def write_vehicle(file: VehicleFile, path: Path) -> Path:
 
     Raises BadInput, and writes nothing, when `read_vehicle` would refuse what is in it.
     """
-    content = msgspec.to_builtins(file)
-    content = {key: value for key, value in content.items() if value is not None}  # TOML has no null
+    content = without_none(msgspec.to_builtins(file))
     _checked(tomli_w.dumps(content).encode(), path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as stream:

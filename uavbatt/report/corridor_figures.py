@@ -10,10 +10,11 @@ import numpy as np
 
 from uavbatt.dataset import Run
 from uavbatt.report import plot
-from uavbatt.report.page import Html, celsius, figure, paragraph
+from uavbatt.report.page import Html, celsius, figure, paragraph, sentence
 from uavbatt.report.validation_page import Array, ValidationPage
 from uavbatt.validation.judging.corridor import Corridor, time_corridor
 from uavbatt.validation.judging.crossing import crossing_time
+from uavbatt.validation.judging.findings import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +23,6 @@ JUMPS = "A jump between near neighbours is a break between series of tests, not 
 MINUTES = "time from the start of the discharge (min)"
 SAMPLES = ((plot.BLUE, "-"), (plot.GREEN, "--"), (plot.AMBER, "-."), (plot.PINK, ":"))
 AXIS = {"voltage_V": "pack voltage (V)", "surface_C": "surface temperature (°C)"}
-NAME = {"voltage_V": "Voltage", "surface_C": "Surface temperature"}
 DEPARTURE = {"voltage_V": "departure from the mean (mV)", "surface_C": "departure from the mean (K)"}
 
 
@@ -113,7 +113,7 @@ def corridor(page: ValidationPage, found: Corridor, model: Array | None, study: 
         if model is not None:
             axes.plot(page.model.time_s / 60.0, model, "x", color=plot.RED, markersize=6, label="model, held out")
 
-    name = "voltage" if found.quantity == "voltage_V" else "surface temperature"
+    name = NAMES[found.quantity]
     alt = f"Mean {name} with its corridor, every run and the model's prediction of runs it was not fitted to."
     return figure(
         plot.panel(draw, alt, x=MINUTES, y=AXIS[found.quantity]),
@@ -145,7 +145,9 @@ def departures(page: ValidationPage, found: Corridor, model: Array | None) -> Ht
     alt = "Departures of runs and model from the mean of the tests, with three bands."
     said = "Blue: the repeated tests." + (held if math.isfinite(found.covers_all) else "") + cut
     drawn = plot.panel(draw, alt, x=MINUTES, y=DEPARTURE[found.quantity], legend_columns=3)
-    return figure(drawn, f"{NAME[found.quantity]}: departures from the mean at {celsius(page.found.ambient_C)}", said)
+    return figure(
+        drawn, f"{sentence(NAMES[found.quantity])}: departures from the mean at {celsius(page.found.ambient_C)}", said
+    )
 
 
 def _departure(

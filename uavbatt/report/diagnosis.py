@@ -21,6 +21,7 @@ from uavbatt.diagnosis.close import Closed
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.residual import Residual
 from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY, SHARES
+from uavbatt.files import without_none
 from uavbatt.report import plot
 from uavbatt.report.page import (
     Html,
@@ -34,6 +35,7 @@ from uavbatt.report.page import (
     paragraph,
     scrolled,
     section,
+    sentence,
     strong,
     table,
 )
@@ -89,24 +91,31 @@ def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
 
 def _suspect(one: EffectClass) -> Html:
     """One class of effects that the records cannot tell apart."""
-    name, *others = one.members
-    meaning = MEANING[name]
     rows = []
     for quantity, i in one.parameters.items():
         scale, unit = (100.0, "%") if quantity in SHARES else (1.0, unit_words(i.unit))
         value, lo, hi = (number(scale * v, _decimals(scale * v)) for v in (i.value, i.lo, i.hi))
         rows.append((QUANTITY.get(quantity, quantity), value, f"{lo} to {hi}", unit, quantity))
-    sure = f"The cause is {'among these' if others else 'this'} with a probability of {one.probability:.0%}."
-    rivals = [paragraph("These records cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
-    return element(
-        "div",
-        paragraph(strong(f"{meaning[0].upper()}{meaning[1:]}"), f" ({name})."),
+    sure = f"The cause is {'among these' if one.members[1:] else 'this'} with a probability of {one.probability:.0%}."
+    head = ("if it is so", "value", "95 % interval", "unit", "in the file")
+    return element("div", *suspect(one.members, "", sure, "records"), table(head, rows, text_columns=(0, 3, 4)))
+
+
+def suspect(members: Sequence[str], course: str, sure: str, told_by: str, *size: str) -> list[Html]:
+    """Say what a class of effects means, what it is confused with, how sure that is, and what to check.
+
+    course : how the first of its `members` came, if that is known; told_by : `records` or `flights`; size : sentences
+    """
+    name, *others = members
+    rivals = [paragraph(f"These {told_by} cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
+    return [
+        paragraph(strong(sentence(MEANING[name])), f" ({name}){f': {course}' if course else ''}."),
+        *map(paragraph, size),
         *(rivals if others else []),
         paragraph(sure),
         paragraph(strong("What to check")),
-        bullets(f"{CHECK[m][0].upper()}{CHECK[m][1:]} ({m})." for m in one.members),
-        table(("if it is so", "value", "95 % interval", "unit", "in the file"), rows, text_columns=(0, 3, 4)),
-    )
+        bullets(f"{sentence(CHECK[m])} ({m})." for m in members),
+    ]
 
 
 def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
@@ -230,10 +239,4 @@ def _text(file: BatteryFile) -> str:
     content: dict[str, Any] = msgspec.to_builtins(file)
     for key in ("content_sha256", "date", "tool_version"):
         content["certificate"].pop(key, None)
-    return tomli_w.dumps(_without_none(content))
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _without_none(v) for k, v in value.items() if v is not None}
-    return [_without_none(v) for v in value] if isinstance(value, list) else value
+    return tomli_w.dumps(without_none(content))

@@ -25,6 +25,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     table,
     together,
@@ -172,7 +173,7 @@ def _look(found: Overview) -> list[Html]:
     if not found.look:
         return [paragraph("None.", css="quiet")]
     rows = [
-        (PurePath(row.file).name, row.look, row.aircraft, row.start_utc[:10] or DASH, _percent(row.end_soc))
+        (PurePath(row.file).name, row.look, row.aircraft, row.start_utc[:10] or DASH, percent(row.end_soc))
         for row in found.look[:MOST_LISTED]
     ]
     more = found.looked - len(found.look)
@@ -227,10 +228,6 @@ def _mean_and_error(values: NDArray[np.float64], *, sign: bool = False) -> str:
         return DASH
     error = float(np.std(values, ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.nan
     return f"{number(_mean(values), 0, sign=sign)} ± {number(error, 0)}"
-
-
-def _percent(share: float) -> str:
-    return number(100.0 * share, 0, "%")
 
 
 def _mean(values: NDArray[np.float64]) -> float:

@@ -32,9 +32,15 @@ def limits_of(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]
 def _charge_words(outcome: Outcome) -> str:
     if not math.isfinite(outcome.end_soc):
         return "No state of charge could be given for this log."
-    low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-SD_90, SD_90))
+    low, high = charge_interval(outcome)
     left, low_said, high_said = (number(100.0 * soc, 0) for soc in (outcome.end_soc, low, high))
     return f"{left} % charge left at the end of the log ({low_said} to {high_said} %)."
+
+
+def charge_interval(outcome: Outcome) -> tuple[float, float]:
+    """Return the 90 % interval of the charge at the log's end, within what a charge can be."""
+    low, high = (min(max(outcome.end_soc + k * outcome.end_soc_sd, 0.0), 1.0) for k in (-SD_90, SD_90))
+    return low, high
 
 
 def _ended_by_voltage(outcome: Outcome, resolved: PackSize, steps: Sequence[ReplayedRow]) -> list[str]:

@@ -12,7 +12,7 @@ from uavbatt.log_replay.outcome import Checkpoint, Landing, Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
-from uavbatt.report.flight_limits import against_a_reserve, limits_of
+from uavbatt.report.flight_limits import against_a_reserve, charge_interval, limits_of
 from uavbatt.report.page import duration
 
 JUST_S, NEAR_S = 30.0, 10.0
@@ -82,7 +82,7 @@ def _charge(found: Outcome) -> str:
     """The charge at the log's end, with its 90 % interval."""
     if not math.isfinite(found.end_soc):
         return "charge not known"
-    low, high = (min(max(found.end_soc + k * found.end_soc_sd, 0.0), 1.0) for k in (-1.64, 1.64))
+    low, high = charge_interval(found)
     return f"{found.end_soc:.0%} charge left ({low:.0%} to {high:.0%})"
 
 

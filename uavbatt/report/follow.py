@@ -12,8 +12,9 @@ from uavbatt import __version__
 from uavbatt.battery.effects import unit_words
 from uavbatt.diagnosis.follow import Follow, Followed
 from uavbatt.diagnosis.follow_words import course_words, size_words
-from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY
+from uavbatt.diagnosis.words import QUANTITY
 from uavbatt.report import plot
+from uavbatt.report.diagnosis import suspect
 from uavbatt.report.page import Html, bullets, element, figure, number, page, paragraph, section, strong, table
 
 if TYPE_CHECKING:
@@ -50,18 +51,9 @@ def _title(one: Followed) -> str:
 
 def _told(one: Followed, found: Follow, dates: Sequence[str]) -> Html:
     """One effect with its course, its rivals, and what to check."""
-    name, *others = one.found.members
-    meaning, course = MEANING[name], course_words(one, found.flights, dates)
-    rivals = [paragraph("These flights cannot tell it from:"), bullets(f"{MEANING[m]} ({m})" for m in others)]
-    return element(
-        "div",
-        paragraph(strong(f"{meaning[0].upper()}{meaning[1:]}"), f" ({name}): {course}."),
-        paragraph(f"{size_words(one)}."),
-        *(rivals if others else []),
-        paragraph(f"The cause is among what is named with a probability of {one.found.probability:.0%}."),
-        paragraph(strong("What to check")),
-        bullets(f"{CHECK[m][0].upper()}{CHECK[m][1:]} ({m})." for m in one.found.members),
-    )
+    course, size = course_words(one, found.flights, dates), f"{size_words(one)}."
+    sure = f"The cause is among what is named with a probability of {one.found.probability:.0%}."
+    return element("div", *suspect(one.found.members, course, sure, "flights", size))
 
 
 def course_figure(one: Followed) -> Html:

@@ -26,10 +26,12 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     strong,
     table,
 )
+from uavbatt.report.plan import pack_facts
 from uavbatt.report.route_map import route_map
 
 if TYPE_CHECKING:
@@ -59,8 +61,8 @@ def _answer(plan: MissionPlan) -> Html:
         f"battery ends before touchdown is {route.risk:.0%} (at most {IN_TIME:.0%} is allowed).",
     )
     charge = (
-        f"with {_share(route.soc)} of the charge, probably between {_share(route.soc_lo)} and {_share(route.soc_hi)} "
-        "(9 in 10)"
+        f"with {percent(route.soc)} of the charge, probably between {percent(route.soc_lo)} and "
+        f"{percent(route.soc_hi)} (9 in 10)"
     )
     end = paragraph(
         f"Touchdown after {duration(route.left_s)} {charge if math.isfinite(route.soc) else 'is not reached'}."
@@ -74,10 +76,6 @@ def _answer(plan: MissionPlan) -> Html:
         turn = [paragraph(strong(words))]
     quiet = paragraph(badge(plan.resolved.status), f" battery file: {plan.resolved.battery}.", css="quiet")
     return element("div", said, *turn, end, spare, quiet, css="answer good" if here.fits else "answer bad")
-
-
-def _share(soc: float) -> str:
-    return number(100.0 * soc, 0, "%")
 
 
 def _charge(plan: MissionPlan) -> Html:
@@ -103,9 +101,9 @@ def _legs(plan: MissionPlan) -> Html:
             clock(leg.end_s),
             number(math.hypot(leg.place.north_m, leg.place.east_m), 0, "m"),
             number(leg.place.height_m, 0, "m"),
-            _share(leg.soc),
-            _share(leg.soc_lo),
-            _share(leg.soc_hi),
+            percent(leg.soc),
+            percent(leg.soc_lo),
+            percent(leg.soc_hi),
         )
         for leg in plan.legs
     ]
@@ -123,18 +121,15 @@ def _row(fit: RouteFit) -> tuple[str, ...]:
     route = fit.route
     risk, turn = f"{route.risk:.0%}", clock(route.turn_back_lo_s)
     fits = "yes" if fit.fits else "no"
-    return (celsius(fit.ambient_C), fits, risk, _share(route.soc), clock(fit.spare_s), turn, fit.remark)
+    return (celsius(fit.ambient_C), fits, risk, percent(route.soc), clock(fit.spare_s), turn, fit.remark)
 
 
 def _basis(plan: MissionPlan) -> list[tuple[str, str]]:
-    pack, powers, wind = plan.resolved, plan.planned.powers, plan.planned.wind
+    powers, wind = plan.planned.powers, plan.planned.wind
     from_deg = math.degrees(math.atan2(-wind.east_ms, -wind.north_ms)) % 360.0
     speed_ms = math.hypot(wind.north_ms, wind.east_ms)
     return [
-        ("battery", f"{pack.battery} ({pack.status})"),
-        ("cells", f"{pack.cells} in series, from {pack.cells_from}"),
-        ("capacity", f"{number(pack.capacity_Ah, 2, 'Ah')}, from {pack.capacity_from}"),
-        ("end of flight", f"below {number(pack.cutoff_V, 2, 'V')}, from {pack.cutoff_from}"),
+        *pack_facts(plan.resolved),
         ("vehicle", f"hover {powers.hover_W:.0f} W ± {powers.level_sd:.0%}, learned from {powers.flights} flights"),
         ("wind", f"{speed_ms:.1f} m/s from {from_deg:.0f}°" if speed_ms > 0.0 else "none"),
     ]

@@ -160,27 +160,40 @@ def figure(svg: Html, title: str, caption: str = "") -> Html:
 def number(value: float, decimals: int, unit: str = "", *, sign: bool = False) -> str:
     """Write `value` to `decimals` places with its unit; a dash when it is not known, never a zero in its place."""
     if not math.isfinite(value):
-        return DASH if not math.isinf(value) else "unbounded"
+        return _unknown(value)
     text = f"{round(value, decimals) + 0.0:{'+' if sign else ''}.{decimals}f}".replace("-", "\u2212")
     return f"{text} {unit}" if unit else text
+
+
+def percent(share: float) -> str:
+    """Write a share of 0 to 1 in whole percent: `45 %`; a dash when not known."""
+    return number(100.0 * share, 0, "%")
 
 
 def duration(seconds: float) -> str:
     """Write seconds in the words of a clock: `45 s`, `12 min 05 s`; a dash when not known."""
     if not math.isfinite(seconds):
-        return DASH if not math.isinf(seconds) else "unbounded"
-    minutes, rest = divmod(round(abs(seconds)), 60)
-    sign = "\u2212" if seconds < 0 and (minutes or rest) else ""
+        return _unknown(seconds)
+    sign, minutes, rest = _minutes(seconds)
     return f"{sign}{minutes} min {rest:02d} s" if minutes else f"{sign}{rest} s"
 
 
 def clock(seconds: float) -> str:
     """Write seconds as minutes and seconds, `12:05`; a dash when not known."""
     if not math.isfinite(seconds):
-        return DASH if not math.isinf(seconds) else "unbounded"
-    minutes, rest = divmod(round(abs(seconds)), 60)
-    sign = "\u2212" if seconds < 0 and (minutes or rest) else ""
+        return _unknown(seconds)
+    sign, minutes, rest = _minutes(seconds)
     return f"{sign}{minutes}:{rest:02d}"
+
+
+def _unknown(value: float) -> str:
+    return "unbounded" if math.isinf(value) else DASH
+
+
+def _minutes(seconds: float) -> tuple[str, int, int]:
+    """Sign, minutes and the seconds that remain, of a finite time rounded to the second."""
+    minutes, rest = divmod(round(abs(seconds)), 60)
+    return "\u2212" if seconds < 0 and (minutes or rest) else "", minutes, rest
 
 
 def celsius(temp_C: float) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavbatt import __version__
+from uavbatt.battery.sizing import PackSize
 from uavbatt.plan.endurance import Endurance, Plan
 from uavbatt.report import plot
 from uavbatt.report.page import (
@@ -23,6 +24,7 @@ from uavbatt.report.page import (
     number,
     page,
     paragraph,
+    percent,
     section,
     table,
 )
@@ -55,7 +57,7 @@ def _answer(plan: Plan) -> Html:
     )
     terms = paragraph(
         f"Until the pack is below {number(plan.resolved.cutoff_V, 1, 'V')} under load. Load: {plan.load}. Charge at "
-        f"take-off: {number(100.0 * plan.start_soc, 0, '%')}."
+        f"take-off: {percent(plan.start_soc)}."
     )
     remark = [paragraph(f"{celsius(here.ambient_C)}: {here.remark}.")] if here.remark else []
     return element("div", said, terms, *remark, status, css="answer")
@@ -100,13 +102,20 @@ def _row(e: Endurance) -> tuple[Html, ...]:
     return tuple(element("span", text, css=css) for text in (celsius(e.ambient_C), *times, e.remark))
 
 
-def _basis(plan: Plan) -> list[tuple[str, str]]:
-    pack = plan.resolved
+def pack_facts(pack: PackSize) -> list[tuple[str, str]]:
+    """List battery file, cells, capacity and cut-off of a planned flight, each with who said it."""
     return [
         ("battery", f"{pack.battery} ({pack.status})"),
         ("cells", f"{pack.cells} in series, from {pack.cells_from}"),
         ("capacity", f"{number(pack.capacity_Ah, 2, 'Ah')}, from {pack.capacity_from}"),
         ("end of flight", f"below {number(pack.cutoff_V, 2, 'V')}, from {pack.cutoff_from}"),
+    ]
+
+
+def _basis(plan: Plan) -> list[tuple[str, str]]:
+    pack = plan.resolved
+    return [
+        *pack_facts(pack),
         ("low-voltage warning", f"{number(pack.low_V, 2, 'V')}, from {pack.low_from}"),
         ("load", plan.load),
     ]

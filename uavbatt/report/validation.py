@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from uavbatt import __version__
 from uavbatt.report import corridor_figures as curves
 from uavbatt.report.page import (
+    MOODS,
     Html,
     badge,
     bullets,
@@ -35,8 +36,6 @@ from uavbatt.report.validation_tables import (
 from uavbatt.validation.gating.gate import Claim
 from uavbatt.validation.study.paper import PaperReplay
 from uavbatt.validation.validate import Validation
-
-MOODS = {"pass": "good", "fail": "bad", "not enough data": "unsure"}
 
 
 def validation_report(

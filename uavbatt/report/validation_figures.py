@@ -11,14 +11,14 @@ import numpy as np
 from uavbatt.report import plot
 from uavbatt.report.page import Html, celsius, figure, number, sentence
 from uavbatt.report.validation_page import Array, Consistency
-from uavbatt.report.validation_tables import nearest, plain_reason
+from uavbatt.report.validation_tables import nearest, plain_reason, shown_as
 from uavbatt.validation.gating.gate import Claim
+from uavbatt.validation.judging.findings import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SCALES = {"V": (1000.0, "mV"), "s": (1.0, "s"), "K": (1.0, "K")}
 COLOURS = {"pass": plot.GREEN, "fail": plot.RED, "not enough data": plot.AMBER}
 
 
@@ -40,7 +40,7 @@ def _points(axes: Axes, at: Array, bias: Array, half: Array, colour: str) -> Non
 
 
 def _over_instants(claim: Claim) -> Html:
-    scale, unit = SCALES.get(claim.unit, (1.0, claim.unit))
+    scale, unit, _ = shown_as(claim.unit)
     limit = claim.limit * scale
 
     def draw(axes: Axes) -> None:
@@ -158,7 +158,7 @@ def _stems(
         axes.set_xticks(middle, [plot.literal(f"sample {s}") for s in samples])
         axes.grid(False, axis="x")
 
-    name = "voltage" if quantity == "voltage_V" else "surface temperature"
+    name = NAMES[quantity]
     means = "the sample means" if letter == "h" else "the scatter within samples"
     first, last = levels[0].time_s / 60.0, levels[-1].time_s / 60.0
     alt = f"Mandel's {letter} of the {name} for {len(samples)} samples at {count} instants."

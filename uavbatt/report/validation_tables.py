@@ -34,7 +34,6 @@ from uavbatt.validation.validate import LevelPrecision
 PASSED = re.compile(r"the interval of the bias is inside ±(?P<limit>\S+) at all (?P<count>\d+)")
 KNOWN = re.compile(r"known to ±(?P<is>\d+%)(?: only)? \(declared: ±(?P<most>\d+%)\)")
 FIGURE = re.compile(r"bias [-+]\S+( ± \S+)? (?=beyond)| \(largest [^)]*\)")
-# Shown per unit: factor, unit, decimals.
 SHOWN = {"V": (1000.0, "mV", 0), "s": (1.0, "s", 1), "K": (1.0, "K", 2)}
 QUANTITY = {"voltage_V": ("Voltage", 1000.0, "mV", "V", 3), "surface_C": ("Surface temperature", 1.0, "K", "°C", 2)}
 FOLDED_NOTES = 4  # so many and more
@@ -45,6 +44,11 @@ def claims_table(claims: Sequence[Claim]) -> Html:
     """Tabulate the claims, one a row: the verdict, the bias that decides, and why."""
     head = ("claim", "verdict", "why", "decides", "bias nearest the limit", "its interval", "limit")
     return table(head, [_claim_row(c) for c in claims], text_columns=(0, 1, 2, 3))
+
+
+def shown_as(unit: str) -> tuple[float, str, int]:
+    """Return how a claim in `unit` is shown: the factor, the unit on the page, the decimals."""
+    return SHOWN.get(unit, (1.0, unit, 3))
 
 
 def nearest(claim: Claim) -> int:
@@ -84,7 +88,7 @@ def _claim_row(c: Claim) -> tuple[str, ...]:
     told, gates = (f"{c.claim}, {celsius(c.ambient_C)}", badge(c.verdict)), "yes" if c.gates else "informs"
     if not np.isfinite(c.bias).any():
         return *told, plain_reason(c), gates, DASH, DASH, DASH
-    scale, unit, decimals = SHOWN.get(c.unit, (1.0, c.unit, 3))
+    scale, unit, decimals = shown_as(c.unit)
     i = nearest(c)
     bias, half = float(c.bias[i]) * scale, float(c.half_width[i]) * scale
     interval = DASH
@@ -213,7 +217,7 @@ def _percent(share: float) -> str:
 
 def budget_table(claim: Claim, budget: Budget) -> Html:
     """Tabulate standard uncertainties per source and instant, and the half width that comes of them."""
-    scale, unit, decimals = SHOWN.get(budget.unit, (1.0, budget.unit, 3))
+    scale, unit, decimals = shown_as(budget.unit)
     d = decimals + 1
     in_time = claim.unit in ("V", "K")
     at = [f"{t / 60:g} min" if in_time else f"{t:.4g} V" for t in budget.at]
