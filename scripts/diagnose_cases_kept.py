@@ -25,7 +25,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
 
@@ -88,7 +88,7 @@ PAIRS = (
 def battery_of_the_truth() -> BatteryFile:
     """Fit a battery on the laboratory's tests and the effect-free reference flights."""
     logs = [read_log(p) for p in sorted((DATA / "truth" / "reference" / "r0").glob("*.tlog"))]
-    size = Size("truth", plant.CELLS, plant.CAPACITY_AH, plant.CUTOFF_V)
+    size = RecordedPack("truth", plant.CELLS, plant.CAPACITY_AH, plant.CUTOFF_V)
     return fit_battery(size, [dataset.load(DATA / "truth" / "lab")], logs).file
 
 

@@ -26,7 +26,7 @@ from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
 from uavbatt.diagnosis.heldout import open_loop
 from uavbatt.diagnosis.worth import left_out_values
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.records import Flight
@@ -183,7 +183,7 @@ def m100() -> None:
         others = [f for name, flown in flights.items() if name != aircraft for f in flown]
         mine = [from_flight(f, M100_CELLS, M100_AH) for f in own]
         mine = [replace(r, name=Path(r.name).name) for r in mine]
-        size = Size(f"without {aircraft}", M100_CELLS, M100_AH, M100_CUTOFF_V)
+        size = RecordedPack(f"without {aircraft}", M100_CELLS, M100_AH, M100_CUTOFF_V)
         file = fit_battery(size, [], others).file
         print(row(f"M100 {aircraft}, {len(mine)} flights", "fit to the two other aircraft", mine, file, M100_CUTOFF_V),
               flush=True)  # fmt: skip

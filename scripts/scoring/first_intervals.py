@@ -22,7 +22,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
 from uavbatt.estimator import Estimator
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -86,7 +86,7 @@ def fitted(data: Path) -> Iterator[Set]:
     logs = {path: read_log(path) for path in _paths(data, ("flights/m100_routes/*.tlog",))}
     for aircraft in sorted({path.stem[-3:] for path in logs}):
         others = [flight for path, flight in logs.items() if not path.stem.endswith(aircraft)]
-        battery = fit_battery(Size("without", M100_CELLS, RATED_AH, M100_CUTOFF_V), [], others).file
+        battery = fit_battery(RecordedPack("without", M100_CELLS, RATED_AH, M100_CUTOFF_V), [], others).file
         load = learned_load(vehicle_file("without", others, battery, M100_PACK))
         own = tuple(path for path in logs if path.stem.endswith(aircraft))
         tables = tuple(data / "flights/m100" / f"{path.stem}.csv" for path in own)

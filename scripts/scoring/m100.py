@@ -16,7 +16,7 @@ from scoring.lines import Lines, logged, ours, replayed
 from scoring.peer_lines import PeerPack, calibrated, peer_lines
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import Load, RecentMean
@@ -51,7 +51,7 @@ class Result:
 def fold(flights: list[M100], aircraft: str) -> Fold:
     """Learn battery, vehicle and calibration from every flight of the other aircraft."""
     others = [f for f in flights if f.aircraft != aircraft]
-    size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
+    size = RecordedPack(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
     battery = fit_battery(size, [], [f.flight for f in others]).file
     learned = learned_load(vehicle_file(size.name, [f.flight for f in others], battery, OPTIONS))
     peers = calibrated(M100_CELLS, RATED_AH, [(f.flight, f.end_s) for f in ended(others)], PX4_SET)

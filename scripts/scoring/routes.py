@@ -27,7 +27,7 @@ from scoring.table import Table, figure, grid
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.vehicle import vehicle_file
 from uavbatt.log_replay.run import ReplayedRow, steps
 from uavbatt.prediction.forecaster import ForecastSettings
@@ -101,7 +101,7 @@ def _m100(data: Path, say: Callable[[str], None]) -> dict[str, list[FlightScore]
     for aircraft in sorted({name[-3:] for name in logs}):
         say(f"routes: learning from the aircraft other than {aircraft}")
         others = [flight for name, flight in logs.items() if not name.endswith(aircraft)]
-        size = Size(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
+        size = RecordedPack(f"m100-without-{aircraft}", M100_CELLS, RATED_AH, M100_CUTOFF_V)
         battery = fit_battery(size, [], others).file
         emptied = [(flight, end_s) for flight in others if math.isfinite(end_s := _m100_span_s(flight)[1])]
         peers = calibrated(M100_CELLS, RATED_AH, emptied, PX4_SET)

@@ -15,7 +15,7 @@ from scoring.table import DASH, Table, figure
 from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import fit_battery
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.prediction.load import RecentMean
@@ -24,7 +24,7 @@ from uavbatt.scoring.scores import end_of_flight
 from uavbatt.telemetry import read_log
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.0, 13.2
-SIZE = Size("truth-lab", CELLS, CAPACITY_AH, CUTOFF_V)
+SIZE = RecordedPack("truth-lab", CELLS, CAPACITY_AH, CUTOFF_V)
 PACK = PackOptions(cells=CELLS, capacity_Ah=CAPACITY_AH, cutoff_V=CUTOFF_V)
 FLYING_A = 2.0
 PERIOD_S = 10.0

@@ -27,7 +27,7 @@ from scoring.other_pack import (
     flight,
 )
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 
 GENERIC, FITTED = "generic", "fitted"
 GUSTY = Power()
@@ -138,4 +138,4 @@ def fitted(make: Make) -> BatteryFile:
         for k, (share, ohms, air_C, level_W, climb) in enumerate(HEALTHY)
     ]
     logs = [flown.flight(f"{make.name} {k}") for k, flown in enumerate(flights)]
-    return fit_battery(Size(f"{make.name}, fitted", CELLS, FULL_AH, CUTOFF_V), [], logs).file
+    return fit_battery(RecordedPack(f"{make.name}, fitted", CELLS, FULL_AH, CUTOFF_V), [], logs).file

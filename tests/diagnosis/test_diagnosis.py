@@ -128,8 +128,8 @@ def test_the_extended_file_holds_the_effect_and_predicts_better_what_was_left_ou
 def test_what_predicts_held_out_records_worse_is_said_and_stands_in_the_new_file(
     after: tuple[float, float], said: str
 ) -> None:
-    before = close.Error(0.101, 0.5, 60.0, 0.9)
-    closed = close.Closed(before, close.Error(after[0], 0.5, after[1], 0.9), ("flight 1",))
+    before = close.HeldOutErrors(0.101, 0.5, 60.0, 0.9)
+    closed = close.ClosedLoop(before, close.HeldOutErrors(after[0], 0.5, after[1], 0.9), ("flight 1",))
     assert closed.worse == said
     remarks = close.extended(FILE, diagnosed(gain=1.12), closed.worse).battery.remarks
     assert any("worse" in remark for remark in remarks) == bool(said)

@@ -12,7 +12,7 @@ from uavbatt import dataset
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.diagnosis import Diagnosis, diagnose
-from uavbatt.fitting.battery import Size, fit_battery
+from uavbatt.fitting.battery import RecordedPack, fit_battery
 from uavbatt.fitting.observed import from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
@@ -31,7 +31,7 @@ QUANTITY = {
 def battery(shared_data: Path) -> BatteryFile:
     truth = shared_data / "truth"
     flights = [read_log(p) for p in sorted((truth / "reference" / "r0").glob("*.tlog"))]
-    return fit_battery(Size("truth", CELLS, CAPACITY_AH, CUTOFF_V), [dataset.load(truth / "lab")], flights).file
+    return fit_battery(RecordedPack("truth", CELLS, CAPACITY_AH, CUTOFF_V), [dataset.load(truth / "lab")], flights).file
 
 
 def diagnosed(battery: BatteryFile, folder: Path, *without: str) -> Diagnosis:

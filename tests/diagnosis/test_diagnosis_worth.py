@@ -15,8 +15,17 @@ from uavbatt.battery.battery_file import Wander
 from uavbatt.battery.sizing import PackOptions, pack_from
 from uavbatt.diagnosis.blocks import evidence_by_block
 from uavbatt.diagnosis.candidates import QUANTITIES, Candidate
-from uavbatt.diagnosis.diagnosis import LEFT, USUAL, Diagnosis, Left, believed, diagnose, options_of, problem_of
-from uavbatt.diagnosis.rivals import FAMILIES, seated
+from uavbatt.diagnosis.diagnosis import (
+    LEFT,
+    USUAL,
+    Diagnosis,
+    LeftPerNumber,
+    believed,
+    diagnose,
+    options_of,
+    problem_of,
+)
+from uavbatt.diagnosis.rivals import FAMILIES, members_of_class
 from uavbatt.diagnosis.search import SUSPECT, Trial, no_chance
 from uavbatt.diagnosis.worth import Worth
 from uavbatt.fitting.observed import Observed
@@ -137,7 +146,7 @@ def names_seated(healthy: Diagnosis, leaves: dict[str, float], *likely: float, e
     fits = [replace(nothing, candidate=Candidate((n,), (), (0,)), residual=nothing.residual + d)
             for n, d in leaves.items()]  # fmt: skip
     without = replace(nothing, residual=nothing.residual - explains)
-    return [list(leaves)[i] for i in seated(fits, np.array(likely), without)]
+    return [list(leaves)[i] for i in members_of_class(fits, np.array(likely), without)]
 
 
 def test_a_weak_cell_is_seated_beside_a_faded_pack(healthy: Diagnosis) -> None:
@@ -218,8 +227,8 @@ def test_what_is_too_small_to_be_told_is_said_to_hide(planted: dict[str, float],
 
 
 def test_an_effect_whose_model_is_nearly_doubted_is_told_with_less() -> None:
-    shares = [believed(Left(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)]
-    assert shares[0] == shares[1] > shares[2] > shares[3] == believed(Left(0.8, 1.0), ("something is left",))
+    shares = [believed(LeftPerNumber(voltage, 1.0), ()) for voltage in (0.8, USUAL, 0.5 * (USUAL + LEFT), LEFT)]
+    assert shares[0] == shares[1] > shares[2] > shares[3] == believed(LeftPerNumber(0.8, 1.0), ("something is left",))
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(10.0, [0, 1]), (0.0, [0])])

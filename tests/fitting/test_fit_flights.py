@@ -11,13 +11,13 @@ from factories import generic_pack
 from uavbatt.battery.model import SOC_GRID
 from uavbatt.battery.scaling import Pack
 from uavbatt.fitting import observed, prior, solve
-from uavbatt.fitting.battery import Fitted, Size, fit_battery
+from uavbatt.fitting.battery import Fitted, RecordedPack, fit_battery
 from uavbatt.records import Flight, Sample
 from uavbatt.simulate.flight import SimulatedFlight, simulate_flight
 
 STARTS = (1.0, 0.9, 0.8, 0.95, 1.0)  # what the fit is not told
 POWERS_W = (250.0, 300.0, 350.0, 280.0, 320.0)
-SIZE = Size("mine", 4, 5.0, 13.2)
+SIZE = RecordedPack("mine", 4, 5.0, 13.2)
 COARSE = 6  # of rows 2 s apart
 
 

@@ -16,7 +16,7 @@ from uavbatt.battery.openloop import Trajectory, simulate
 from uavbatt.battery.scaling import pack_of
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.fitting import assemble, observed, prior, solve, unmetered
-from uavbatt.fitting.battery import Size, fit_battery, size_of
+from uavbatt.fitting.battery import RecordedPack, fit_battery, size_of
 from uavbatt.fitting.generic import generic_lipo
 from uavbatt.fitting.limiter import limited_discharge
 from uavbatt.fitting.observed import Observed, binned, from_flight, held_load, stack
@@ -126,7 +126,7 @@ def test_the_misfit_is_told_for_the_pack_that_the_file_is_of() -> None:
     fit, _ = found()
     tests = patch.object(observed, "from_dataset", return_value=list(records()))
     with tests, patch.object(solve, "fit_battery", return_value=fit):
-        fits = [fit_battery(Size("x", n, 4.0, 3.3 * n), [dataset.load()], []).file.discrepancy for n in (3, 6)]
+        fits = [fit_battery(RecordedPack("x", n, 4.0, 3.3 * n), [dataset.load()], []).file.discrepancy for n in (3, 6)]
     wanders = [left.wander for left in fits if left.wander is not None]
     three, six = ([f.voltage_bias_V, *w.voltage_sd_V, w.voltage_noise_V, w.rest_sd_V]
                   for f, w in zip(fits, wanders, strict=True))  # fmt: skip
@@ -211,7 +211,7 @@ def flight() -> Flight:
 
 def test_a_fit_to_a_flight_is_a_fitted_file() -> None:
     size = size_of("mine", [], [flight()], None, NAN, NAN)
-    assert size == Size("mine", 4, 5.0, 13.2)
+    assert size == RecordedPack("mine", 4, 5.0, 13.2)
     made = fit_battery(size, [], [flight()])
     assert made.file.status == "fitted" and made.file.battery.cells_series == 4
     assert any("cold" in line for line in made.unknown) and any("capacity" in line for line in made.unknown)
@@ -225,7 +225,7 @@ def test_too_little_is_said() -> None:
         from_flight(Flight("f", "csv", tuple(Sample(float(t), 16.0, 5.0) for t in range(9))), 4, 5.0)
     assert caught.value.exit_code == 4
     with pytest.raises(NotEnoughData, match="nothing to fit"):
-        fit_battery(Size("x", 4, 5.0, 13.2), [], [])
+        fit_battery(RecordedPack("x", 4, 5.0, 13.2), [], [])
     with pytest.raises(UsageError, match="--cells"):
         size_of("x", [], [], None, 5.0, NAN)
     with pytest.raises(UsageError, match="--capacity-ah"):

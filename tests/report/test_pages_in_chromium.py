@@ -29,7 +29,7 @@ from uavbatt.battery import battery_file
 from uavbatt.battery.sections import EffectEntry
 from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass, Interval
-from uavbatt.diagnosis.close import Closed, Error
+from uavbatt.diagnosis.close import ClosedLoop, HeldOutErrors
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.residual import Residual
 from uavbatt.fleet.row import FlightRow
@@ -117,7 +117,7 @@ def diagnosis(folder: Path) -> str:
         ("the flights are short",), cast(Any, measured), unused, unused, residuals(0.08), residuals(0.01), 0.02, unused,
         blocks=blocks,
     )  # fmt: skip
-    closed = Closed(Error(0.08, 0.7, 60.0, 0.4), Error(0.01, 0.7, 20.0, 0.9), ("a.BIN", "b.BIN"))
+    closed = ClosedLoop(HeldOutErrors(0.08, 0.7, 60.0, 0.4), HeldOutErrors(0.01, 0.7, 20.0, 0.9), ("a.BIN", "b.BIN"))
     return diagnosis_report(found, closed, old, new)
 
 

@@ -200,5 +200,5 @@ def test_the_axis_of_times_reaches_as_far_as_the_widest_bias_in_parts_of_its_own
     claims = [gate.Claim(name, 25.0, "pass", "", True, one, bias * one, 0.0 * one, 0.0 * one, limit, unit)
               for name, bias, limit, unit in made_up]  # fmt: skip
     with patch.object(validation_figures.plot, "drawing", kept):
-        validation_figures.equivalence(claims)
+        validation_figures.claim_figures(claims)
     assert reached == [pytest.approx(1.2)]

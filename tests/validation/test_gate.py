@@ -131,7 +131,7 @@ def judged(residual: Array, u_B: float, limit: float = 0.15) -> tuple[Array, gat
     """Half width and verdict of residuals [occasion, instant], with what their scatter does not show beside it."""
     n, instants = residual.shape
     u_A = residual.std(axis=0, ddof=1) / math.sqrt(n)
-    half = budget.expanded(u_A, n - 1.0, np.full(instants, u_B), instants).half
+    half = budget.expand(u_A, n - 1.0, np.full(instants, u_B), instants).half
     return half, gate.decide(residual.mean(axis=0), half, limit)[0]
 
 

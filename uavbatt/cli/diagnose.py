@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.cli.diagnose_worn import BasePack
     from uavbatt.dataset import DataSet
-    from uavbatt.diagnosis.close import Closed
+    from uavbatt.diagnosis.close import ClosedLoop
     from uavbatt.diagnosis.diagnosis import Diagnosis
     from uavbatt.fitting.observed import Observed
 
@@ -124,7 +124,7 @@ def _run(
     without: tuple[str, ...],
     gate: Path | None,
     remembered: tuple[Path | None, str],
-) -> tuple[Diagnosis, Closed, BatteryFile, BasePack]:
+) -> tuple[Diagnosis, ClosedLoop, BatteryFile, BasePack]:
     from uavbatt import dataset as data
     from uavbatt.battery.sizing import PackOptions, pack_from
     from uavbatt.cli.diagnose_worn import base_pack
@@ -152,7 +152,7 @@ def _run(
     return found, closed, new, base
 
 
-def _lines(found: Diagnosis, closed: Closed) -> list[str]:
+def _lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
     from uavbatt.battery.effects import unit_words
     from uavbatt.diagnosis.words import MEANING
 
@@ -196,7 +196,7 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if math.isfinite(value) else "unknown"
 
 
-def _as_json(found: Diagnosis, closed: Closed, status: str, path: str | None) -> dict[str, Any]:
+def _as_json(found: Diagnosis, closed: ClosedLoop, status: str, path: str | None) -> dict[str, Any]:
     """The diagnosis for a program: NaN as null."""
     from dataclasses import asdict
 

@@ -16,7 +16,7 @@ from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import COURSES, INDEX, Candidate
 from uavbatt.diagnosis.evidence import Evidence, Rows
 from uavbatt.diagnosis.problem import Problem, Refit
-from uavbatt.diagnosis.simulation import Own, Simulated, simulate
+from uavbatt.diagnosis.simulation import OwnValues, Simulated, simulate
 
 NUDGE = 2e-3
 NUISANCES = 3
@@ -68,14 +68,14 @@ class Batch:
         """Return which of the candidates have this column, [C]."""
         return np.array([column < len(c) for c in self.columns])
 
-    def place(self, u: Array, given: Refit) -> None:
+    def fill_from(self, u: Array, given: Refit) -> None:
         """Fill u [records, size] with the values of an earlier refit that has the same leading quantities."""
         quantities = len(given.columns)
         u[:, :quantities] = given.u
         if self.knots:
             u[:, self.freed :] = given.knots
 
-    def settings(self, u: Array, v: Array) -> tuple[Array, Own]:
+    def values_of(self, u: Array, v: Array) -> tuple[Array, OwnValues]:
         """Return quantities [variants, C, records, Q] and own values for u [variants, C, records, P], v [.., 3]."""
         evidence = self.problem.evidence
         x = np.broadcast_to(self.problem.base, (*u.shape[:3], self.problem.base.size)).copy()
@@ -91,7 +91,7 @@ class Batch:
         warm = np.where([t is None for t in evidence.temps], UNMEASURED_SD_K, START_SD_K)
         believed = evidence.start_soc + x[..., INDEX["start_soc_shift"]]
         soc = np.minimum(believed + self.start_sd * v[..., 0], 1.03)
-        return x, Own(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
+        return x, OwnValues(soc, warm * v[..., 1], AMBIENT_SD_K * v[..., 2])
 
     def drifts(self, u: Array) -> Array | None:
         """Return what the quantities gain along each course, [variants, C, records, courses, Q]; None if none does."""
@@ -103,15 +103,15 @@ class Batch:
             out[:, i, :, COURSES.index(f.along), f.index] = f.value(u[:, i, :, k])
         return out
 
-    def shown(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:
+    def simulated(self, u: Array, v: Array, wanted: NDArray[np.bool_]) -> Simulated:
         """Simulate those of variants × candidates that are `wanted` [variants, C], in that order."""
-        x, own = self.settings(u, v)
+        x, own = self.values_of(u, v)
         drift = self.drifts(u)
         return simulate(
             self.problem.pack,
             self.problem.evidence,
             x[wanted],
-            Own(*(o[wanted] for o in own)),
+            OwnValues(*(o[wanted] for o in own)),
             self.problem.states,
             drift[wanted] if drift is not None else None,
         )
@@ -121,7 +121,7 @@ class Batch:
 
         Residuals are zero where they are not `wanted` [variants, C].
         """
-        shown = self.shown(us, vs, wanted)
+        shown = self.simulated(us, vs, wanted)
         found = whitened(self.problem.evidence, shown)
         out = np.zeros((*wanted.shape, *found.shape[1:]))
         out[wanted] = found
@@ -165,14 +165,14 @@ ALL_OF_ONE = np.ones((1, 1), dtype=bool)
 
 def at_best(problem: Problem, fit: Refit) -> Simulated:
     """Return what the sensors should show with the refit's values (one variant)."""
-    return Batch(problem, [fit.candidate]).shown(fit.u[None, None], fit.v[None, None], ALL_OF_ONE)
+    return Batch(problem, [fit.candidate]).simulated(fit.u[None, None], fit.v[None, None], ALL_OF_ONE)
 
 
 def slopes_on_file(problem: Problem, fit: Refit) -> Array:
     """Return what one sd of each error of the battery file does to `fit.residual`, [records, numbers, errors]."""
     batch = Batch(problem, [fit.candidate])
     u = np.zeros((1, len(fit.u), batch.size))
-    batch.place(u[0], fit)
+    batch.fill_from(u[0], fit)
     held = np.flatnonzero(~fit.moves[: len(fit.columns)])
     us = np.repeat(u[None], 1 + held.size, axis=0)
     us[1 + np.arange(held.size), ..., held] += NUDGE

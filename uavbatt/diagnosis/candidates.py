@@ -91,7 +91,7 @@ class Candidate:
         """Return how many quantities the effect has that was added last."""
         return self.sizes[-1] if self.sizes else 0
 
-    def places(self, name: str) -> slice:
+    def slice_of(self, name: str) -> slice:
         """Return where the quantities of an effect stand among the freed."""
         k = self.names.index(name)
         first = sum(self.sizes[:k])

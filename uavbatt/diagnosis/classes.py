@@ -65,7 +65,7 @@ def start_class(problem: Problem, nothing: Refit) -> EffectClass:
 
 
 @dataclass(frozen=True, slots=True)
-class Hidden:
+class HiddenSize:
     """An effect may be there without being seen, its first quantity from `lo` to `hi` (95 % interval)."""
 
     name: str
@@ -75,12 +75,12 @@ class Hidden:
     unit: str
 
 
-def hidden(tried: Trial) -> tuple[Hidden, ...]:
+def hidden_sizes(tried: Trial) -> tuple[HiddenSize, ...]:
     """List how much of each single effect that was tried could be there without being seen, by name."""
     out = []
     for fit in tried.fits:
         name, one = next(iter(intervals(fit).items()))
-        out.append(Hidden(fit.candidate.name, name, one.lo, one.hi, one.unit))
+        out.append(HiddenSize(fit.candidate.name, name, one.lo, one.hi, one.unit))
     return tuple(sorted(out, key=lambda h: h.name))
 
 
@@ -103,7 +103,7 @@ def intervals(fit: Refit) -> dict[str, Interval]:
     """Return the values of the effect added last, with 95 % intervals that allow for errors of the battery file."""
     out = {}
     values, errors = fit.values()[0], fit.errors()
-    for k in range(len(fit.candidate.freed))[fit.candidate.places(fit.candidate.name)]:
+    for k in range(len(fit.candidate.freed))[fit.candidate.slice_of(fit.candidate.name)]:
         freed = fit.candidate.freed[k]
         name = QUANTITIES[freed.index].name
         value, error = float(values[k]), float(errors[k])

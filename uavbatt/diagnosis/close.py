@@ -39,7 +39,7 @@ ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Error:
+class HeldOutErrors:
     """It holds the errors on held-out records; NaN where one cannot be judged (no end in the log, no temperature).
 
     `coverage` is the share of forecasts whose interval holds the true remaining time.
@@ -52,11 +52,11 @@ class Error:
 
 
 @dataclass(frozen=True, slots=True)
-class Closed:
+class ClosedLoop:
     """It holds the errors before and after the extension, and the names of the records held out for them."""
 
-    before: Error
-    after: Error
+    before: HeldOutErrors
+    after: HeldOutErrors
     held_out: tuple[str, ...]
 
     @property
@@ -105,7 +105,7 @@ def with_effects(file: BatteryFile, effects: dict[str, dict[str, float]], errors
 def extended(file: BatteryFile, found: Diagnosis, worse: str = "") -> BatteryFile:
     """Return the battery file with what was found, or the file itself when nothing was; flights do not certify it.
 
-    worse : what it predicts worse on held-out records (`Closed.worse`), for the file to say so.
+    worse : what it predicts worse on held-out records (`ClosedLoop.worse`), for the file to say so.
     """
     if found.verdict == "no_missing_effect":
         return file
@@ -197,7 +197,7 @@ def judge(
     options: PackOptions,
     progress: Callable[[str], None] | None = None,
     engine: Engine = PLAIN,
-) -> Closed:
+) -> ClosedLoop:
     """Judge the error before and after on every record, each left out in turn; `engine` replays the flights."""
     problem, fit = found.problem, found.after
     values = left_out_values(problem, fit)
@@ -217,8 +217,10 @@ def judge(
             pairs[key][1].extend(hits)
     plain = open_loop(problem, found.before, [np.zeros(0)] * len(values))
     fixed = open_loop(problem, fit, values)
-    return Closed(_error(*plain, *pairs["before"]), _error(*fixed, *pairs["after"]), problem.evidence.names)
+    return ClosedLoop(_error(*plain, *pairs["before"]), _error(*fixed, *pairs["after"]), problem.evidence.names)
 
 
-def _error(voltage_V: float, temp_K: float, errors: list[float], hits: list[bool]) -> Error:
-    return Error(voltage_V, temp_K, float(np.mean(errors)) if errors else NAN, float(np.mean(hits)) if hits else NAN)
+def _error(voltage_V: float, temp_K: float, errors: list[float], hits: list[bool]) -> HeldOutErrors:
+    return HeldOutErrors(
+        voltage_V, temp_K, float(np.mean(errors)) if errors else NAN, float(np.mean(hits)) if hits else NAN
+    )

@@ -59,7 +59,7 @@ def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValue
 
     order : the places of the flights among the records of the refit, in order of time.
     """
-    k = int(whole.quantities[whole.candidate.places(whole.candidate.name)][0])
+    k = int(whole.quantities[whole.candidate.slice_of(whole.candidate.name)][0])
     freed = whole.columns[k]
     places = list(order)
     known = np.maximum(whole.information[places, k, k], 1e-6)

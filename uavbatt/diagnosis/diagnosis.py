@@ -25,7 +25,7 @@ from uavbatt.diagnosis import drift, residual
 from uavbatt.diagnosis.batch import at_best
 from uavbatt.diagnosis.blocks import EvidenceBlock, evidence_by_block
 from uavbatt.diagnosis.candidates import NOTHING, Candidate, base_values, candidates, nuisances
-from uavbatt.diagnosis.classes import NEVER_SURE, EffectClass, Hidden, class_of, hidden, start_class
+from uavbatt.diagnosis.classes import NEVER_SURE, EffectClass, HiddenSize, class_of, hidden_sizes, start_class
 from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import SETTLED, refit
@@ -57,7 +57,9 @@ class Diagnosis:
     left: Shape
     findings: tuple[FoundEffect, ...] = ()
     blocks: tuple[EvidenceBlock, ...] = ()  # where in the records the evidence lies
-    hidden: tuple[Hidden, ...] = ()  # how much of each effect could be there without being seen; when none was found
+    hidden: tuple[
+        HiddenSize, ...
+    ] = ()  # how much of each effect could be there without being seen; when none was found
 
     @property
     def may_hide(self) -> bool:
@@ -136,7 +138,7 @@ def diagnose(
         left=residual.shape(after),
         findings=tuple(findings),
         blocks=evidence_by_block(problem, nothing, best) if best is not nothing else (),
-        hidden=hidden(singles) if not findings else (),
+        hidden=hidden_sizes(singles) if not findings else (),
     )
 
 
@@ -185,14 +187,14 @@ def floor_V(file: BatteryFile, problem: Problem) -> float:
     return float(file.discrepancy.voltage_rmse_V * share)
 
 
-class Left(NamedTuple):
+class LeftPerNumber(NamedTuple):
     """It holds the chi-square per number that a model leaves."""
 
     voltage: float
     temperature: float  # NaN: not measured
 
 
-def left_per_number(problem: Problem, best: Refit) -> Left:
+def left_per_number(problem: Problem, best: Refit) -> LeftPerNumber:
     """Return the chi-square per number that is left once the file's stated errors are at their most probable.
 
     What it takes to bend them counts with the voltage: an error of six standard errors is no explanation.
@@ -204,22 +206,24 @@ def left_per_number(problem: Problem, best: Refit) -> Left:
     return left._replace(voltage=left.voltage + (fit.total - float(np.sum(fit.residual**2))) / numbers)
 
 
-def per_number(problem: Problem, fit: Refit) -> Left:
+def per_number(problem: Problem, fit: Refit) -> LeftPerNumber:
     """Return the chi-square per number that a refit leaves of voltage and of temperature."""
     squares, numbers = np.zeros(2), np.zeros(2)
     for row, volts, temps in zip(fit.residual, problem.evidence.volts, problem.evidence.temps, strict=True):
         first, size = volts.rows.size, temps.rows.size if temps is not None else 0
         squares += [np.sum(row[:first] ** 2), np.sum(row[first : first + size] ** 2)]
         numbers += [first, size]
-    return Left(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
+    return LeftPerNumber(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
-def believed(left: Left, reasons: tuple[str, ...]) -> float:
+def believed(left: LeftPerNumber, reasons: tuple[str, ...]) -> float:
     """Return how likely the cause is one of the candidates: the less, the nearer the model is to being doubted."""
     return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
-def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: Left, floor: float) -> tuple[str, ...]:
+def doubts(
+    problem: Problem, findings: list[FoundEffect], best: Refit, left: LeftPerNumber, floor: float
+) -> tuple[str, ...]:
     """List the reasons why the model is not believed to be complete after all; empty when it is.
 
     left : chi-square per number (`left_per_number`); floor : what the file's own model leaves [V] (`floor_V`).

@@ -29,7 +29,7 @@ WITHIN: dict[Course, str] = {
 
 def drifting(problem: Problem, found: Refit, along: Course = "time") -> Refit | None:
     """Refit an effect with a drift along time or temperature, the same in all records; None where it cannot drift."""
-    first = found.candidate.freed[found.candidate.places(found.candidate.name)][0]
+    first = found.candidate.freed[found.candidate.slice_of(found.candidate.name)][0]
     quantity = next(q for q in EFFECTS[found.candidate.name].quantities if INDEX[q.name] == first.index)
     if quantity.name not in MAY_DRIFT:
         return None

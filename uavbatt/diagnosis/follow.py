@@ -206,7 +206,7 @@ def _chosen(tried: list[_Tried]) -> _Tried:
 def _told(problem: Problem, trace: _Trace, sure: float) -> Followed:
     """A trace with each flight's own value, as it is shown."""
     fit = trace.effect.members[0]
-    freed = fit.candidate.freed[fit.candidate.places(trace.effect.name)][0]
+    freed = fit.candidate.freed[fit.candidate.slice_of(trace.effect.name)][0]
     name = QUANTITIES[freed.index].name
     off, half = problem.base[freed.index], COVERAGE * trace.own.sd
     values = [off + change for change in trace.own.change]

@@ -94,7 +94,7 @@ class Refit:
         return np.arange(len(self.columns) - len(self.candidate.freed), len(self.columns))
 
     @property
-    def turned(self) -> Refit:
+    def with_effects_swapped(self) -> Refit:
         """Return the same refit of two effects with their order turned: the first stands as the one added last."""
         its, first = self.candidate, self.quantities[0]
         second = first + its.sizes[0]

@@ -63,7 +63,7 @@ def refit(
     u = np.zeros((len(candidates), batch.records, batch.size))
     v = np.zeros((len(candidates), batch.records, NUISANCES))
     for i, given in enumerate(start or []):
-        batch.place(u[i], given)
+        batch.fill_from(u[i], given)
         v[i] = given.v
     if not file_errors:
         u = _scanned(batch, u, v)

@@ -78,7 +78,7 @@ def _apart(one: Refit, other: Refit) -> float:
     return float(np.sum((one.residual - other.residual) ** 2))
 
 
-def seated(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
+def members_of_class(fits: Sequence[Refit], likely: Array, before: Refit) -> list[int]:
     """Return the places of the refits that a class has room for: those the same as the best, then the likeliest.
 
     The same is what leaves within SAME of the best, and within TWIN_SHARE of what the best explains: all explanations

@@ -16,7 +16,7 @@ from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.drift import WARMS, drifting, saved
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import FARTHEST, RIVAL_SHARE, related, same, seated, weights
+from uavbatt.diagnosis.rivals import FARTHEST, RIVAL_SHARE, members_of_class, related, same, weights
 from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
 
 EARNED = 3.0  # more than chance gave in 140 effect-free sets, 2.84: docs/diagnosis.md
@@ -66,7 +66,7 @@ class Trial:
     least: float = 0.5 * EARNED_EACH  # that a rival is worth
 
     @property
-    def most(self) -> float:
+    def largest_worth(self) -> float:
         """Return the largest worth of all that do not stand at a bound; 0 if all do."""
         return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
 
@@ -76,7 +76,7 @@ class Trial:
 
         They need not earn their place alone.
         """
-        places, least = range(len(self.fits)), max(self.least, RIVAL_SHARE * self.most)
+        places, least = range(len(self.fits)), max(self.least, RIVAL_SHARE * self.largest_worth)
         possible = [i for i in places if not at_bound(self.fits[i])]
         worthy = [i for i in possible if self.worths[i].value > least]
         # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
@@ -111,20 +111,22 @@ def search(
     in_part = problem.evidence.charged_in_part.any()  # the start is an effect already
     found: list[FoundEffect] = []
     best, least = nothing, EARNED_IN_PART if in_part else EARNED
-    if singles.most >= least:
+    if singles.largest_worth >= least:
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
-    is_explained = explains(best, singles.most >= EVEN)
+    is_explained = explains(best, singles.largest_worth >= EVEN)
     found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
     drift = found[0].drift if found else None
-    if drift is None and is_explained and singles.most < EVEN:  # nothing, or a suspect: no ground to build a pair on
+    if (
+        drift is None and is_explained and singles.largest_worth < EVEN
+    ):  # nothing, or a suspect: no ground to build a pair on
         return best, found, singles
     tell("pairs of effects")
     pair = _best_pair(problem, options, singles, drift or best, is_explained)
     if pair is None:
         return best, found, singles
     trials = []
-    for known in (pair.turned, pair):
+    for known in (pair.with_effects_swapped, pair):
         alone = next(f for f in singles.fits if f.candidate.name == known.candidate.names[0])
         alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # else all get the credit
         trials.append(trial(problem, alone, options, FURTHER_TURNS, known))
@@ -139,9 +141,9 @@ def search(
 
 def small(problem: Problem, singles: Trial) -> FoundEffect | None:
     """Return the small effect that may hide where nothing is found, if the records show more than most healthy ones."""
-    if not SMALL < singles.most < EARNED:
+    if not SMALL < singles.largest_worth < EARNED:
         return None
-    return finding(problem, replace(singles, least=0.5 * singles.most), EVEN)
+    return finding(problem, replace(singles, least=0.5 * singles.largest_worth), EVEN)
 
 
 def _drift(problem: Problem, members: tuple[Refit, ...], singles: Trial) -> Refit | None:
@@ -204,7 +206,7 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     likely = likely / np.sum(likely)
     order = np.argsort(-likely, kind="stable")
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
-    members = [int(order[k]) for k in seated([fits[i] for i in order], likely[order], tried.before)]
+    members = [int(order[k]) for k in members_of_class([fits[i] for i in order], likely[order], tried.before)]
     its = tried.worths[tried.rivals[members[0]]]
     return FoundEffect(
         members=tuple(fits[i] for i in members),

@@ -23,7 +23,7 @@ from uavbatt.fitting.observed import Stack
 MAY_DRIFT = ("gain_I", "offset_A", "unmetered_W", "gain_V", "offset_V", "harness_ohm")
 
 
-class Own(NamedTuple):
+class OwnValues(NamedTuple):
     """Each record has its own start soc and its own shift [K] of start and ambient temperature, [variants, records]."""
 
     soc: Array
@@ -114,7 +114,7 @@ def simulate(
     base: Pack,
     evidence: Evidence,
     x: Array,
-    own: Own,
+    own: OwnValues,
     walk: States = openloop.states,
     drift: Array | None = None,
 ) -> Simulated:

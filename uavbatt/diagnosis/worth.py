@@ -71,14 +71,14 @@ def worth(fit: Refit, before: Refit, name: str = "") -> Worth:
     name = name or fit.candidate.name
     gains = left_out_chi2(before) - left_out_chi2(fit)
     if name == "initial_charge":  # what the records' own starts save says nothing of a start that they share
-        k = fit.quantities[fit.candidate.places(name)][0]
+        k = fit.quantities[fit.candidate.slice_of(name)][0]
         gains = np.minimum(gains, fit.u[:, k] ** 2 * fit.information[:, k, k])
     return Worth(gains, before.total - fit.total, known_share(fit, name), constancy(fit, name))
 
 
 def known_share(fit: Refit, name: str) -> float:
     """Return the share of an effect's variance that is not the file's own errors, of its best known quantity."""
-    its = fit.candidate.places(name)
+    its = fit.candidate.slice_of(name)
     alone, considered = (np.diagonal(fit.covariance_u(considered=c))[its] for c in (False, True))
     return float(np.max(alone / considered))
 
@@ -132,7 +132,7 @@ def constancy(fit: Refit, name: str) -> Constancy | None:
     """
     if len(fit.chi2) < 2 or name == "initial_charge":
         return None
-    k = int(fit.quantities[fit.candidate.places(name)][0])
+    k = int(fit.quantities[fit.candidate.slice_of(name)][0])
     freed = fit.columns[k]
     weight = fit.information[:, k, k] + WEAK
     own_u = fit.u[:, k] + fit.score[:, k] / weight
@@ -141,5 +141,5 @@ def constancy(fit: Refit, name: str) -> Constancy | None:
     between = max(q - (len(own_u) - 1), 0.0) / max(np.sum(weight) - np.sum(weight**2) / np.sum(weight), 1e-12)
     apart, common = freed.value(np.array([mean + np.sqrt(between), mean]))
     change = abs(common if freed.log else common - freed.start)
-    doubt = fit.errors()[fit.candidate.places(name)][0]
+    doubt = fit.errors()[fit.candidate.slice_of(name)][0]
     return Constancy(freed.value(own_u), float(abs(apart - common) / max(change, DOUBTS * doubt)))

@@ -28,7 +28,7 @@ LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data sai
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class RecordedPack:
     """It holds the size of the pack that the records are of, and the voltage that ends a flight [V]."""
 
     name: str
@@ -55,7 +55,7 @@ class Fitted:
 
 
 def fit_battery(
-    size: Size, datasets: list[DataSet], flights: list[Flight], progress: Callable[[int], None] | None = None
+    size: RecordedPack, datasets: list[DataSet], flights: list[Flight], progress: Callable[[int], None] | None = None
 ) -> Fitted:
     """Fit one cell type to all records together. Raises NotEnoughData when no record has a current."""
     bench = [r for d in datasets for r in observed.from_dataset(d, size.capacity_Ah)]
@@ -72,7 +72,7 @@ def fit_battery(
     source = f"{len(bench)} bench tests, {len(flown)} flights"
     left = assemble.discrepancy(stack, shown, size.cells, held_out=False, source=source)
     typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
-    left = msgspec.structs.replace(left, wander=wander.learned(stack, shown, list(typical), size.cells))
+    left = msgspec.structs.replace(left, wander=wander.learn(stack, shown, list(typical), size.cells))
     file = BatteryFile(
         battery=Battery(
             name=size.name,
@@ -109,7 +109,7 @@ def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]
 
 def size_of(
     name: str, datasets: list[DataSet], flights: list[Flight], cells: int | None, capacity_Ah: float, cutoff_V: float
-) -> Size:
+) -> RecordedPack:
     """Return the pack's size by the options, else the data sets, else the vehicles; raises UsageError when nobody says.
 
     What the voltages deny is refused of the caller and left out of a vehicle (`limits`): UsageError for the caller's.
@@ -128,7 +128,7 @@ def size_of(
     critical_V = _first([*[f.critical_voltage_V for f in facts], *[d.cutoff_V for d in datasets]])
     said = PackFacts(capacity_Ah=float(capacity), critical_voltage_V=float(critical_V))
     size = size_of_pack(generic_lipo(), PackOptions(int(series), cutoff_V=cutoff_V), said, int(series))
-    return Size(name, size.cells, size.capacity_Ah, size.cutoff_V, tuple(notices))
+    return RecordedPack(name, size.cells, size.capacity_Ah, size.cutoff_V, tuple(notices))
 
 
 def _flown_cells(flight: Flight) -> int | None:

@@ -95,7 +95,7 @@ def _most_probable(misfit: Misfit, usual: Array, least: Array, neighbours: bool)
     return best
 
 
-def learned(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) -> Wander:
+def learn(stack: Stack, trajectory: Trajectory, records: list[int], cells: int) -> Wander:
     """Return the wander of `records` (columns of the stack) around an open-loop simulation of them.
 
     cells : of the pack that it is told for; records of other packs are scaled to it

@@ -17,7 +17,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.effects import unit_words
 from uavbatt.diagnosis.blocks import EvidenceBlock
 from uavbatt.diagnosis.classes import EffectClass
-from uavbatt.diagnosis.close import Closed
+from uavbatt.diagnosis.close import ClosedLoop
 from uavbatt.diagnosis.diagnosis import Diagnosis
 from uavbatt.diagnosis.residual import Residual
 from uavbatt.diagnosis.words import CHECK, MEANING, QUANTITY, SHARES
@@ -54,7 +54,7 @@ ROOM_FOR_NAMES = 120.0
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
 
 
-def diagnosis_report(found: Diagnosis, closed: Closed, old: BatteryFile, new: BatteryFile) -> str:
+def diagnosis_report(found: Diagnosis, closed: ClosedLoop, old: BatteryFile, new: BatteryFile) -> str:
     """Return the whole page as HTML.
 
     `found` is what the records say, `closed` the errors on held-out records before and after, `old` and `new` the
@@ -142,7 +142,7 @@ def _decimals(value: float) -> int:
     return 0 if size == 0.0 else int(np.clip(1 - np.floor(np.log10(size)), 0, 5))
 
 
-def _errors(closed: Closed, floor_V: float) -> Html:
+def _errors(closed: ClosedLoop, floor_V: float) -> Html:
     b, a = closed.before, closed.after
     errors = (
         ("voltage RMSE", 1000.0 * b.voltage_rmse_V, 1000.0 * a.voltage_rmse_V, "mV", 0),
@@ -158,7 +158,7 @@ def _errors(closed: Closed, floor_V: float) -> Html:
     return table(("", "before", "after", "unit"), rows, caption, text_columns=(0, 3))
 
 
-def _worse(closed: Closed) -> list[Html]:
+def _worse(closed: ClosedLoop) -> list[Html]:
     words = f"Held-out records are predicted worse with it ({closed.worse}): do the check before you fly by it."
     return [paragraph(strong(words))] if closed.worse else []
 

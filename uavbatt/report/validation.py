@@ -21,7 +21,7 @@ from uavbatt.report.page import (
     paragraph,
     section,
 )
-from uavbatt.report.validation_figures import equivalence, judged, mandel, over_ambient
+from uavbatt.report.validation_figures import claim_figures, judged, mandel, over_ambient
 from uavbatt.report.validation_page import ErrorChange, ValidationPage, page_of
 from uavbatt.report.validation_tables import (
     agreement,
@@ -126,7 +126,7 @@ def _shipped(found: Validation) -> str:
 
 
 def _equivalence(v: ValidationPage) -> list[Html]:
-    drawn = equivalence(judged(v.found.claims, v.found.ambient_C))
+    drawn = claim_figures(judged(v.found.claims, v.found.ambient_C))
     said = (
         "A claim passes when the whole interval of the bias lies inside the limits. The interval is one-sided 95 % "
         "at each end, over all instants together, with a guard band for the instruments."

@@ -27,7 +27,7 @@ def judged(claims: Sequence[Claim], ambient_C: float) -> list[Claim]:
     return [c for c in claims if c.ambient_C == ambient_C and math.isfinite(c.limit) and np.isfinite(c.bias).any()]
 
 
-def equivalence(claims: Sequence[Claim]) -> list[Html]:
+def claim_figures(claims: Sequence[Claim]) -> list[Html]:
     """Draw each quantity that was judged at many instants, and all that are judged once (times) together."""
     many = [c for c in claims if c.at.size > 1]
     once = [c for c in claims if c.at.size == 1]

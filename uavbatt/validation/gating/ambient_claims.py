@@ -85,7 +85,7 @@ def _near_repeats(
     step = _series_offset(dataset, held, single)
     guard = ONE_SIDED * np.sqrt(sum((u**2 for u in rows), start=(step[at] / math.sqrt(3.0)) ** 2))
     scatter = group.sd[at] * math.sqrt(group.leverage(single.ambient_C))
-    half = budget.expanded(scatter, group.df[at], guard / ONE_SIDED, at.size).half
+    half = budget.expand(scatter, group.df[at], guard / ONE_SIDED, at.size).half
     verdict, reason = _shown(bias, half, limits.voltage_V)
     if broken and not np.isfinite(half).all():
         reason = "one series, and series of these tests differ by an amount that is not known"

@@ -85,7 +85,7 @@ class Expanded(NamedTuple):
     half: Array
 
 
-def expanded(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> Expanded:
+def expand(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> Expanded:
     """Expand the combined type A and type B uncertainty of a bias to the half width of its one-sided 95 % interval.
 
     u_A and u_B are standard uncertainties per instant, in the unit of the bias; `df_A` the degrees of freedom of u_A.
@@ -97,14 +97,14 @@ def expanded(u_A: Array, df_A: Array | float, u_B: Array, instants: int) -> Expa
     return Expanded(u, df, np.maximum(coverage_factor(df, instants) * u, coverage_factor(df_A, instants) * u_A))
 
 
-def assembled(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:
+def add_up(unit: str, at: Array, rows: list[BudgetRow], df_A: float) -> Budget:
     """Add the rows of a budget in squares; `df_A` are the degrees of freedom of the scatter."""
 
     def root(kind: str) -> Array:
         squares = [r.u**2 for r in rows if r.kind == kind]
         return np.sqrt(np.sum(squares, axis=0)) if squares else np.zeros(at.size)
 
-    u, df, half = expanded(root("A"), df_A, root("B"), at.size)
+    u, df, half = expand(root("A"), df_A, root("B"), at.size)
     k = np.divide(half, u, out=coverage_factor(df, at.size), where=u > 0.0)
     largest = float(k.max()) if k.size else math.nan
     return Budget(unit, at, tuple(rows), u, df, k, largest, ONE_SIDED * root("B"), half)
@@ -171,7 +171,7 @@ def voltage_budget(held: HeldOut, at: NDArray[np.intp], residual: Array, known: 
         "instant of reading", "B", loaded_slope(held)[at] * half_s / math.sqrt(3.0), f"{how}, times the slope"
     )
     rows = [*scatter_rows(residual), *meter_rows(held, mean_V, known), moment]
-    return assembled("V", held.time_s[at], rows, len(residual) - 1.0)
+    return add_up("V", held.time_s[at], rows, len(residual) - 1.0)
 
 
 def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: float, known: Uncertainty) -> Budget:
@@ -181,7 +181,7 @@ def time_budget(held: HeldOut, levels_V: Array, residual_s: Array, slope_Vps: fl
     divided = f"over {slope_Vps * 1e3:.3g} mV/s"
     meter = [BudgetRow(r.source, r.kind, r.u / slope_Vps, f"{r.how}; {divided}") for r in meter_rows(held, one, known)]
     moment = BudgetRow("instant of reading", "B", np.array([half_s / math.sqrt(3.0)]), how)
-    return assembled("s", one, [*scatter_rows(residual_s), *meter, moment], len(residual_s) - 1.0)
+    return add_up("s", one, [*scatter_rows(residual_s), *meter, moment], len(residual_s) - 1.0)
 
 
 def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget:
@@ -194,4 +194,4 @@ def surface_budget(at_s: Array, residual_K: Array, known: Uncertainty) -> Budget
         fine = np.full(at_s.size, known.temperature_resolution_C / math.sqrt(12.0))
         step = f"{known.temperature_resolution_C:g} K step, rectangular"
         rows.append(BudgetRow("resolution of the thermometer", "B", fine, step))
-    return assembled("K", at_s, rows, len(residual_K) - 1.0)
+    return add_up("K", at_s, rows, len(residual_K) - 1.0)

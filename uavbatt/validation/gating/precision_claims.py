@@ -76,7 +76,7 @@ def reproducibility_claim(held: HeldOut, levels: Levels, limits: Limits, cutoff_
     table = table[np.isfinite(table).all(axis=(1, 2))]
     u, df = _random_samples(table)
     guard = budget.voltage_budget(held, at, table.mean(axis=1), known).guard
-    _, df, half = budget.expanded(u, df, guard / budget.ONE_SIDED, at.size)
+    _, df, half = budget.expand(u, df, guard / budget.ONE_SIDED, at.size)
     bias = table.mean(axis=(0, 1))
     verdict, reason = gate.decide(bias, half, limits.voltage_V)
     said = f"{k} samples of one make in one laboratory: {reason}"

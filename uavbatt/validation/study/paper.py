@@ -25,7 +25,7 @@ LATTICE_C = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class ColumnFigures:
     """A column holds equations (1)-(7) evaluated for one sample at one instant; V or °C by `quantity`."""
 
     sample: str
@@ -99,7 +99,7 @@ class PaperReplay:
 
     ambient_C: float
     samples: tuple[str, ...]
-    columns: tuple[Column, ...]
+    columns: tuple[ColumnFigures, ...]
     pooled: tuple[Pooled, ...]
     pooled_surface: tuple[Pooled, ...]
     agreements: tuple[Agreement, ...]
@@ -113,13 +113,13 @@ def printed_tables() -> dict[str, Any]:
     return tomllib.loads(file.read_text("utf-8"))
 
 
-def column(sample: str, quantity: str, time_s: float, x: Array) -> Column:
+def column(sample: str, quantity: str, time_s: float, x: Array) -> ColumnFigures:
     """Evaluate equations (1)-(7) for the results `x` of one sample at one instant."""
     a = eq.eq5_pair_differences(x)
     sigma_r = eq.eq6_pair_sd(a)
     r, ratio = eq.eq7_repeatability_limit(sigma_r), eq.drift_ratio(x)
     drifts, beyond = ratio >= eq.DRIFT_LIMIT, eq.share_beyond(a, r)
-    return Column(sample, quantity, time_s, eq.eq3_mean(x), eq.eq4_sd(x), ratio, drifts, sigma_r, r, beyond)
+    return ColumnFigures(sample, quantity, time_s, eq.eq3_mean(x), eq.eq4_sd(x), ratio, drifts, sigma_r, r, beyond)
 
 
 def pool(quantity: str, time_s: float, means: Array, variances: Array, n: int, results: Array | None) -> Pooled:
@@ -191,7 +191,7 @@ def _is_whole(volts: Levels, tables: list[Array], heat: Levels) -> bool:
     return whole and heat.curves(0).shape == (10, 9)
 
 
-def _columns(levels: Levels, tables: list[Array]) -> tuple[Column, ...]:
+def _columns(levels: Levels, tables: list[Array]) -> tuple[ColumnFigures, ...]:
     named = list(zip(levels.samples, tables, strict=True))
     return tuple(
         column(s, levels.quantity, float(t), table[:, i]) for s, table in named for i, t in enumerate(levels.time_s)
