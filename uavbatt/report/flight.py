@@ -40,7 +40,7 @@ from uavbatt.report.page import (
     table,
 )
 from uavbatt.report.route_section import route_section
-from uavbatt.report.series import Stretch, rows, stretches, with_gaps
+from uavbatt.report.series import Stretch, rows, stretches, warnings_of, with_gaps
 
 STATUS_WORDS = {
     "certified": "Certified: the model of this battery passed the gate on repeated tests of its own type.",
@@ -223,13 +223,9 @@ def _notes(title: str, items: Sequence[str]) -> list[Html]:
 
 def _warnings(steps: Sequence[ReplayedRow]) -> list[str]:
     """Each warning once, with how many rows carried it and from when, in the order of their coming."""
-    seen: dict[str, tuple[float, int]] = {}
-    for step in steps:
-        for warning in step.estimate.warnings:
-            since_s, count = seen.get(warning, (step.estimate.time_s, 0))
-            seen[warning] = (since_s, count + 1)
+    seen = warnings_of(steps)
     out = [
-        f"{text} (all rows)" if count == len(steps) else f"{text} (from {duration(since_s)}, {count} rows)"
-        for text, (since_s, count) in list(seen.items())[:MOST_WARNINGS]
+        text + (" (all rows)" if it.rows == len(steps) else f" (from {duration(it.since_s)}, {it.rows} rows)")
+        for text, it in list(seen.items())[:MOST_WARNINGS]
     ]
     return [*out, f"and {len(seen) - MOST_WARNINGS} more"] if len(seen) > MOST_WARNINGS else out

@@ -14,6 +14,7 @@ from uavbatt.records import Flight
 from uavbatt.report.flight_answer import first_answer
 from uavbatt.report.flight_limits import against_a_reserve, charge_interval, limits_of
 from uavbatt.report.page import duration
+from uavbatt.report.series import warnings_of
 
 JUST_S, NEAR_S = 30.0, 10.0
 
@@ -56,13 +57,9 @@ def plain_lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[Re
 
 def dated_warnings(run: list[ReplayedRow]) -> list[str]:
     """Return every warning of a replay once, with its time where it did not stand from the beginning to the end."""
-    spans: dict[str, tuple[float, float]] = {}
-    for step in run:
-        for words in step.estimate.warnings:
-            spans[words] = (spans.get(words, (step.estimate.time_s,))[0], step.estimate.time_s)
     first_s, last_s = run[0].estimate.time_s, run[-1].estimate.time_s
-    return [words + _when(since_s - first_s, until_s - first_s, last_s - first_s)
-            for words, (since_s, until_s) in spans.items()]  # fmt: skip
+    return [words + _when(stood.since_s - first_s, stood.until_s - first_s, last_s - first_s)
+            for words, stood in warnings_of(run).items()]  # fmt: skip
 
 
 def _when(since_s: float, until_s: float, length_s: float) -> str:
@@ -111,7 +108,7 @@ def summary(
         **resolved.numbers(),
         "skipped_bytes": flight.skipped_bytes,
         "notes": list(flight.notes),
-        "warnings": list(dict.fromkeys(w for s in run for w in s.estimate.warnings)),
+        "warnings": list(warnings_of(run)),
         **_landing_summary(found.landing),
         **{k: v for k, v in asdict(found).items() if k not in ("checkpoints", "landing")},
         "scores": scores,

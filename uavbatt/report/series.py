@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,24 @@ class Stretch:
     def duration_s(self) -> float:
         """Return the duration [s]."""
         return self.end_s - self.begin_s
+
+
+class Stood(NamedTuple):
+    """It tells when a warning stood: its first and its last row [s], and how many rows carried it."""
+
+    since_s: float
+    until_s: float
+    rows: int
+
+
+def warnings_of(steps: Sequence[ReplayedRow]) -> dict[str, Stood]:
+    """Return every warning of a replay with when it stood, in the order of their coming."""
+    found: dict[str, Stood] = {}
+    for estimate in (step.estimate for step in steps):
+        for words in estimate.warnings:
+            before = found.get(words, Stood(estimate.time_s, estimate.time_s, 0))
+            found[words] = Stood(before.since_s, estimate.time_s, before.rows + 1)
+    return found
 
 
 def is_gap(time_s: Array) -> NDArray[np.bool_]:
