@@ -22,13 +22,12 @@ from uavbatt.validation.gating import budget, gate
 from uavbatt.validation.gating.gate import Claim, Limits, Verdict, claim_without_bias
 from uavbatt.validation.gating.heldout import HeldOut
 from uavbatt.validation.iso5725 import precision, relative_uncertainty_r
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES
 from uavbatt.validation.iso5725.intermediate import crossed
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging.corridor import shared_table
 from uavbatt.validation.judging.findings import Finding
 from uavbatt.validation.judging.independence import dependence
-
-LEAST_SAMPLES = 3
 
 
 def repeatability_claim(levels: Levels, limits: Limits, found: Sequence[Finding], known: Uncertainty) -> Claim:

@@ -19,6 +19,7 @@ from uavbatt.errors import UavbattError
 
 Array: TypeAlias = NDArray[np.float64]
 Cells: TypeAlias = Sequence[ArrayLike] | Array
+LEAST_SAMPLES = 3  # fewer say nothing of reproducibility
 
 
 class BadCells(UavbattError, ValueError):

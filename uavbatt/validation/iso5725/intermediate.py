@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.iso5725.cells import Array, BadCells
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array, BadCells
 from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, satterthwaite, sd_interval, sum_interval
 
 
@@ -161,7 +161,7 @@ def crossed(table: ArrayLike) -> Crossed:
     raw = (ms[0], math.nan, math.nan) if samples == 1 else _without_dust(raw, ms[2])
     names = ("occasion", "sample", "residual")
     notes += [f"{w} variance negative ({v:.3g}), set to 0" for w, v in zip(names, raw, strict=True) if v < 0]
-    if samples < 3:
+    if samples < LEAST_SAMPLES:
         notes.append(f"{samples} sample{'s' * (samples > 1)}: too few to speak of reproducibility")
     return _crossed(mean, (occasions, samples), ms, raw, tuple(notes))
 
@@ -206,5 +206,5 @@ def _crossed(
         s_I=s_I, s_R=math.sqrt(v_o + v_s + v_e),
         s_r_interval=UNKNOWN if alone else sd_interval(math.sqrt(ms_e), dfs[2]), s_I_interval=i_I, s_R_interval=i_R,
         p_occasion=p_values[0], p_sample=p_values[1], u_mean=math.sqrt((v_o if alone else v_o + v_e / k) / o),
-        reproducibility="ok" if k >= 3 else "not enough data", notes=notes,
+        reproducibility="ok" if k >= LEAST_SAMPLES else "not enough data", notes=notes,
     )  # fmt: skip

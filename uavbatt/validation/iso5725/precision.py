@@ -20,11 +20,10 @@ import numpy as np
 from scipy import optimize, stats
 
 from uavbatt.errors import NotEnoughData
-from uavbatt.validation.iso5725.cells import Cells, Summary, summarise
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Cells, Summary, summarise
 from uavbatt.validation.iso5725.intervals import UNKNOWN, Interval, between_interval, sd_interval, sum_interval
 
 LIMIT_FACTOR = 2.8
-MIN_SAMPLES = 3
 Method = Literal["anova", "reml"]
 
 
@@ -98,7 +97,7 @@ def precision_of(summary: Summary, method: Method = "anova") -> Precision:
         s_r_interval=sd_interval(math.sqrt(ms_w), dfs[1]),
         s_L_interval=between_interval(ms_b, ms_w, dfs, n_bar) if summary.p > 1 else UNKNOWN,
         s_R_interval=sum_interval((ms_b, ms_w), (1 / n_bar, max(1 - 1 / n_bar, 0)), dfs) if summary.p > 1 else UNKNOWN,
-        reproducibility="ok" if summary.p >= MIN_SAMPLES else "not enough data",
+        reproducibility="ok" if summary.p >= LEAST_SAMPLES else "not enough data",
         method=method, notes=_notes(summary, raw),
     )  # fmt: skip
 
@@ -169,7 +168,7 @@ def _notes(summary: Summary, raw: float) -> tuple[str, ...]:
     notes = []
     if summary.p == 1:
         notes.append("one sample: nothing is known of the spread between samples")
-    elif summary.p < MIN_SAMPLES:
+    elif summary.p < LEAST_SAMPLES:
         notes.append(f"{summary.p} samples: too few to call the between-sample spread reproducibility")
     if raw < 0:
         notes.append(f"the between-sample variance came out negative ({raw:.3g}) and is set to 0: no sign of it")

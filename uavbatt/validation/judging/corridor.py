@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.dataset import DataSet, Levels
-from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 from uavbatt.validation.iso5725.intervals import satterthwaite
 from uavbatt.validation.judging import bands
 from uavbatt.validation.judging.crossing import Which, crossing_time
@@ -187,7 +187,7 @@ def from_table(
     """
     o, k, levels = table.shape
     parts = bands.components(table)
-    with_samples = k >= 3
+    with_samples = k >= LEAST_SAMPLES
     s = parts.sd(with_samples)
     s_r, s_o, s_s = (np.sqrt(np.maximum(np.diag(m), 0.0)) for m in (parts.residual, parts.occasion, parts.sample))
     if k == 1:
@@ -201,7 +201,7 @@ def from_table(
     one, every = bands.coverage(by_plain, 2.0)
     flat = table - table[0, 0]
     S = flat.reshape(o * k, levels).std(axis=0, ddof=1)
-    few = (f"{k} sample{'s' * (k > 1)}: the corridor says nothing of other packs",) if k < 3 else ()
+    few = (f"{k} sample{'s' * (k > 1)}: the corridor says nothing of other packs",) if k < LEAST_SAMPLES else ()
     return Corridor(
         ambient_C, quantity, at, table[0, 0] + flat.mean(axis=(0, 1)), np.sqrt(u2), S, s_r, s_o, s_s, s,
         2 * S, tolerance * s, factor * s, n_eff, df, factor, one, every, o, k, "repeats", "ok", notes + few,

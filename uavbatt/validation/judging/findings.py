@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.dataset import DataSet, Levels
 from uavbatt.errors import NotEnoughData
 from uavbatt.validation.iso5725 import outliers
-from uavbatt.validation.iso5725.cells import Array
+from uavbatt.validation.iso5725.cells import LEAST_SAMPLES, Array
 from uavbatt.validation.judging.corridor import Corridor, leave_one_out, shared_table
 from uavbatt.validation.judging.drift import abbe, curve_step
 from uavbatt.validation.judging.independence import bimodality, independence, resolution
@@ -89,7 +89,7 @@ def _dependence(dataset: DataSet, levels: Levels) -> Iterator[Finding]:
 
 def _few_samples(levels: Levels) -> Iterator[Finding]:
     k = len(levels.samples)
-    if k < 3:
+    if k < LEAST_SAMPLES:
         title = "How much one pack differs from another is not known"
         tested = f"{k} sample{'s were' if k > 1 else ' was'} tested repeatedly"
         detail = f"{tested} at {levels.ambient_C:g} °C; ISO 5725 needs three at the least, eight to be useful."
