@@ -31,7 +31,7 @@ def test_a_voltage_under_load_is_not_that_of_a_full_pack() -> None:
     assert cells_from_voltage(21.0, c_rate=3.0)[0] == 6
 
 
-@pytest.mark.parametrize("cells", [2, 3, 4, 6, 12])
+@pytest.mark.parametrize("cells", [2, 3, 4, 5, 6, 8, 10, 12, 14])
 @pytest.mark.parametrize("cell_V", [4.30, 4.35])
 def test_a_full_pack_that_charges_to_4_35_V_has_no_cell_more(cells: int, cell_V: float) -> None:
     assert cells_from_voltage(cells * cell_V)[0] == cells

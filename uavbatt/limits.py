@@ -24,6 +24,7 @@ CAPACITY_AH = (0.05, 500.0)
 AMBIENT_C = (-40.0, 60.0)
 # How packs are flown and settings made, where a count of cells must be guessed from the first voltage.
 CHARGED_CELL_V, CHARGED_SD_V, DROP_V = 4.17, 0.05, 0.035  # of a full pack, by which it falls with each C of load
+LEAST_CHARGED_CELL_V = 3.65  # at rest: nobody takes off with less than about a tenth
 HIGH_CHARGED, HIGH_CHARGED_CELL_V, HIGH_CHARGED_SD_V = 0.05, 4.33, 0.03  # cells that charge to 4.35 V, so many of all
 PART_CHARGED, UNUSUALLY_CHARGED = 0.02, 0.005  # as likely, anywhere between empty and full, as beside that
 COMMON_CELLS, RARE = {1: 1.0, 2: 1.0, 3: 1.0, 4: 1.0, 5: 0.3, 6: 1.0, 8: 1.0, 10: 0.3, 12: 1.0, 14: 0.3}, 0.02
@@ -122,7 +123,7 @@ def _likelihood_of(cells: int, cell_V: float, endings_V: tuple[float, ...], c_ra
     full_V = CHARGED_CELL_V - drop_V
     is_full = math.exp(-0.5 * ((cell_V - full_V) / CHARGED_SD_V) ** 2)
     is_full += HIGH_CHARGED * math.exp(-0.5 * ((cell_V - HIGH_CHARGED_CELL_V + drop_V) / HIGH_CHARGED_SD_V) ** 2)
-    is_usual = EMPTIEST_CELL_V + 0.3 <= cell_V <= full_V
+    is_usual = LEAST_CHARGED_CELL_V - 2.0 * drop_V <= cell_V <= full_V
     likely = COMMON_CELLS.get(cells, RARE) * (PART_CHARGED * is_usual + is_full + UNUSUALLY_CHARGED)
     for volts in endings_V:
         if volts > 0.0:

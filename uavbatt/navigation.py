@@ -175,12 +175,17 @@ class Navigation:
         """Return True if a mission or a home is known: without either there is no way to speak of."""
         return self.mission is not None or self.home is not None
 
-    def is_aloft(self, time_s: float) -> bool:
-        """Return True if the autopilot says that it flies, or its place of the last seconds is high or fast."""
+    def is_aloft(self, time_s: float) -> bool | None:
+        """Return True if the autopilot says that it flies, or its place of the last seconds is high or fast.
+
+        False if the autopilot says that it stands on the ground, None if nobody says.
+        """
         at = self.position
-        if self.landed is not None or at is None or not abs(time_s - at.time_s) <= FRESH_S:
-            return self.landed is False
-        return at.height_m > ALOFT_M or math.hypot(at.north_ms, at.east_ms) > ALOFT_MS
+        if self.landed is not None:
+            return not self.landed
+        if at is None or not abs(time_s - at.time_s) <= FRESH_S:
+            return None
+        return True if at.height_m > ALOFT_M or math.hypot(at.north_ms, at.east_ms) > ALOFT_MS else None
 
 
 NOWHERE = Navigation()

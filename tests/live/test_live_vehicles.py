@@ -249,7 +249,9 @@ def test_two_vehicles_of_one_number_behind_one_address_are_told_apart(same: bool
             if k == 19 or (same and k > 19):
                 assert daemon.board.reports[0].at(now_s[0]).remaining_s > 0.0, k
             now_s[0] += 0.25
-        if not same:
+        if same:
+            assert daemon.board.counts["rows"] == 20 + 2 * 80  # both links' rows count
+        else:
             assert daemon.board.reports[0].at(now_s[0]).status == "refused"
             note = content(daemon.board, now_s[0])["notes"][0]
             assert f"disagree on battery 0: voltage (both behind {source.name})" in note

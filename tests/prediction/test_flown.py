@@ -13,7 +13,7 @@ from uavbatt.records import Sample
 CAPACITY_AH, VOLTS = 5.0, 16.0
 
 
-def after(past: Flown, seconds: int, watts: float, armed: bool | None, is_aloft: bool = False) -> Flown:
+def after(past: Flown, seconds: int, watts: float, armed: bool | None, is_aloft: bool | None = None) -> Flown:
     """The past after so many seconds of a power, a row a second."""
     begin_s = past.time_s + 1.0 if math.isfinite(past.time_s) else 0.0
     for k in range(seconds):
@@ -44,6 +44,25 @@ def test_an_aeroplane_of_long_endurance_flies_once_it_has_been_armed_for_a_minut
     assert not is_flying(after(Flown(), 30, 26.0, armed=True))
     assert is_flying(after(Flown(), 90, 26.0, armed=True))
     assert not is_flying(after(Flown(), 90, 26.0, armed=None))
+
+
+@pytest.mark.parametrize("watts", [26.0, 40.0])
+def test_waiting_armed_on_the_ground_is_no_part_of_the_flight(watts: float) -> None:
+    """A third and half a C for a quarter of an hour, with heaters and radios, then a hover."""
+    told = after(Flown(), 900, watts, armed=True, is_aloft=False)
+    assert not is_flying(told)
+    assert after(told, 20, 300.0, armed=True, is_aloft=True).mean_W > 250.0
+    untold = after(after(Flown(), 900, watts, armed=True), 20, 300.0, armed=True)
+    assert is_flying(untold) and untold.mean_W > 250.0
+
+
+def test_an_aeroplane_that_climbs_is_no_new_flight() -> None:
+    cruising = after(Flown(), 900, 40.0, armed=True, is_aloft=True)
+    assert after(cruising, 20, 300.0, armed=True, is_aloft=True).mean_W < 60.0
+
+
+def test_what_the_autopilot_calls_landed_flies_with_a_load_that_must_fly() -> None:
+    assert is_flying(after(Flown(), 20, 300.0, armed=True, is_aloft=False))
 
 
 def test_what_is_high_or_fast_flies_and_a_glide_of_minutes_is_no_landing() -> None:

@@ -14,13 +14,14 @@ PARTS = {"BATT_MONITOR": 4.0, "BATT_CAPACITY": 5000.0, "BATT2_MONITOR": 4.0, "BA
 @pytest.mark.parametrize(
     ("more", "capacity_Ah"),
     [
-        ({"BATT3_MONITOR": 10.0, "BATT3_CAPACITY": 3300.0}, 11.0),  # nobody has touched it
-        ({"BATT3_MONITOR": 10.0}, 11.0),
+        ({"BATT3_MONITOR": 10.0, "BATT3_CAPACITY": 3300.0, "BATT3_SUM_MASK": 0.0}, 11.0),  # nobody has touched it
+        ({"BATT3_MONITOR": 10.0, "BATT3_SUM_MASK": 0.0}, 11.0),
         ({"BATT3_MONITOR": 10.0, "BATT3_SUM_MASK": 2.0}, 6.0),
-        ({"BATT3_MONITOR": 10.0, "BATT3_SUM_MASK": math.inf}, 11.0),
+        ({"BATT3_MONITOR": 10.0, "BATT3_CAPACITY": 3300.0}, math.nan),  # of which parts, nobody has said yet
+        ({"BATT3_MONITOR": 10.0, "BATT3_SUM_MASK": math.inf}, math.nan),
         ({"BATT3_MONITOR": 10.0, "BATT3_CAPACITY": 10500.0}, 10.5),  # its own word goes before
         ({"BATT3_MONITOR": 4.0, "BATT3_CAPACITY": 3300.0}, 3.3),  # a pack may hold as much
-        ({"BATT3_MONITOR": 10.0, "BATT4_MONITOR": 4.0, "BATT3_CAPACITY": 3300.0}, math.nan),  # a part is not known
+        ({"BATT3_MONITOR": 10.0, "BATT3_SUM_MASK": 0.0, "BATT4_MONITOR": 4.0}, math.nan),  # a part's is not known
     ],
 )
 def test_a_sum_of_monitors_holds_what_its_parts_hold(more: dict[str, float], capacity_Ah: float) -> None:

@@ -41,7 +41,21 @@ def silent(dice: random.Random) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("link", [lossy, late, twice, silent])
+def few(dice: random.Random) -> list[int]:
+    """A router that passes two kinds of frames of sixty in a second."""
+    return [k for k in range(100_000) if k % 60 in (7, 8) or (k % 60 == 31 and dice.random() < 0.9)]
+
+
+def fading(dice: random.Random) -> list[int]:
+    """Twelve frames in a row are lost, now and then."""
+    return [k for k in range(20_000) if k // 12 % 5 or dice.random() < 0.1]
+
+
+def poor(dice: random.Random) -> list[int]:
+    return [k for k in range(60_000) if dice.random() > 0.85]
+
+
+@pytest.mark.parametrize("link", [lossy, late, twice, silent, few, fading, poor])
 def test_one_sender_on_a_bad_link_is_one(link) -> None:  # type: ignore[no-untyped-def]
     assert set(told(link(random.Random(1)))) == {ADDRESS}
 

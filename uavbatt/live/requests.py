@@ -17,7 +17,7 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 2.0, 30.0
 PARAMETER_PAUSE_S = 0.1
 AGAIN_PAUSE_S = 1.0
 MOST_ASKED = 4
-OF_ARDUPILOT = ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS", "MONITOR")
+OF_ARDUPILOT = ("CAPACITY", "LOW_VOLT", "CRT_VOLT", "OPTIONS", "MONITOR", "SUM_MASK")
 
 
 def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:

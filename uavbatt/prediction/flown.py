@@ -11,11 +11,12 @@ from uavbatt.records import NAN, Sample
 FLYING_C = 0.4  # a multirotor hovers at 2-6 C, most aeroplanes cruise above 0.5 C
 CRUISING_C, ARMED_LONG_S = 0.2, 60.0  # an aeroplane of long endurance: once it has been armed for so long
 ALOFT_C = 0.05  # where its place says that it is in the air
-DISARMED_C = 1.5  # a payload draws less; an aircraft whose armed flag is wrong hovers with more
+GROUNDED_C = 1.5  # disarmed or landed: a payload draws less; an aircraft of which that is wrong hovers with more
 FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
+WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
 
 class Flown(NamedTuple):
@@ -43,10 +44,10 @@ class Flown(NamedTuple):
         """Return the mean power of the flight [W], before there is any that of the last rows; at least 1 W."""
         return max(LOWEST_POWER_W, self.flown_J / self.flown_s if self.flown_s > 0.0 else self.load.mean_W)
 
-    def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool = False) -> Flown:
+    def after(self, sample: Sample, power_W: float, c_rate: float, is_aloft: bool | None = None) -> Flown:
         """Return the past with one more row, its power [W] and its C-rate [1/h].
 
-        is_aloft : its place or the autopilot says that it is in the air.
+        is_aloft : what its place or the autopilot says of being in the air (`Navigation.is_aloft`).
         """
         dt_s = sample.time_s - self.time_s if math.isfinite(self.time_s) else 0.0
         now = self._with_flag(sample)._with_rate(sample, dt_s, c_rate, is_aloft)
@@ -57,8 +58,10 @@ class Flown(NamedTuple):
             return now._replace(took_off_s=sample.time_s)
         step_s = max(dt_s, 0.0)
         now = now._replace(flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
-        is_early = now.time_s - now.took_off_s <= SPOOL_UP_S
-        return now._spooled_up(power_W) if is_early else now
+        if now.time_s - now.took_off_s <= SPOOL_UP_S:
+            return now._spooled_up(power_W, SPOOLED_UP)
+        has_waited = is_aloft is not True and c_rate * now.mean_W < WAITING_C * power_W
+        return now._spooled_up(power_W, WAITED) if has_waited else now
 
     def moved(self, shift_s: float) -> Flown:
         """Return the same past on a clock that shows `shift_s` [s] more."""
@@ -79,16 +82,16 @@ class Flown(NamedTuple):
             self = Flown(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
         return self._replace(armed=sample.armed, armed_since_s=sample.time_s)
 
-    def _least_c(self, sample: Sample, is_aloft: bool) -> float:
+    def _least_c(self, sample: Sample, is_aloft: bool | None) -> float:
         """Return the C-rate [1/h] from which the load carries the aircraft, by what is known beside it."""
-        if sample.armed is False:
-            return DISARMED_C
+        if sample.armed is False or is_aloft is False:
+            return GROUNDED_C
         if is_aloft:
             return ALOFT_C
         is_long = sample.armed is True and sample.time_s - self.armed_since_s >= ARMED_LONG_S
         return CRUISING_C if is_long else FLYING_C
 
-    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float, is_aloft: bool) -> Flown:
+    def _with_rate(self, sample: Sample, dt_s: float, c_rate: float, is_aloft: bool | None) -> Flown:
         """Return the past with the row's time and C-rate, and with the aircraft in flight or on the ground by them."""
         row_s, time_s = self.row_s, sample.time_s
         if 0.0 < dt_s <= LONGEST_ROW_S:
@@ -97,13 +100,13 @@ class Flown(NamedTuple):
         since_s, loaded_s = self.flying_since_s, self.loaded_s
         if rate_c >= self._least_c(sample, is_aloft):
             since_s, loaded_s = since_s if math.isfinite(since_s) else time_s, time_s
-        elif sample.armed is False or not (is_aloft or time_s - loaded_s < LANDED_AFTER_S):
+        elif sample.armed is False or not (is_aloft is True or time_s - loaded_s < LANDED_AFTER_S):
             since_s = NAN
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
-    def _spooled_up(self, power_W: float) -> Flown:
-        """Begin the flight at this row if the power has risen by half: all before was the motors' spool-up."""
-        if not self.load.gust_W * self.flown_s > SPOOLED_UP * self.flown_J:
+    def _spooled_up(self, power_W: float, times: float) -> Flown:
+        """Begin the flight at this row if the power is so many times the mean: all before was spool-up, or waiting."""
+        if not self.load.gust_W * self.flown_s > times * self.flown_J:
             return self
         fresh = RecentLoad().after(self.time_s, power_W)
         return self._replace(load=fresh, took_off_s=self.time_s, flown_s=0.0, flown_J=0.0)

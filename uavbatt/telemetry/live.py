@@ -204,11 +204,13 @@ class LiveReader:
         vehicle = self._vehicles.get((header.system, header.component))
         if vehicle is None:
             return self._of_a_part(header, stamp_s, message, frame)
-        time_s, sender = vehicle.passes(stamp_s), vehicle.sender_of(frame, stamp_s, sender)
+        time_s, stream = vehicle.passes(stamp_s), vehicle.stream_of(frame, stamp_s, sender)
         battery = battery_fields(header.message_id, message) if header.message_id in BATTERY_IDS else None
         if battery is not None:
-            vehicle.senders.compare(sender, battery, stamp_s)
-        if not vehicle.senders.admits(sender, stamp_s, battery is not None):
+            vehicle.senders.compare(stream, battery, stamp_s)
+        # Streams of one address that agree are one autopilot on two links: all of its rows count.
+        speaker = stream if vehicle.senders.conflicts(stamp_s) else sender
+        if not vehicle.senders.admits(speaker, stamp_s, battery is not None):
             return NOTHING
         rows = vehicle.take(header.message_id, message, battery, frame, time_s) if message is not None else []
         if battery is not None or self.followed is None:

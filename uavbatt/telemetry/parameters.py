@@ -142,12 +142,14 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
 
 
 def _summed_mAh(known: Mapping[str, float], instance: int) -> float:
-    """Return the capacity of what a monitor sums that has none of its own [mAh]; NaN while a part's is not known.
+    """Return the capacity of what a monitor sums that has none of its own [mAh]; NaN while the parts are not known.
 
-    The parts: those of BATTn_SUM_MASK, else every other monitor that is on and sums nothing.
+    The parts: those of BATTn_SUM_MASK, or where it is 0 every other monitor that is on and sums nothing.
     """
-    said = known.get(ardupilot_prefix(instance) + "SUM_MASK", 0.0)
-    mask = int(said) if math.isfinite(said) and said > 0.0 else -1
+    said = known.get(ardupilot_prefix(instance) + "SUM_MASK", NAN)
+    if not math.isfinite(said):
+        return NAN
+    mask = int(said) or -1
     parts = [
         ardupilot_prefix(other)
         for other in range(_MOST_MONITORS)

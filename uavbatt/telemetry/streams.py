@@ -1,8 +1,9 @@
 """Two autopilots of one system number behind one address are told apart by the running numbers of their frames.
 
 Every sender numbers its frames 0..255, again and again. Frames of two senders that come by one address show two such
-counts, far from each other, that go on by turns. A lost frame makes a count jump, a frame that comes late makes it go
-back: neither lets two counts far apart both go on.
+counts, far from each other, that each go on by small steps, by turns. Lost frames make a count jump, a frame that
+comes late makes it go back: then a count begins anew, and the one that it left does not go on. A link that passes so
+few frames that no count goes on by small steps tells nothing.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import NamedTuple
 
 NUMBERS = 256
 LOST = 8  # so many frames may be missing within one count
+FAR = 32  # nearer counts may be one, with frames that come late
 TURNS, WITHIN_S = 8, 10.0  # of the counts, until they are two
 
 
@@ -36,21 +38,24 @@ class Counts:
 
         time_s : of reception [s]. Until two counts have gone on by turns there is one.
         """
-        before, self._now = self._now, self._of(number)
+        other = 1 - self._now
+        if self._steps(other, number) < min(self._steps(self._now, number), LOST + 1):
+            if self._is_apart():
+                self._turns.append(time_s)
+            self._now = other
+        elif self._steps(self._now, number) > LOST:
+            self._now = other  # a jump: the count that has rested begins anew
         self._last[self._now] = number
-        if self._now != before and self._is_apart():
-            self._turns.append(time_s)
         return self._streams[self._now if time_s - self._turns[0] <= WITHIN_S else 0]
 
-    def _of(self, number: int) -> int:
-        """Return the count that a number goes on with, else the one that has rested, which begins anew."""
-        steps = [NUMBERS if last is None else (number - last) % NUMBERS for last in self._last]
-        nearest = min((self._now, 1 - self._now), key=lambda k: steps[k])
-        return nearest if steps[nearest] <= LOST else 1 - self._now
+    def _steps(self, count: int, number: int) -> int:
+        """Return by how many steps a number goes on with a count; NUMBERS where there is none yet."""
+        last = self._last[count]
+        return NUMBERS if last is None else (number - last) % NUMBERS
 
     def _is_apart(self) -> bool:
         """Return True if the counts are so far from each other that no lost or late frame explains both."""
         one, other = self._last
         if one is None or other is None:
             return False
-        return LOST < (one - other) % NUMBERS < NUMBERS - LOST
+        return FAR < (one - other) % NUMBERS < NUMBERS - FAR

@@ -97,8 +97,8 @@ class Vehicle:
         """Return the armed bit of the last heartbeat; None before it."""
         return self._log.armed
 
-    def sender_of(self, frame: bytes, stamp_s: float, address: object) -> object:
-        """Return who sent a frame of its identity by an address: more than one may (`streams`)."""
+    def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
+        """Return which sender behind an address sent a frame of its identity: more than one may (`streams`)."""
         if address not in self._counts and len(self._counts) >= MOST_SENDERS:
             del self._counts[next(iter(self._counts))]  # the first that was heard
         return self._counts.setdefault(address, Counts(address)).stream(framing.sequence(frame), stamp_s)
