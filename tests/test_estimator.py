@@ -269,7 +269,7 @@ def test_rows_without_a_voltage_come_first() -> None:
 
 
 @pytest.mark.parametrize("is_long", [False, True])
-@pytest.mark.parametrize("time_s", [NAN, math.inf, -math.inf])
+@pytest.mark.parametrize("time_s", [NAN, math.inf, -math.inf, 1e300])
 def test_a_row_without_a_time_is_refused_and_moves_nothing(time_s: float, is_long: bool) -> None:
     sound = flown()[:60]
     odd = [Sample(time_s, 16.0, 20.0), *sound[:30], Sample(time_s, 12.0, 90.0), *sound[30:]]

@@ -215,7 +215,7 @@ class Estimator:
         clean = [sample for _, sample in cleaned]
         rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
         for k, (raw, (self._cleaner, sample)) in enumerate(zip(samples, cleaned, strict=True)):
-            if not math.isfinite(raw.time_s):
+            if math.isnan(sample.time_s):
                 yield Pending(sample, unknown(sample, NO_TIME), None, NO_TIME)
                 continue
             self._know(self._known.after(raw, sample))
@@ -246,10 +246,7 @@ class Estimator:
         most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
         found = []
         for sample in samples:
-            if math.isfinite(sample.time_s):
-                cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
-            else:
-                sample = Sample(NAN, NAN)  # nobody knows when this was
+            cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
             found.append((cleaner, sample))
         return found
 

@@ -219,6 +219,15 @@ def test_no_text_is_lost_because_another_was_said() -> None:
     assert said(announcer, 8.0, 58.0) == []  # back, quietly
 
 
+def test_of_several_batteries_the_first_alone_tells_how_time_runs_out() -> None:
+    """The others still say what is wrong with them, and that their time is lost."""
+    other, told = Announcer(1, (300.0, 120.0, 60.0)), list[str]()
+    for k, left_s in enumerate((400.0, 119.0, 59.0, NAN, NAN, NAN)):
+        shown = report(left_s, Status.OK if k < 3 else Status.REFUSED, "no current", float(k), instance=1)
+        told += [text for _, text in other.texts(float(k), shown, True, speaks_first=False)]
+    assert told == ["Battery 1: time unknown, no current reading"]
+
+
 def test_an_alarm_that_repeats_itself_within_the_pause_is_said_behind_it() -> None:
     announcer = Announcer(0, (120.0,))
     assert said(announcer, 0.0, 119.0) == ["Battery 0: 1:59 min left at worst"]

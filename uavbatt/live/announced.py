@@ -109,14 +109,20 @@ class Announcer:
         self._lost_s = math.nan
 
     def texts(
-        self, now_s: float, report: Report, is_armed: bool | None = None, is_airborne: bool = False
+        self,
+        now_s: float,
+        report: Report,
+        is_armed: bool | None = None,
+        is_airborne: bool = False,
+        speaks_first: bool = True,
     ) -> list[tuple[int, str]]:
         """Return (severity, text) of all that is to be said now; `now_s` on the monotonic clock [s].
 
-        is_airborne : the autopilot says that the vehicle is in the air, by whatever but the battery.
+        is_airborne : the autopilot says that the vehicle is in the air, by whatever but the battery; speaks_first : the
+        battery is the one that speaks for the vehicle (`headline`): of several only this one tells how time runs out.
         """
         shown = report.at(now_s)
-        said = self._alarm(now_s, shown)
+        said = self._alarm(now_s, shown) if speaks_first else []
         if is_armed is False:  # the next flight has a warning of its own
             self._is_without_said, self._lost_s = False, self._lost_s if self._was_known else math.nan
         if math.isfinite(shown.remaining_s):

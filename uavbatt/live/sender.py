@@ -93,7 +93,7 @@ class Sender:
             announcer = self._announcers.get(report.instance)
             if announcer is None:
                 announcer = self._announcers[report.instance] = Announcer(report.instance, self._config.feed.alarms_s)
-            made += announcer.texts(now_s, report, reader.armed, is_airborne)
+            made += announcer.texts(now_s, report, reader.armed, is_airborne, report is reports[0])
         self.said.extend((now_s, text) for _, text in made)
         return made
 

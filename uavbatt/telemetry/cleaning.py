@@ -15,6 +15,7 @@ from typing import NamedTuple
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
 
+LATEST_S = 1e12  # no clock shows thirty thousand years
 HELD_CURRENT_S = 5.0
 ABSENT_S = 5.0  # without a current for so long from the start: there is no sensor
 LEAP_SHARE, LEAP_WITHIN_S = 0.25, 5.0  # full throttle takes a fifth of the voltage, of an empty pack a quarter
@@ -47,6 +48,8 @@ class Cleaner(NamedTuple):
         assumed_power_W : power [W] that gives the current where there is no sensor and the operator stated no power;
         most_A : a current above it [A] is not used, as the pack cannot give it.
         """
+        if not abs(sample.time_s) < LATEST_S:
+            return self, Sample(NAN, NAN)  # nobody knows when this was
         now, sample = self._with_voltage(sample)
         now, temp_C = now._with_temperature(sample)
         now, current_A = now._with_current(sample, assumed_power_W, most_A)
