@@ -204,7 +204,8 @@ def test_a_mission_s_plan() -> None:
 
 def test_the_pack_ledger_s_json(tmp_path: Path) -> None:
     ledger, pack = tmp_path / "p.sqlite", ("--pack", "A")
-    loss = flight(8, 1.0, 0.75, weak_cell=3, weak_cell_V=0.012, cycles=41, **dict.fromkeys(MEASURED, 0.5))
+    loss = flight(8, 1.0, 0.75, weak_cell=3, weak_cell_V=0.012, cycles=41, fullest_cell_V=4.25,
+                  **dict.fromkeys(MEASURED, 0.5))  # fmt: skip
     with Ledger(ledger) as opened:
         opened.save_all("A", [*(flight(k) for k in range(8)), loss])
     assert called("packs", ledger, *pack, "--json", "p.json", folder=tmp_path).returncode == 0

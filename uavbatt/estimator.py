@@ -26,7 +26,7 @@ from typing import NamedTuple
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.known_size import KnownSize, nothing_seen
-from uavbatt.battery.remembered import PackHealth, prior_of, unlike, with_reaction
+from uavbatt.battery.remembered import PackHealth, of_known_cells, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
@@ -98,7 +98,7 @@ class Estimator:
         remembered: PackHealth | None = None,
     ) -> None:
         self.battery, self.remembered = battery, remembered
-        self.options = options or PackOptions()
+        self.options = of_known_cells(options or PackOptions(), remembered)
         self.settings = settings or ForecastSettings()
         self._followed: Followed | None = None
         load = self.settings.load

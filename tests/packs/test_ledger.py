@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from packs.made import flight
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.errors import BadInput
 from uavbatt.packs import schema
 from uavbatt.packs.ledger import AnotherSize, Ledger
@@ -176,13 +177,27 @@ def test_a_ledger_of_a_later_version_is_left_alone(tmp_path):
         Ledger(path)
 
 
-def test_a_ledger_of_the_first_version_is_brought_up_with_its_flights(tmp_path, monkeypatch):
+@pytest.fixture
+def of_the_first_version(tmp_path):
+    """A ledger with a flight, as the first version had it: without the columns and tables that came later."""
     path = tmp_path / "packs.sqlite"
-    with monkeypatch.context() as older:
-        older.setattr(schema, "MIGRATIONS", schema.MIGRATIONS[:1])
-        with Ledger(path) as ledger:
-            ledger.save("A", FLIGHTS[0])
     with Ledger(path) as ledger:
+        ledger.save("A", FLIGHTS[0])
+    with sqlite3.connect(path) as connection:
+        for column in ("fullest_cell_V", "known_fullest_cell_V"):
+            connection.execute(f"ALTER TABLE flights DROP COLUMN {column}")
+        connection.executescript("DROP TABLE rows; DROP TABLE airborne; PRAGMA user_version = 1")
+    return path
+
+
+def test_a_ledger_of_the_first_version_is_read_as_it_is(of_the_first_version):
+    with Ledger(of_the_first_version, only_read=True) as ledger:
+        assert ledger.last("A").fullest_cell_V == ORDINARY_FULL_V
+        assert math.isnan(ledger.flights("A")[0].flight.fullest_cell_V)
+
+
+def test_a_ledger_of_the_first_version_is_brought_up_with_its_flights(of_the_first_version):
+    with Ledger(of_the_first_version) as ledger:
         assert schema.version(ledger._connection) == len(schema.MIGRATIONS)
         ledger.save("A", FLIGHTS[1])
         assert ledger.pack("A").outlook.flights == 2

@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, LIHV, flown, rested
+from scoring.other_pack import Pack as OtherPack
 
 from uavbatt.battery import battery_file
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.remembered import PackHealth, health_of, prior_of, scales_of, type_ohm, unlike, wear_of
 from uavbatt.battery.scaling import pack_of
 from uavbatt.battery.sizing import PackOptions
@@ -168,3 +171,32 @@ def test_what_is_remembered_as_effects_of_the_battery_file_is_the_same_pack(reco
     assert 0.0 < effects["resistance_growth"]["growth"] < math.exp(health.log_ohm) / type_ohm(PACK) - 1.0
     assert effects["charge_transfer"]["transfer_V"] > PACK.cell.transfer_V  # the other part of the ohms
     assert growth_sd > 0.0
+
+
+def lihv(number: int, soc: float, seed: int) -> Flight:
+    """A flight of one LiHV pack of another model, charged to `soc`."""
+    pack = OtherPack(soc=soc, make=LIHV)
+    ground = rested(pack, 15, 0.0)
+    rows = (*ground, *flown(pack, 15.0, seed=seed))
+    return Flight(f"{number}.csv", "csv", rows, identity=Identity(start_utc_s=1.79e9 + 3.0 * DAY_S * number))
+
+
+def test_the_kind_of_a_packs_cells_is_remembered(tmp_path):
+    """Charged to 4.14 V a cell it looks like an ordinary pack: two minutes before the end it was told four."""
+    generic = battery_file.read_battery("lipo-generic")
+    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        for number, soc in enumerate((1.0, 1.0)):
+            one = lihv(number, soc, number + 1)
+            before = remembering.recalled(ledger, "A", one, generic)
+            ledger.save("A", remembering.taught(generic, options, one, before).record)
+        part = lihv(3, 0.83, 5)
+        health = remembering.recalled(ledger, "A", part, generic)
+        estimator = Estimator(generic, options, remembered=health)
+        end_s = part.samples[-1].time_s
+        late = [r for _, r in estimator.run(part.samples) if end_s - 240.0 < r.time_s < end_s - 20.0]
+        assert max(r.remaining_lo_s - (end_s - r.time_s) for r in late) < 15.0
+        assert estimator.pack_size is not None and estimator.pack_size.fullest_cell_V > ORDINARY_FULL_V
+        ledger.save("A", remembering.taught(generic, options, part, health).record)
+        assert ledger.last("A").fullest_cell_V > ORDINARY_FULL_V
+        assert not ledger.last("A").findings

@@ -8,6 +8,7 @@ contact may have burnt, a cell may have died, the label may be another pack's. S
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,10 @@ import numpy as np
 from uavbatt.battery import model
 from uavbatt.battery.capacity_prior import OVERLAP, Capacities, capacities
 from uavbatt.battery.equations import REFERENCE_TEMP_C
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
+from uavbatt.battery.sizing import PackOptions
 
 REACH, FEWEST, LARGEST_STEP = 2.0, 5, 0.1  # members from -2 to +2 sd, at most so far apart in ln of the capacity
 CHANGED_WEIGHT, ANY_WEIGHT = 0.05, 0.03  # the ohms have changed since the last flight; any pack in service
@@ -37,6 +40,7 @@ class PackHealth(NamedTuple):
     log_Ah: float
     covariance: Array
     cells: int = 0  # in series; 0 where nobody says
+    fullest_cell_V: float = ORDINARY_FULL_V  # at which a full cell has rested [V]
 
     def may_be(self, pack: Pack) -> bool:
         """Return True unless the pack has another number of cells, so that it is another pack under this name."""
@@ -60,6 +64,13 @@ REMEMBERED_REACTION_SD_V = 0.025  # what may still be ohms that were remembered;
 REACTION_SHARE = 0.6  # more makes plans of aged packs too long in the cold, less too short in the warmth
 TO_SCALES = np.array([[1.0, 1.0], [0.0, 1.0]])  # an ohm·Ah is an ohm times an Ah
 FROM_SCALES = np.array([[1.0, -1.0], [0.0, 1.0]])
+
+
+def of_known_cells(options: PackOptions, health: PackHealth | None) -> PackOptions:
+    """Return what the caller states of a pack, with the kind of cells that earlier flights have shown."""
+    if health is None or health.fullest_cell_V <= options.fullest_cell_V:
+        return options
+    return replace(options, fullest_cell_V=health.fullest_cell_V)
 
 
 def type_ohm(pack: Pack) -> float:

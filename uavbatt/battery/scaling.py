@@ -188,7 +188,7 @@ def pack_of(
     stated_V = max(left.voltage_rmse_V / file.battery.cells_series, 1e-3) * widening
     stated_V *= BESIDE_KNOTS if unknown else 1.0
     return Pack(
-        cell=cell_parameters(file, fullest_V),
+        cell=cell_parameters(file, fullest_V if unknown else ORDINARY_FULL_V),  # a file of one make knows its own
         installation=installation,
         cutoff_V=cutoff_V,
         low_V=low_V,

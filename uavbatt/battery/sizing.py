@@ -44,7 +44,8 @@ SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack'
 class PackOptions:
     """The caller states this of the pack; None or NaN is not stated. Raises UsageError when a number is impossible.
 
-    spelt : the names by which the caller knows these numbers; what is said of them later uses the names.
+    fullest_cell_V : at which a full cell of this pack has rested in earlier flights [V]; spelt : the names by which the
+    caller knows these numbers; what is said of them later uses the names.
     """
 
     cells: int | None = None
@@ -52,6 +53,7 @@ class PackOptions:
     cutoff_V: float = NAN
     low_V: float = NAN
     ambient_C: float = NAN
+    fullest_cell_V: float = ORDINARY_FULL_V
     spelt: Names = field(default=OPTIONS, repr=False)
 
     def __post_init__(self) -> None:
@@ -79,8 +81,8 @@ class PackSize:
 
     @property
     def cell_kind(self) -> tuple[int, float, float]:
-        """Return cells, capacity [Ah] and fullest voltage of a cell [V]: another one of them is another battery."""
-        return self.cells, self.capacity_Ah, self.fullest_cell_V
+        """Return cells, capacity [Ah] and fullest voltage of a cell, if that counts [V]: others are another battery."""
+        return self.cells, self.capacity_Ah, self.fullest_cell_V if self.status == "generic" else ORDINARY_FULL_V
 
     def numbers(self) -> dict[str, int | float | str]:
         """Return the numbers of the pack, each with where it came from, by the names that every summary uses."""
@@ -142,7 +144,7 @@ def size_of_pack(
         ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
         ending_doubt("low-voltage warning at ", given.low_V, cells),
     ]
-    fullest_V = fullest_cell_V(rested_V, cells) if battery.status == "generic" else ORDINARY_FULL_V
+    fullest_V = max(fullest_cell_V(rested_V, cells), given.fullest_cell_V)
     return PackSize(
         battery=typed.name,
         status=battery.status,
@@ -160,7 +162,7 @@ def size_of_pack(
             *notices,
             *_oddities(doubts),
             *_scaled_far(battery, cells, capacity_Ah),
-            *_fuller(fullest_V),
+            *_fuller(battery, fullest_V),
         ),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
         fullest_cell_V=fullest_V,
@@ -271,10 +273,10 @@ def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[s
     return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
 
 
-def _fuller(fullest_V: float) -> tuple[str, ...]:
+def _fuller(battery: BatteryFile, fullest_V: float) -> tuple[str, ...]:
     """A remark where the cells are taken for ones that charge higher than others."""
-    is_fuller = fullest_V > ORDINARY_FULL_V
-    return (f"a cell rests at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",) if is_fuller else ()
+    is_fuller = battery.status == "generic" and fullest_V > ORDINARY_FULL_V
+    return (f"a cell has rested at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",) if is_fuller else ()
 
 
 def _uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:

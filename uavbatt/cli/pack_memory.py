@@ -59,14 +59,14 @@ class PackMemory:
         """Save what the flight taught of its pack, and return the words about it."""
         from uavbatt.packs.findings import ANOTHER
         from uavbatt.packs.ledger import AnotherSize
-        from uavbatt.packs.remembering import name_of, taught
+        from uavbatt.packs.remembering import name_of, recalled, taught
 
         if self.ledger is None:
             return Learned()
         name = name_of(flight, self.stated)
         if not name:
             return Learned(("  pack       not remembered: no serial in the log; name it with --pack",), {"pack": None})
-        found = taught(battery, options, flight)
+        found = taught(battery, options, flight, recalled(self.ledger, name, flight, battery))
         if found.record is None:
             return Learned((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
         try:

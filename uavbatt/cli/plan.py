@@ -70,6 +70,7 @@ def plan(
 
     Example: uavbatt plan --cells 4 --capacity-ah 5 --power-w 250 --ambient-c 10
     """
+    from uavbatt.battery.remembered import of_known_cells
     from uavbatt.plan.endurance import make_plan, resolve
     from uavbatt.telemetry import read_log
 
@@ -83,9 +84,9 @@ def plan(
     content = read_battery(battery, allow_uncertified)
     options = stated_pack(cells, capacity_ah, cutoff_voltage, reserve_soc)
     flight = read_log(like, instance) if like is not None else None
-    resolved = resolve(content, options, flight)
     with pack_memory.open_memory(packs, pack, only_read=True) as memory:
         remembered = memory.recalled_now(content)
+    resolved = resolve(content, of_known_cells(options, remembered), flight)
     if mission is not None and vehicle is not None:
         conditions = (ambient_c, start_soc, reserve_soc)
         plan_mission(mission, vehicle, wind, content, resolved, conditions, (report, summary), remembered)

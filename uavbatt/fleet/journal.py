@@ -33,7 +33,7 @@ def key(log: LogFile, job_key: str, met: PackMet = NOT_MET) -> str:
     pack = ""
     if met != NOT_MET:
         health = met.health
-        numbers = [] if health is None else [*health[:2], *health.covariance.ravel(), health.cells]
+        numbers = [] if health is None else [*health[:2], *health.covariance.ravel(), *health[3:]]
         pack = " ".join(f"{number:.9g}" for number in numbers) + "\0".join(met.findings)
     return _digest(f"{log.name}\0{log.size}\0{log.changed}\0{job_key}\0{pack}")
 

@@ -24,7 +24,7 @@ from uavbatt.errors import UavbattError
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, LeftOver
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
-from uavbatt.packs.remembering import taught
+from uavbatt.packs.remembering import recalled, taught
 from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
 
 FLUSH_S = 10.0
@@ -192,7 +192,7 @@ class PackKeeper:
         facts = PackFacts(cells_series=flight.cells, capacity_Ah=flight.capacity_Ah)
         identity = Identity(battery_serial=flight.name, battery_cycles=flight.cycles, start_utc_s=flight.start_utc_s)
         log = Flight("live", "live", left.rows, facts=((0.0, facts),), identity=identity)
-        found = taught(self._battery, self._options, log)
+        found = taught(self._battery, self._options, log, recalled(self._ledger, flight.name, log, self._battery))
         if found.record is None:
             airborne.delete_flight(self._ledger, number)
             self.note = f"pack {flight.name}: nothing learned: {found.why_not}"

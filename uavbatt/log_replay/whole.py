@@ -197,7 +197,8 @@ def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: Batt
 def _remember(packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions) -> None:
     """Save in the ledger what the flight taught of its pack, where it has a name."""
     name = name_of(flight, pack)
-    found = taught(content, options, flight).record if name else None
+    before = _recalled(packs, pack, flight, content)
+    found = taught(content, options, flight, before).record if name else None
     if found is not None:
         with Ledger(packs) as ledger:
             ledger.save(name, found)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.packs import findings as odd
@@ -141,9 +142,11 @@ def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
     """Return what is believed after each flight of a pack; `flights` must be in order of time."""
     found: list[Remembered] = []
     course: AgeingState | None = None
+    fullest_V = ORDINARY_FULL_V
     for flight in flights:
+        fullest_V = max(fullest_V, flight.fullest_cell_V) if math.isfinite(flight.fullest_cell_V) else fullest_V
         course, findings = _begun(flight) if course is None else _next(course, flight)
-        found.append(Remembered(flight, course.known, (*findings, *odd.by_itself(flight))))
+        found.append(Remembered(flight, course.known, (*findings, *odd.by_itself(flight)), fullest_V))
     return found
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
+from uavbatt.battery.sections import HIGHEST_CELL_V
 from uavbatt.limits import CAPACITY_AH, MOST_CELLS
 from uavbatt.packs.records import FlightRecord
 
@@ -28,6 +30,7 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "weak_cell": (0, MOST_CELLS),
     "weak_cell_V": (0.0, 10.0),
     "cycles": (0, 1_000_000),
+    "fullest_cell_V": (ORDINARY_FULL_V, HIGHEST_CELL_V),
 }
 """Key -> least and greatest value; NaN and None are unknown, but for NEEDED."""
 NEEDED = ("rated_Ah", "type_ohm")

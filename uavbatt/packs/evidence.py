@@ -44,7 +44,7 @@ def told(pack: Pack, loaded: Sequence[Belief], last: Belief, temp_C: float) -> T
     `temp_C` is the pack's mean temperature under load [°C]; NaN where it was not measured.
     """
     said = _with_rest(_under_load(pack, loaded), loaded[-1], last)
-    log_ohm, log_Ah, covariance, _ = health_of(pack, said)
+    log_ohm, log_Ah, covariance = health_of(pack, said)[:3]
     away_K = abs(temp_C - REFERENCE_TEMP_C) if math.isfinite(temp_C) else UNKNOWN_AWAY_K
     share = np.array([OHM_SHARE, min(math.sqrt(covariance[1, 1]) / ALL_CHANCE_SD, 1.0)])
     scatter = covariance * np.outer(share, share)

@@ -175,7 +175,7 @@ def prior(last: Remembered, start_utc_s: float, battery_sha256: str) -> PackHeal
     """Return the prior of a flight that begins at a time [s since 1970], by what is believed after the one before."""
     days = ageing.days_between(last.flight, start_utc_s)
     health = ageing.prior(last.known, days, other_file=battery_sha256 != last.flight.battery_sha256)
-    return health._replace(cells=last.flight.cells)
+    return health._replace(cells=last.flight.cells, fullest_cell_V=last.fullest_cell_V)
 
 
 def _opened(path: Path, only_read: bool) -> sqlite3.Connection:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.records import NAN
 
@@ -59,6 +60,7 @@ class FlightRecord:
     weak_cell: int = 0  # the cell that lies lowest under load, from 1; 0 where cells are not measured
     weak_cell_V: float = NAN  # how far below the mean of the cells
     cycles: int | None = None  # by the pack's own counter
+    fullest_cell_V: float = NAN  # at which a full cell has rested; ORDINARY_FULL_V where it is no more than that
 
     def is_same_as(self, other: FlightRecord) -> bool:
         """Return True if two records are of one flight: the same log, or logs of the same time."""
@@ -97,6 +99,7 @@ class Remembered(NamedTuple):
     flight: FlightRecord
     known: Known
     findings: tuple[PackFinding, ...]
+    fullest_cell_V: float = ORDINARY_FULL_V  # of all flights so far
 
 
 @dataclass(frozen=True, slots=True)

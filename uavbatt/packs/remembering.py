@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uavbatt.battery.battery_file import BatteryFile
-from uavbatt.battery.remembered import UNKNOWN, PackHealth, health_of, type_ohm
+from uavbatt.battery.remembered import UNKNOWN, PackHealth, health_of, of_known_cells, type_ohm
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.sizing import PackOptions, PackSize, sized
 from uavbatt.battery.state_space import Belief
@@ -62,8 +62,12 @@ def key_of(samples: Sequence[Sample]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def taught(battery: BatteryFile, options: PackOptions, flight: Flight) -> Taught:
-    """Return what a flight says of its pack by itself, whatever the ledger holds, or why it says nothing."""
+def taught(battery: BatteryFile, options: PackOptions, flight: Flight, before: PackHealth | None = None) -> Taught:
+    """Return what a flight says of its pack by itself, or why it says nothing.
+
+    before : what the ledger holds of the pack; only the kind of its cells counts, of which one flight may not tell.
+    """
+    options = of_known_cells(options, before)
     rows = [s for s in flight.samples if math.isfinite(s.voltage_V) and math.isfinite(s.current_A)]
     last_loaded = _last_loaded(rows)
     if last_loaded is None:
@@ -146,6 +150,7 @@ def _record(
         weak_cell=weak_cell,
         weak_cell_V=weak_V,
         cycles=flight.identity.battery_cycles,
+        fullest_cell_V=size.fullest_cell_V,
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.packs.records import FlightRecord, Known, Outlook, PackFinding, PackRow, Remembered, Told
 from uavbatt.records import NAN
 
@@ -46,7 +47,8 @@ def flight_of(row: sqlite3.Row) -> FlightRecord:
     """Return a flight as it was flown. Raises DamagedRow."""
     with _reading(row):
         told = Told(*(float(row[f"told_{name}"]) for name in Told._fields))
-        values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name != "told"}
+        there = set(row.keys())  # a ledger of an older version that is only read lacks the younger columns
+        values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name in there}
         unknown = {f.name: NAN for f in fields(FlightRecord) if f.default is not None and values.get(f.name, 0) is None}
         return FlightRecord(**{**values, **unknown}, told=told)
 
@@ -55,7 +57,8 @@ def remembered_row(found: Remembered) -> dict[str, Any]:
     """Return the columns of what is believed after a flight."""
     mean = dict(zip(KNOWN, (float(value) for value in found.known.mean), strict=True))
     upper = [float(f"{value:.6g}") for value in found.known.covariance[UPPER]]
-    return {**mean, "known_covariance": json.dumps(upper), "findings": findings_text(found.findings)}
+    known = {**mean, "known_covariance": json.dumps(upper), "known_fullest_cell_V": found.fullest_cell_V}
+    return {**known, "findings": findings_text(found.findings)}
 
 
 def remembered_of(row: sqlite3.Row) -> Remembered:
@@ -67,7 +70,9 @@ def remembered_of(row: sqlite3.Row) -> Remembered:
         mean = np.array([float(row[name]) for name in KNOWN])
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all() and (np.diag(covariance) > 0.0).all()):
             raise ValueError("what is known of the pack is not a number with a spread")
-        return Remembered(flight_of(row), Known(mean, covariance), findings_of(row["findings"]))
+        fullest_V = row["known_fullest_cell_V"] if "known_fullest_cell_V" in set(row.keys()) else None
+        known, findings = Known(mean, covariance), findings_of(row["findings"])
+        return Remembered(flight_of(row), known, findings, float(fullest_V or ORDINARY_FULL_V))
 
 
 def pack_row(pack: PackRow) -> dict[str, Any]:

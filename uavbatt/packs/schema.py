@@ -65,7 +65,12 @@ CREATE TABLE rows (
 ) WITHOUT ROWID;
 """
 
-MIGRATIONS = (FIRST, AIRBORNE)
+KIND_OF_CELLS = """
+ALTER TABLE flights ADD COLUMN fullest_cell_V REAL;
+ALTER TABLE flights ADD COLUMN known_fullest_cell_V REAL;
+"""
+
+MIGRATIONS = (FIRST, AIRBORNE, KIND_OF_CELLS)
 
 
 def version(connection: sqlite3.Connection) -> int:
