@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.known_size import KnownSize, nothing_seen
 from uavbatt.battery.remembered import PackHealth, of_known_cells, prior_of, unlike, with_reaction
 from uavbatt.battery.scaling import Pack
@@ -53,8 +54,7 @@ from uavbatt.telemetry.cleaning import Cleaner
 
 __all__ = ["PLAIN", "Engine", "Estimator", "Past"]
 
-LONGEST_WINDOW = 4096
-NO_TIME = "no time in this row"
+LONGEST_WINDOW, NO_TIME = 4096, "no time in this row"
 
 
 class Past(NamedTuple):
@@ -148,12 +148,13 @@ class Estimator:
 
     def _know(self, known: KnownSize) -> None:
         """Take in what is known of the pack's size from now on."""
-        before, now = self._known.size, known.size
-        self._known = known
+        before, now, self._known = self._known.size, known.size, known
         if before is None or now is None or now is before:
             return
         if now.cell_kind != before.cell_kind:
             self._followed = None
+            if now.fullest_cell_V > ORDINARY_FULL_V >= before.fullest_cell_V:
+                self.remembered = None  # its flights were read by the curve of ordinary cells
         elif self._followed is not None:
             self._followed.filter.pack = self._followed.forecaster.pack = self._pack(now)
 
@@ -169,8 +170,7 @@ class Estimator:
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
         if past is not None:
             self._cleaner = past.cleaner
-        since_then = SwapWatch(belief.time_s, current_A, belief, row_s=0.0)  # as after a silence of the telemetry
-        self._followed = self._begun()._replace(swap=since_then)
+        self._followed = self._begun()._replace(swap=SwapWatch(belief.time_s, current_A, belief, row_s=0.0))
         self._followed.filter.restore(belief, current_A)
         if past is not None:
             self._followed.forecaster.recall(past.forecaster)

@@ -200,3 +200,17 @@ def test_the_kind_of_a_packs_cells_is_remembered(tmp_path):
         ledger.save("A", remembering.taught(generic, options, part, health).record)
         assert ledger.last("A").fullest_cell_V > ORDINARY_FULL_V
         assert not ledger.last("A").findings
+
+
+def test_what_was_read_by_the_curve_of_ordinary_cells_is_left_out_for_others(tmp_path):
+    """Charged to 4.1 V a cell, then to 4.35 V: six minutes before the end it was told three and a half."""
+    generic = battery_file.read_battery("lipo-generic")
+    options = PackOptions(cells=CELLS, capacity_Ah=FULL_AH, cutoff_V=CUTOFF_V)
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        for number in (1, 2):
+            ledger.save("A", remembering.taught(generic, options, lihv(number, 0.81, number)).record)
+        full = lihv(3, 1.0, 5)
+        estimator = Estimator(generic, options, remembered=remembering.recalled(ledger, "A", full, generic))
+    end_s = full.samples[-1].time_s
+    said = [r for _, r in estimator.run(full.samples) if end_s - 360.0 < r.time_s < end_s - 350.0]
+    assert said[0].remaining_lo_s < 360.0 < said[0].remaining_hi_s
