@@ -62,7 +62,8 @@ class KnownSize(NamedTuple):
             is_denied = self.options.cells is None and statements.denies(size.cells, self.resting)
             if is_denied or (math.isnan(before.rested_V) and math.isfinite(seen.rested_V)):
                 known = known._sized()  # another count, or a cut-off that lies above the rested voltage
-        if statements.rows == SURE_ROWS and math.isnan(known.rested_V):
+        is_first = statements.rows == 1 and math.isnan(known.rested_V)
+        if is_first or (statements.rows == SURE_ROWS and known.rested_V == before.rested_V != seen.rested_V):
             known = known._replace(rested_V=seen.rested_V)._sized()  # the cells may be of another kind
         sized = known.size or size
         return known._replace(doubts=(*statements.doubts(sized, self.resting, self.stated_W), *known._of_count(sized)))
