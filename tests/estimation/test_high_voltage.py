@@ -71,8 +71,8 @@ def test_the_next_pack_may_be_of_other_cells(first: str, second: str) -> None:
     """A swap in a silence: the kind of the cells is told anew."""
     packs = {"lihv": Pack(make=LIHV), "lipo": Pack()}
     judge = estimator()
-    for sample in another(packs[first], 300, 60.0, packs[second])[:-300]:
-        judge.step(sample)
+    for _ in judge.run(another(packs[first], 300, 60.0, packs[second])[:-300]):
+        pass
     assert judge.pack_size is not None
     assert (judge.pack_size.fullest_cell_V > ORDINARY_FULL_V) is (second == "lihv")
 
