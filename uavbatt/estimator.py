@@ -149,11 +149,11 @@ class Estimator:
     def _know(self, known: KnownSize) -> None:
         """Take in what is known of the pack's size from now on."""
         before, now, self._known = self._known.size, known.size, known
-        if now is not None and now.cell_kind[-1] > ORDINARY_FULL_V >= self.options.fullest_cell_V:
-            self.remembered = None  # its flights were read by the curve of ordinary cells
-        if before is None or now is None or now is before:
+        if now is None or now is before:
             return
-        if now.cell_kind != before.cell_kind:
+        if now.cell_kind[-1] > ORDINARY_FULL_V >= self.options.fullest_cell_V:
+            self.remembered = None  # its flights were read by the curve of ordinary cells
+        if before is not None and now.cell_kind != before.cell_kind:
             self._followed = None
         elif self._followed is not None:
             self._followed.filter.pack = self._followed.forecaster.pack = self._pack(now)

@@ -16,7 +16,7 @@ from uavbatt.battery.statements import PowerRange, Statements
 from uavbatt.limits import Doubt, Resting, Seen
 from uavbatt.records import NAN, PackFacts, Sample
 
-SURE_ROWS = 2  # one alone may be damaged
+SURE_ROWS = 2  # the first one alone may be damaged
 
 
 class KnownSize(NamedTuple):
@@ -36,7 +36,7 @@ class KnownSize(NamedTuple):
     doubts: tuple[Doubt, ...] = ()
     first_A: float = NAN  # current at the first voltage [A]
     counts: tuple[int, ...] = ()
-    rested_V: float = NAN  # before the first load, by so many rows that it is no damaged one [V of the pack]
+    rested_V: float = NAN  # of the first rows, by which the kind of the cells is told [V of the pack]
 
     @property
     def refusal(self) -> str:

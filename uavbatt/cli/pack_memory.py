@@ -55,18 +55,18 @@ class PackMemory:
             raise UsageError(f"--pack {self.stated}: expected a pack of {self.ledger.path}, found none of that name")
         return prior(last, time.time(), battery.certificate.content_sha256)
 
-    def learn(self, flight: Flight, battery: BatteryFile, options: PackOptions) -> Learned:
-        """Save what the flight taught of its pack, and return the words about it."""
+    def learn(self, flight: Flight, battery: BatteryFile, options: PackOptions, health: PackHealth | None) -> Learned:
+        """Save what the flight taught of its pack, and return the words about it; `health` was known before it."""
         from uavbatt.packs.findings import ANOTHER
         from uavbatt.packs.ledger import AnotherSize
-        from uavbatt.packs.remembering import name_of, recalled, taught
+        from uavbatt.packs.remembering import name_of, taught
 
         if self.ledger is None:
             return Learned()
         name = name_of(flight, self.stated)
         if not name:
             return Learned(("  pack       not remembered: no serial in the log; name it with --pack",), {"pack": None})
-        found = taught(battery, options, flight, recalled(self.ledger, name, flight, battery))
+        found = taught(battery, options, flight, health)
         if found.record is None:
             return Learned((f"  pack       {name}: nothing learned: {found.why_not}",), {"pack": name})
         try:

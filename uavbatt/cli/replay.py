@@ -148,7 +148,8 @@ def _one(
         flight = with_mission(flight, planned)
     to_come = stated_load(load[0], flight, load[1], content)
     settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(flight))
-    estimator = estimator_for(flight, content, options, settings, memory.recalled(flight, content))
+    health = memory.recalled(flight, content)
+    estimator = estimator_for(flight, content, options, settings, health)
     run = []
     with ExitStack() as stack:
         out = [stack.enter_context(output.json_lines(jsonl))] if jsonl is not None else []
@@ -170,7 +171,7 @@ def _one(
             from uavbatt.report.page import write_page
 
             write_page(report, flight_report(flight, run, resolved, found, content))
-    learned = memory.learn(flight, content, options)
+    learned = memory.learn(flight, content, options, health)
     lines = flight_text.plain_lines if is_plain else flight_text.lines
     for line in [*lines(flight, resolved, found, run), *learned.lines]:
         say(line, *outputs)

@@ -57,9 +57,8 @@ class Diagnosis:
     left: Shape
     findings: tuple[FoundEffect, ...] = ()
     blocks: tuple[EvidenceBlock, ...] = ()  # where in the records the evidence lies
-    hidden: tuple[
-        HiddenSize, ...
-    ] = ()  # how much of each effect could be there without being seen; when none was found
+    # How much of each effect could be there without being seen; when none was found.
+    hidden: tuple[HiddenSize, ...] = ()
 
     @property
     def may_hide(self) -> bool:

@@ -117,9 +117,8 @@ def search(
     is_explained = explains(best, singles.largest_worth >= EVEN)
     found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
     drift = found[0].drift if found else None
-    if (
-        drift is None and is_explained and singles.largest_worth < EVEN
-    ):  # nothing, or a suspect: no ground to build a pair on
+    # Nothing, or a suspect: no ground to build a pair on.
+    if drift is None and is_explained and singles.largest_worth < EVEN:
         return best, found, singles
     tell("pairs of effects")
     pair = _best_pair(problem, options, singles, drift or best, is_explained)

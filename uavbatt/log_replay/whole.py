@@ -171,11 +171,12 @@ def replay(
     options = PackOptions(cells, capacity_Ah, cutoff_V, spelt=Names())
     to_come = stated_load(str(load), flight, flown, content, name="load=")
     settings = ForecastSettings(to_come, reserve_soc, _period_s(flight, forecast_period_s))
-    estimator = estimator_for(flight, content, options, settings, _recalled(packs, pack, flight, content))
+    health = _recalled(packs, pack, flight, content)
+    estimator = estimator_for(flight, content, options, settings, health)
     run = list(steps(flight, estimator))
     size = size_of_replayed(estimator, flight)
     if packs is not None:
-        _remember(packs, pack, flight, content, options)
+        _remember(packs, pack, flight, content, options, health)
     return Replay(flight, size, tuple(run), outcome(run, size.cutoff_V, reserve_soc))
 
 
@@ -194,11 +195,12 @@ def _recalled(packs: str | Path | None, pack: str, flight: Flight, content: Batt
         return recalled(ledger, name_of(flight, pack), flight, content)
 
 
-def _remember(packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions) -> None:
-    """Save in the ledger what the flight taught of its pack, where it has a name."""
+def _remember(
+    packs: str | Path, pack: str, flight: Flight, content: BatteryFile, options: PackOptions, health: PackHealth | None
+) -> None:
+    """Save in the ledger what the flight taught of its pack, where it has a name; `health` was known before it."""
     name = name_of(flight, pack)
-    before = _recalled(packs, pack, flight, content)
-    found = taught(content, options, flight, before).record if name else None
+    found = taught(content, options, flight, health).record if name else None
     if found is not None:
         with Ledger(packs) as ledger:
             ledger.save(name, found)
