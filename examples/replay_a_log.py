@@ -22,9 +22,10 @@ def main(log: str, capacity_Ah: float = math.nan) -> None:
         print(f"{check.label}: said {check.remaining_s:.0f} s [{check.lo_s:.0f}, {check.hi_s:.0f}], "
               f"true {check.before_end_s:.0f} s")  # fmt: skip
 
-    first = next((row for row in flown.rows if row["remaining_lo_s"] is not None and row["remaining_lo_s"] < 120), None)
+    said = [step.remaining for step in flown.steps]
+    first = next((it for it in said if it.remaining_lo_s < 120), None)  # a time that is not known is NaN
     if first is not None:
-        print(f"less than two minutes left at worst: from {first['time_s']:.0f} s on")
+        print(f"less than two minutes left at worst: from {first.time_s:.0f} s on")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import numpy as np
 from diagnose_cases_pack import ready, records
 
 from uavbatt.diagnosis.diagnosis import diagnose
-from uavbatt.diagnosis.follow import follow
+from uavbatt.diagnosis.follow import Follow, follow
 
 SIZES = (3, 4, 8)
 
@@ -36,12 +36,11 @@ def main() -> int:
     for number in range(given.sets):
         size = SIZES[number % len(SIZES)]
         drawn = [sound[i] for i in random.choice(len(sound), size, replace=False)]
-        run = follow if given.follow else diagnose
-        found = run(drawn, file, pack, engine=engine)
+        found = (follow if given.follow else diagnose)(drawn, file, pack, engine=engine)
         seen[size] += 1
         if found.verdict != "no_missing_effect":
             alarms[size] += 1
-            told = [e.found for e in found.effects] if given.follow else found.classes
+            told = [e.found for e in found.effects] if isinstance(found, Follow) else found.classes
             words = " + ".join(f"{'/'.join(c.members)} {c.probability:.2f}" for c in told) or "–"
             print(f"set {number} of {size}: {found.verdict}: {words}", flush=True)
     counts = ", ".join(f"{alarms[n]} of {seen[n]} sets of {n}" for n in SIZES)

@@ -59,7 +59,8 @@ class Flown:
         under = np.flatnonzero((mean_V < AFTER_END_V) & (self.time_s > 60.0))
         end = under[0] if under.size and under[0] < self.time_s.size - 2 * width else self.time_s.size
         columns = (self.time_s, self.voltage_V, self.current_A, self.temp_C)
-        return Observed(self.name, *(c[:end] for c in columns), float("nan"), CELLS, CAPACITY_AH)
+        time_s, voltage_V, current_A, temp_C = (c[:end] for c in columns)
+        return Observed(self.name, time_s, voltage_V, current_A, temp_C, float("nan"), CELLS, CAPACITY_AH)
 
 
 Change = Callable[[Flown], Flown]

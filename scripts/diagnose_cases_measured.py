@@ -119,8 +119,8 @@ def enertech_records(rates: tuple[str, ...]) -> list[Observed]:
         c = columns(DATA / "bench" / f"enertech_pouch_{rate}C.csv")
         kept = slice(None, None, 5)
         temp_C = ENERTECH_AMBIENT_C + c.get("surface_rise_k", np.full(c["time_s"].size, np.nan))
-        fields = (c["time_s"], c["voltage_v"], c["current_a"], temp_C)
-        records.append(Observed(f"{rate}C", *(x[kept] for x in fields), ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
+        time_s, volts, amps, temp_C = (x[kept] for x in (c["time_s"], c["voltage_v"], c["current_a"], temp_C))
+        records.append(Observed(f"{rate}C", time_s, volts, amps, temp_C, ENERTECH_AMBIENT_C, 1, ENERTECH_AH))
     return records
 
 
@@ -147,8 +147,8 @@ def turnigy_records() -> list[Observed]:
     records = []
     for i in range(PIECES):
         part = slice(edges[i], edges[i + 1])
-        columns_ = (c["time_s"], c["voltage_v"], current_A, c["surface_c"])
-        records.append(Observed(f"piece {i + 1}", *(x[part] for x in columns_), 25.0, 1, TURNIGY_AH))
+        time_s, volts, amps, temp_C = (x[part] for x in (c["time_s"], c["voltage_v"], current_A, c["surface_c"]))
+        records.append(Observed(f"piece {i + 1}", time_s, volts, amps, temp_C, 25.0, 1, TURNIGY_AH))
     return records
 
 

@@ -100,8 +100,8 @@ def main() -> int:
     print(f"\nTruth inside the 95 % interval: {sum(inside)} of {len(inside)}.\n")
     print("Scatter of each effect's size over the healthy sets, in its stated standard errors:")
     for name in sorted(s.name for s in healthy[0]):
-        its = [s for found in healthy for s in found if s.name == name]
-        print(f"- {name} {np.std([s.size for s in its]) / np.median([s.sd for s in its]):.2f}")
+        sizes = [s for found in healthy for s in found if s.name == name]
+        print(f"- {name} {np.std([s.size for s in sizes]) / np.median([s.sd for s in sizes]):.2f}")
     return 0
 
 

@@ -15,11 +15,15 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: a second thread only gets in the way
 
 from scoring.progress import progress
 from scoring.table import Table
+
+if TYPE_CHECKING:
+    from scoring.first_intervals import First
 
 PARTS: dict[str, Callable[[int], bool]] = {
     "tuned": lambda number: number % 2 == 0,
@@ -58,10 +62,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _line(first: object) -> str:
-    from scoring.first_intervals import AFTER_S, First
+def _line(first: First) -> str:
+    from scoring.first_intervals import AFTER_S
 
-    assert isinstance(first, First)
     said = " ".join(
         f"{'!' if first.misses(k) else ' '}[{shown[0]:.0f}, {shown[1]:.0f}]" if (shown := first.shown[k]) else "refused"
         for k in range(len(AFTER_S))
@@ -69,10 +72,9 @@ def _line(first: object) -> str:
     return f"{first.of:24} {first.name:30} {said}  {'end' if first.is_end else 'last'} {first.end_s}"
 
 
-def _table(found: list[object], part: str) -> Table:
-    from scoring.first_intervals import AFTER_S, First
+def _table(firsts: list[First], part: str) -> Table:
+    from scoring.first_intervals import AFTER_S
 
-    firsts = [first for first in found if isinstance(first, First)]
     groups = {name: [f for f in firsts if f.of == name] for name in dict.fromkeys(f.of for f in firsts)}
     rows = []
     for name, flights in {**groups, "all": firsts}.items():

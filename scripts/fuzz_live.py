@@ -94,7 +94,7 @@ def main() -> int:
         if row.instance > 1 or not (estimate.voltage_V != estimate.voltage_V or is_sound(row.sample)):
             forged.append(estimate)
 
-    daemon._step = watched  # type: ignore[method-assign]
+    daemon._step = watched  # type: ignore[method-assign, assignment]
     good = good_frames(bench)
     changed = sent_good = 0
     body = struct.pack(ESTIMATE_LAYOUT, 1, 1, 0, OK, 321.0, 0.5, bench.now_s)

@@ -18,6 +18,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -192,7 +193,8 @@ def _drawn(names: tuple[str, ...], size: str, random: np.random.Generator) -> Ca
         if hasattr(cell, quantity):
             cell = replace(cell, **{quantity: round(value, 3)})
         else:
-            sensors = replace(sensors, **{quantity: round(value, 4)})
+            changed: dict[str, Any] = {quantity: round(value, 4)}
+            sensors = replace(sensors, **changed)
     return Case("+".join(names), size, cell, sensors)
 
 
@@ -239,7 +241,7 @@ def cell_V(cell: Cell, amps: Array, air_C: float) -> tuple[Array, Array, Array]:
     return until, solved["Voltage [V]"](until), solved["X-averaged cell temperature [K]"](until) - 273.15
 
 
-def _scale(values: dict[str, Callable[..., object]], name: str, factor: float) -> None:
+def _scale(values: dict[str, Callable[..., Any]], name: str, factor: float) -> None:
     function = values[name]
     if factor != 1.0:
         values[name] = lambda *given: factor * function(*given)

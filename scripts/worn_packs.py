@@ -78,7 +78,7 @@ def score(folder: Path, battery: Path) -> None:
     from uavbatt.telemetry import read_log
 
     file, options = read_battery(battery), PackOptions(cells=CELLS, capacity_Ah=CAPACITY_AH, cutoff_V=CUTOFF_V)
-    found: list[list[tuple[float, bool]]] = []
+    found: list[list[tuple[float, bool | None]]] = []
     for path in sorted(folder.glob("W*/flight_*.csv")):
         flight = read_log(path)
         time_s, volts, amps = np.array([(s.time_s, s.voltage_V, s.current_A) for s in flight.samples]).T
@@ -91,7 +91,7 @@ def score(folder: Path, battery: Path) -> None:
         shown = "  ".join(f"{error_s:+5.0f}{' ' if inside else '!'}" for error_s, inside in found[-1])
         print(f"{path.parent.name} {path.stem}  {shown}", flush=True)
     for k, instant in enumerate(INSTANTS):
-        errors_s, held = np.array([row[k][0] for row in found]), sum(row[k][1] for row in found)
+        errors_s, held = np.array([row[k][0] for row in found]), sum(row[k][1] is True for row in found)
         figures = f"{np.abs(errors_s).mean():.0f} s off, bias {errors_s.mean():+.0f} s, {held} of {len(found)} inside"
         print(f"{instant}: {figures}")
 

@@ -105,7 +105,10 @@ def filter_rows() -> Iterator[Row]:
             for sample in samples:
                 made.step(sample)
 
-        works = [alone, one_by_one, lambda samples=rows: bank().run(samples)]
+        def in_windows(samples: list[Sample] = rows) -> None:
+            bank().run(samples)
+
+        works: list[Callable[[], Any]] = [alone, one_by_one, in_windows]
         if HAS_TWIN:
             works += [twin(rows, capacities(pack())), twin(rows, known_capacity(pack()))]
         took = [s / len(rows) * 1e6 for s in in_turn(works, 3)]

@@ -111,7 +111,7 @@ def measured(logs: Path, workers: int) -> Measured:
         begin, before_s = time.perf_counter(), _others_s()
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         others = (_others_s() - before_s) / (time.perf_counter() - begin)
-    return Measured(*map(float, done.stdout.split()), others)
+    return Measured(*[*map(float, done.stdout.split()), others])
 
 
 def _others_s() -> float:

@@ -72,8 +72,8 @@ def make_bin(path: Path, seed: int = 7) -> int:
                 file.write(b"\xa3\x95" + bytes([number[name]]) + body[name].pack(time_us + BATTERY_PERIOD_US, row, 1.0))
                 records += 1
             volts, amps, used_mAh = _battery(row)
-            values = (time_us + BATTERY_PERIOD_US, 0, volts, volts, amps, used_mAh, 0.0, 2500 + row % 900, 0.01, 50)
-            file.write(b"\xa3\x95" + bytes([number["BAT"]]) + body["BAT"].pack(*values))
+            its = (time_us + BATTERY_PERIOD_US, 0, volts, volts, amps, used_mAh, 0.0, 2500 + row % 900, 0.01, 50)
+            file.write(b"\xa3\x95" + bytes([number["BAT"]]) + body["BAT"].pack(*its))
     return records
 
 
@@ -151,5 +151,5 @@ def _frame(payload: bytes, kind: Any, number: int, sequence: int) -> bytes:
 
     payload = payload.rstrip(b"\0") or b"\0"
     head = bytes([len(payload), 0, 0, sequence, 1, 1]) + number.to_bytes(3, "little")
-    crc = x25crc(head + payload + bytes([kind.crc_extra])).crc
+    crc: int = x25crc(head + payload + bytes([kind.crc_extra])).crc
     return b"\xfd" + head + payload + crc.to_bytes(2, "little")

@@ -56,7 +56,7 @@ def pymavlink_bin(path: str) -> Rows:
     """Read battery rows of a DataFlash log by pymavlink, its index in C."""
     from pymavlink import DFReader
 
-    log, rows = DFReader.DFReader_binary(path), []
+    log, rows = DFReader.DFReader_binary(path), Rows()
     while (m := log.recv_match(type=["BAT"])) is not None:
         rows.append((m.TimeUS / 1e6, m.Volt, m.Curr, m.CurrTot / 1000, m.Temp))
     return rows
@@ -66,7 +66,7 @@ def pymavlink_tlog(path: str) -> Rows:
     """Read battery rows of a telemetry log by pymavlink, its index and a filter by type."""
     from pymavlink import mavutil
 
-    log, rows = mavutil.mavlink_connection(path), []
+    log, rows = mavutil.mavlink_connection(path), Rows()
     while (m := log.recv_match(type=["BATTERY_STATUS"])) is not None:
         rows.append(
             (

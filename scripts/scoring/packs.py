@@ -78,13 +78,13 @@ def flown(data: Path, pack: str, battery: BatteryFile, ledger: Ledger, say: Call
         flight, answer = read_log(path), _answer(data / "packs/answers", pack, number)
         name = remembering.name_of(flight) or pack
         remembered = remembering.recalled(ledger, name, flight, battery)
-        forecasts = [_forecast(flight, answer, battery, known) for known in (None, remembered)]
+        alone, with_ledger = (_forecast(flight, answer, battery, known) for known in (None, remembered))
         record = remembering.taught(battery, PackOptions(), flight).record
         after = ledger.save(name, record) if record is not None else None
         row = ledger.pack(name)
         seen = row.outlook if row is not None else None
         known_Ah = (seen.capacity_Ah, seen.capacity_lo_Ah, seen.capacity_hi_Ah) if seen else (math.nan,) * 3
-        found.append(Flown(pack, number, answer, *forecasts, after, known_Ah))
+        found.append(Flown(pack, number, answer, alone, with_ledger, after, known_Ah))
     return found
 
 

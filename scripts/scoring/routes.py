@@ -245,7 +245,8 @@ def _alarm_s(mission: Mission) -> float:
 
 def _touchdowns(missions: list[Mission]) -> Table:
     """Error of the charge at touchdown along the missions that land."""
-    rows, errors = [], [[] for _ in OF_MISSION]
+    rows: list[tuple[str, list[str]]] = []
+    errors: list[list[float]] = [[] for _ in OF_MISSION]
     for mission in (m for m in missions if m.answer["landed_s"] is not None):
         cells = []
         for column, part in zip(errors, OF_MISSION, strict=True):
