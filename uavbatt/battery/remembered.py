@@ -79,6 +79,11 @@ def type_ohm(pack: Pack) -> float:
     return resistance_ohmAh / float(pack.installation.capacity_Ah)
 
 
+def hover_drop_V(pack: Pack) -> float:
+    """Return what the resistance of the battery file takes of a cell at the current of a hover [V]."""
+    return HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
+
+
 def scales_of(pack: Pack, health: PackHealth) -> Scales:
     """Return the remembered ohms and ampere-hours as scales against the battery file."""
     own = np.log([type_ohm(pack), float(pack.installation.capacity_Ah)])
@@ -113,8 +118,8 @@ def with_reaction(pack: Pack, health: PackHealth | None) -> Pack:
 
 def _reacting_V(pack: Pack, log_resistance: float) -> float:
     """The drop of the reaction [V] in a pack of so much resistance, as ln of the battery file's."""
-    own_V = HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
-    return float(pack.cell.transfer_V) + max(REACTION_SHARE * math.expm1(log_resistance) * own_V, 0.0)
+    reacting_V = REACTION_SHARE * math.expm1(log_resistance) * hover_drop_V(pack)
+    return float(pack.cell.transfer_V) + max(reacting_V, 0.0)
 
 
 def _without_reaction(log_resistance: float) -> float:

@@ -17,14 +17,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavbatt.battery import model
 from uavbatt.battery.equations import REFERENCE_TEMP_C
-from uavbatt.battery.remembered import HALF_CHARGE, UNKNOWN, Scales, health_of
+from uavbatt.battery.remembered import UNKNOWN, Scales, health_of, hover_drop_V
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.packs.records import Told
 
-HOVER_C_RATE = 2.5
 ELECTRODE_SD_V = 0.025  # what sluggish electrodes take over the life of a pack; one flight leaves room for twice that
 # From flight to flight of one pack the beliefs scatter by a part of what each says of itself: the other part is the
 # error of the battery file, which is the same in all of them. Of the charge that part falls with what a flight tells:
@@ -78,9 +76,8 @@ def _ohms_per_volt(pack: Pack) -> float:
 
     Less where the battery file's own discrepancy is so large that it would drown the ohms.
     """
-    drop_V = HOVER_C_RATE * float(model.resistance(pack.cell, HALF_CHARGE, REFERENCE_TEMP_C))
     most = math.sqrt(UNKNOWN.covariance[0, 0]) / math.hypot(pack.bias_sd_V, ELECTRODE_SD_V)
-    return min(1.0 / drop_V, most)
+    return min(1.0 / hover_drop_V(pack), most)
 
 
 def _scales(pack: Pack, belief: Belief) -> Scales:
