@@ -210,7 +210,12 @@ def test_what_was_read_by_the_curve_of_ordinary_cells_is_left_out_for_others(tmp
         for number in (1, 2):
             ledger.save("A", remembering.taught(generic, options, lihv(number, 0.81, number)).record)
         full = lihv(3, 1.0, 5)
-        estimator = Estimator(generic, options, remembered=remembering.recalled(ledger, "A", full, generic))
+        health = remembering.recalled(ledger, "A", full, generic)
+        estimator = Estimator(generic, options, remembered=health)
+        after = ledger.save("A", remembering.taught(generic, options, full, health).record)
+        assert [finding.kind for finding in after.findings] == ["higher_charge"]
+        own = ledger.pack("A").outlook
+        assert own.capacity_lo_Ah < FULL_AH < own.capacity_hi_Ah
     end_s = full.samples[-1].time_s
     said = [r for _, r in estimator.run(full.samples) if end_s - 360.0 < r.time_s < end_s - 350.0]
     assert said[0].remaining_lo_s < 360.0 < said[0].remaining_hi_s

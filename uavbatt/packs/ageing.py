@@ -144,8 +144,13 @@ def history(flights: Sequence[FlightRecord]) -> list[Remembered]:
     course: AgeingState | None = None
     fullest_V = ORDINARY_FULL_V
     for flight in flights:
+        if course is None:
+            course, findings = _begun(flight)
+        elif fullest_V == course.last.fullest_cell_V == ORDINARY_FULL_V < flight.fullest_cell_V:
+            course, findings = _begun(flight)[0], (odd.of_higher_charge(flight),)
+        else:
+            course, findings = _next(course, flight)
         fullest_V = max(fullest_V, flight.fullest_cell_V) if math.isfinite(flight.fullest_cell_V) else fullest_V
-        course, findings = _begun(flight) if course is None else _next(course, flight)
         found.append(Remembered(flight, course.known, (*findings, *odd.by_itself(flight)), fullest_V))
     return found
 

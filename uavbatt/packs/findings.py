@@ -35,6 +35,12 @@ def between(earlier: FlightRecord, flight: FlightRecord) -> tuple[PackFinding, .
     return tuple(found)
 
 
+def of_higher_charge(flight: FlightRecord) -> PackFinding:
+    """Return the finding of a pack that shows, later than with its first flight, that its cells charge higher."""
+    words = f"a cell rests at {flight.fullest_cell_V:.2f} V: it charges to 4.35 V (LiHV), flights before are left out"
+    return PackFinding("higher_charge", words)
+
+
 def sudden(z: Array, change: Array, since: str = " at once", causes: str = "damaged?") -> PackFinding:
     """Return the finding of damage: which of the two numbers shows it, and by how much.
 

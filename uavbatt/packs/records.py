@@ -89,7 +89,7 @@ class Known(NamedTuple):
 class PackFinding:
     """A PackFinding is something odd that a flight showed of its pack: `kind` for programs, `words` for people."""
 
-    kind: str  # "sudden_ohms" | "sudden_loss" | "another_pack" | "weak_cell" | "charged_too_fast" | "counter"
+    kind: str  # of sudden_ohms, sudden_loss, another_pack, weak_cell, charged_too_fast, counter, higher_charge
     words: str
 
 
