@@ -4,9 +4,9 @@ A pack is changed on the ground, and the telemetry is silent meanwhile. After a 
 can show at rest has two bounds. The upper one: it rested all along, so the open-circuit voltage at its last charge.
 The lower one: the load went on to the end of the silence, and the overpotentials are still there. When the rested
 voltage is outside these bounds for several rows, it is another pack. After a silence of minutes the old pack would
-have settled, so both bounds are close to its predicted voltage. Without a silence two things tell another pack: a
-fall of the rested voltage (a pack at rest only rises), and far too much voltage (a pack that was just loaded shows
-too little for a while).
+have settled, so both bounds are close to its predicted voltage. Without a silence three things tell another pack: a
+fall of the rested voltage (a pack at rest only rises), a leap of it once it rises slowly, and far too much voltage (a
+pack that was just loaded shows too little for a while).
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from uavbatt.records import NAN, Sample
 
 RESTED_C_RATE, SWAP_ROWS = 0.15, 3
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
+# A pack that has rested for SLOWLY_AFTER_S rises by 1 mV a second: in cold air, worn, by three.
+LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
@@ -46,7 +48,8 @@ class SwapWatch(NamedTuple):
     row_s: float = NAN  # the usual time between two rows
     bounds: Bounds | None = None  # after a silence, until the pack is loaded
     rows: int = 0
-    rested_V: float = NAN  # of a cell, at the last rested row of the pack that is believed in
+    rested_V: float = NAN  # of a cell, over the last rested rows of the pack that is believed in
+    rested_since_s: float = NAN
 
     @property
     def is_another(self) -> bool:
@@ -67,11 +70,16 @@ class SwapWatch(NamedTuple):
             row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             return SwapWatch(time_s, current_A, belief, row_s)
+        since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
         other = row.innovation_V > FAR_CELL_V * cells or cell_V < self.rested_V - FALLEN_CELL_V
+        if gap_s <= LEAPT_WITHIN_S and time_s - since_s > SLOWLY_AFTER_S:
+            other = other or cell_V > self.rested_V + LEAPT_CELL_V
         if bounds is not None:
             other = other or not bounds.low_V <= cell_V <= bounds.high_V
-        rows, rested_V = (self.rows + 1, self.rested_V) if other else (0, cell_V)
-        return SwapWatch(time_s, current_A, belief, row_s, bounds, rows, rested_V)
+        if other:
+            return SwapWatch(time_s, current_A, belief, row_s, bounds, self.rows + 1, self.rested_V, since_s)
+        rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
+        return SwapWatch(time_s, current_A, belief, row_s, bounds, 0, rested_V, since_s)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
         """Return the voltages that the old pack can show at rest after a silence of `gap_s` [s]."""

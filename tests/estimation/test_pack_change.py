@@ -1,0 +1,58 @@
+"""A pack that is changed while the autopilot goes on: the voltage at rest leaps."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scoring.other_pack import Pack, Power, drawn, rested
+from scoring.scenarios import STATED, another
+
+from uavbatt.battery import battery_file
+from uavbatt.estimator import Estimator
+from uavbatt.log_replay.run import engine_for
+from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.records import Sample
+
+
+def estimator() -> Estimator:
+    settings = ForecastSettings(forecast_period_s=10.0)
+    return Estimator(battery_file.read_battery("lipo-generic"), STATED, settings, engine_for(is_long=True))
+
+
+@pytest.mark.parametrize("second_soc", [0.65, 0.8])
+def test_a_somewhat_fuller_pack_is_another_without_a_silence(second_soc: float) -> None:
+    """It was taken for the old one with a quarter more capacity: a minute before the end it was told at least two."""
+    rows = another(Pack(), 400, 0.0, Pack(soc=second_soc), restarts=False)
+    said = list(estimator().run(rows))
+    begin_s = 20.0 + 400.0 + 20.0 + 5.0
+    at_rest = next(estimate for estimate, _ in said if estimate.time_s >= begin_s)
+    assert at_rest.soc == pytest.approx(second_soc, abs=0.05)
+    assert at_rest.capacity_scale < 1.05
+    end_s = rows[-1].time_s
+    late = [r for _, r in said if end_s - 120.0 < r.time_s]
+    assert max(r.remaining_lo_s - (end_s - r.time_s) for r in late) < 25.0
+
+
+@pytest.mark.parametrize(("cells", "air_C", "resistance"), [(2, 25.0, 1.0), (4, -5.0, 2.0), (12, 10.0, 1.0)])
+def test_a_pack_that_rests_after_a_flight_is_the_same(cells: int, air_C: float, resistance: float) -> None:
+    """It rises for minutes, in steps of a noisy sensor; what the flight told of it stays."""
+    pack = Pack(cells=cells, air_C=air_C, resistance=resistance)
+    before = rested(pack, 20, 0.0)
+    powers_W = itertools.islice(Power(75.0 * cells).rows_W(3), 300)
+    before += drawn(pack, powers_W, 20.0, before[-1].consumed_Ah, cutoff_V=3.0 * cells).rows
+    after = rested(pack, 300, before[-1].time_s + 1.0, before[-1].consumed_Ah)
+    dice = np.random.default_rng(cells)
+    options = replace(STATED, cells=cells, cutoff_V=3.3 * cells)
+    judge = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
+    assert len(before) == 320
+    told = [e for e, _ in judge.run([noisy(row, dice) for row in before])][-1]
+    for estimate, _ in judge.run([noisy(row, dice) for row in after]):
+        assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.05  # of a new pack it is 0.1 more
+
+
+def noisy(row: Sample, dice: np.random.Generator) -> Sample:
+    """Return the row as a sensor with 10 mV of noise and a last digit of 20 mV shows it."""
+    return replace(row, voltage_V=round((row.voltage_V + 0.01 * float(dice.standard_normal())) / 0.02) * 0.02)
