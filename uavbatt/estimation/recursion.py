@@ -62,18 +62,6 @@ class FilteredRow(NamedTuple):
     innovation: Innovation
 
 
-class Between(NamedTuple):
-    """A row within a block is kept with what its expected voltage needs.
-
-    So the expected voltages of all such rows of a window are worked out at once.
-    """
-
-    x: Array  # [members, 9]
-    log_weight: Array
-    current_A: float
-    voltage_V: float
-
-
 Window = Callable[[Pack, FilterState, Sequence[Sample]], tuple[list[FilteredRow], FilterState]]
 NOTHING = Innovation(math.nan, math.nan, math.nan, math.nan)
 
@@ -115,23 +103,23 @@ def filter_window(
     condition : how a measurement is taken in; filterpy's in flight (`kalman.filterpy_condition`).
     Returns the filter after each row, and the state after the last.
     """
-    rows: list[FilteredRow] = []
-    between: list[tuple[int, Between]] = []
+    taken: list[tuple[FilterState, Innovation | None]] = []
     for sample in samples:
         state, shown = _take(pack, state, sample, condition)
-        if isinstance(shown, Between):
-            between.append((len(rows), shown))
-            shown = NOTHING
-        rows.append(FilteredRow(state.moments, state.time_s, state.air.ambient_C, shown))
-    for (k, _), innovation in zip(between, _innovations(pack, [row for _, row in between]), strict=True):
-        rows[k] = rows[k]._replace(innovation=innovation)
+        taken.append((state, shown))
+    pairs = zip(taken, samples, strict=True)
+    within = iter(_innovations(pack, [(at, sample.voltage_V) for (at, shown), sample in pairs if shown is None]))
+    rows = [
+        FilteredRow(at.moments, at.time_s, at.air.ambient_C, next(within) if shown is None else shown)
+        for at, shown in taken
+    ]
     return rows, state
 
 
 def _take(
     pack: Pack, state: FilterState, sample: Sample, condition: Condition
-) -> tuple[FilterState, Innovation | Between]:
-    """Return the state after one row, and the row's innovation or what it will be worked out from.
+) -> tuple[FilterState, Innovation | None]:
+    """Return the state after one row, and the row's innovation: None within a block, for `_innovations`.
 
     A row without voltage or current, or one that goes back in time, changes nothing and has no innovation.
     """
@@ -144,30 +132,25 @@ def _take(
     block = state.block.after(sample, current_A, dt_s, state.current_A)
     state = state._replace(time_s=sample.time_s, current_A=current_A, block=block)
     if block.duration_s < BLOCK_S:
-        return state, _between(pack, state, sample)
+        return state, None
     return _close(pack, state, condition)
 
 
-def _between(pack: Pack, state: FilterState, sample: Sample) -> Between:
-    """Return a row within a block: the means after the last block, less the charge drawn since."""
-    x = state.moments.x.copy()
-    capacity_As = 3600.0 * pack.installation.present_capacity_Ah * np.exp(x[:, X.LOG_CAPACITY])
-    x[:, X.SOC] -= state.block.charge_As / capacity_As
-    return Between(x, state.moments.log_weight, state.current_A, sample.voltage_V)
+def _innovations(pack: Pack, rows: Sequence[tuple[FilterState, float]]) -> list[Innovation]:
+    """Return the innovations of rows within blocks, from the state after each and its voltage [V], all at once.
 
-
-def _innovations(pack: Pack, rows: list[Between]) -> list[Innovation]:
-    """Innovations of rows within blocks, by the members' weights."""
+    The means are those after the last block, less the charge drawn since.
+    """
     if not rows:
         return []
-    x, weight = np.array([row.x for row in rows]), np.exp([row.log_weight for row in rows])
-    count, members, _ = x.shape
-    current_A = np.repeat([row.current_A for row in rows], members)
-    volts = b.voltage(pack, x.reshape(count * members, -1).T, current_A).reshape(count, members)
-    expected_V = np.sum(volts * weight, axis=1).tolist()
+    x = np.array([state.moments.x for state, _ in rows])
+    weight = np.exp([state.moments.log_weight for state, _ in rows])
+    drawn_As, current_A = np.array([(state.block.charge_As, state.current_A) for state, _ in rows]).T[..., None]
+    x[..., X.SOC] -= drawn_As / (3600.0 * pack.installation.present_capacity_Ah * np.exp(x[..., X.LOG_CAPACITY]))
+    expected_V = (b.voltage(pack, x.transpose(2, 0, 1), current_A) * weight).sum(axis=1).tolist()
     return [
-        Innovation(row.voltage_V - volts_V, math.nan, volts_V, float(of_row @ row.x[:, X.SOC]))
-        for row, of_row, volts_V in zip(rows, weight, expected_V, strict=True)
+        Innovation(voltage_V - volts_V, math.nan, volts_V, float(of_row @ means[:, X.SOC]))
+        for (_, voltage_V), of_row, volts_V, means in zip(rows, weight, expected_V, x, strict=True)
     ]
 
 
