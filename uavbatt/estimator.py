@@ -211,10 +211,9 @@ class Estimator:
         self, samples: list[Sample], navigation_at: Callable[[float], Navigation], filter_window: Window
     ) -> Iterator[Pending]:
         """Take the rows of one window in. The filter runs over all of them first, and again from a pack change on."""
-        cleaned = self._cleaned(samples)
-        clean = [sample for _, sample in cleaned]
+        cleaners, clean = self._cleaned(samples)
         rows, since = (self._followed.filter.run(clean, filter_window) if self._followed is not None else []), 0
-        for k, (raw, (self._cleaner, sample)) in enumerate(zip(samples, cleaned, strict=True)):
+        for k, (raw, self._cleaner, sample) in enumerate(zip(samples, cleaners, clean, strict=True)):
             if math.isnan(sample.time_s):
                 yield Pending(sample, unknown(sample, NO_TIME), None, NO_TIME)
                 continue
@@ -228,27 +227,26 @@ class Estimator:
                 followed = self._begun()
                 rows, since = followed.filter.run(clean[k:], filter_window), k
             row = rows[k - since]
-            if row.belief is not None:
-                swap = followed.swap.after(sample, row.innovation, row.belief, followed.filter.pack)
-                followed = followed._replace(swap=swap)
-            if followed.swap.is_another:  # enough rows by now have shown another pack than the one believed in
+            swap = followed.swap.after(sample, row.innovation, row.belief, followed.filter.pack)
+            if swap.is_another:  # enough rows by now have shown another pack than the one believed in
                 self._known = self._known.anew()
                 followed = self._begun()
                 rows, since = followed.filter.run(clean[k:], filter_window), k
-                row = rows[0]
-            yield self._forecast_for(followed, sample, row, navigation_at(sample.time_s))
+                row, swap = rows[0], followed.swap
+            yield self._forecast_for(followed, swap, sample, row, navigation_at(sample.time_s))
 
-    def _cleaned(self, samples: Sequence[Sample]) -> list[tuple[Cleaner, Sample]]:
-        """Return the samples after cleaning, each with the cleaner after it."""
+    def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
+        """Return the cleaner after each sample, and the samples after cleaning."""
         cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
         # Without a current sensor a typical power is assumed; no pack of the size gives more than `most_A`.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
         most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf
-        found = []
+        cleaners, clean = [], []
         for sample in samples:
             cleaner, sample = cleaner.clean(sample, assumed_W, most_A)
-            found.append((cleaner, sample))
-        return found
+            cleaners.append(cleaner)
+            clean.append(sample)
+        return cleaners, clean
 
     def _why_not_begin(self, sample: Sample) -> Estimate | None:
         """The refused estimate of a row at which no filter may begin; None where one may."""
@@ -265,7 +263,9 @@ class Estimator:
         soc_filter = SocFilter(pack, ambient_C=self.options.ambient_C, capacities=prior_of(pack, self.remembered))
         return Followed(soc_filter, Forecaster(pack, self.settings), self._cleaner.guessed)
 
-    def _forecast_for(self, followed: Followed, sample: Sample, row: Filtered, navigation: Navigation) -> Pending:
+    def _forecast_for(
+        self, followed: Followed, swap: SwapWatch, sample: Sample, row: Filtered, navigation: Navigation
+    ) -> Pending:
         """Return the row with its estimate, judged by the monitor, and the forecast that is to be simulated for it."""
         pack, forecaster, belief = followed.filter.pack, followed.forecaster, row.belief
         found = estimate_of(sample, row, self._warnings(pack, sample, row.summary))
@@ -278,7 +278,7 @@ class Estimator:
         forecaster.cell_spread_V = self._cleaner.cell_spread_V
         refusal, question = forecaster.update(sample, found, belief, navigation)
         bound = followed.bound.after(sample, belief, pack, self._cleaner.cell_spread_V)
-        self._followed = followed._replace(monitor=monitor, bound=bound)
+        self._followed = followed._replace(swap=swap, monitor=monitor, bound=bound)
         return Pending(sample, found, forecaster, refusal, question, bound.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:

@@ -66,7 +66,8 @@ class KnownSize(NamedTuple):
         if is_first or (statements.rows == SURE_ROWS and known.rested_V == before.rested_V != seen.rested_V):
             known = known._replace(rested_V=seen.rested_V)._sized()  # the cells may be of another kind
         sized = known.size or size
-        return known._replace(doubts=(*statements.doubts(sized, self.resting, self.stated_W), *known._of_count(sized)))
+        doubts = (*statements.doubts(sized, self.resting, self.stated_W), *known._of_count(sized))
+        return known if doubts == known.doubts else known._replace(doubts=doubts)
 
     def by_voltage(self, coming: Iterable[Sample]) -> PackSize | None:
         """Return the size by the first voltage of some samples; None without one."""
@@ -98,8 +99,10 @@ class KnownSize(NamedTuple):
 
     def _of_count(self, size: PackSize) -> tuple[Doubt, ...]:
         """Return the doubt about a count that nobody states, where another one fits the first voltage as well."""
+        if size.cells_from != GUESSED_FROM:
+            return ()
         others = [n for n in self.counts if n != size.cells]
-        if size.cells_from != GUESSED_FROM or not others:
+        if not others:
             return ()
         words = f"nobody states the cells: {size.cells} in series by the first voltage, {others[0]} would fit as well"
         return (Doubt(words, False),)

@@ -24,7 +24,7 @@ from uavbatt.battery import equations as eq
 from uavbatt.battery import model
 from uavbatt.battery.equations import Number
 from uavbatt.battery.model import Array, Parameters, State
-from uavbatt.battery.pack import Installation, c_rate, grown, metered_voltage, terminal_voltage
+from uavbatt.battery.pack import Installation, c_rate, grown_gain, metered_voltage, terminal_voltage
 from uavbatt.battery.scaling import Pack
 
 
@@ -95,10 +95,9 @@ def unpack(pack: Pack, x: Array) -> Unpacked:
     installation = pack.installation._replace(
         capacity_Ah=pack.installation.capacity_Ah * np.exp(x[X.LOG_CAPACITY]),
     )
-    cell = grown(pack.cell, installation)
-    cell = cell._replace(
-        resistance_gain=cell.resistance_gain * np.exp(x[X.LOG_RESISTANCE]),
-        transfer_V=cell.transfer_V + x[X.REACTION],
+    cell = pack.cell._replace(
+        resistance_gain=grown_gain(pack.cell, installation) * np.exp(x[X.LOG_RESISTANCE]),
+        transfer_V=pack.cell.transfer_V + x[X.REACTION],
     )
     state = State(x[X.SOC], x[X.POLARISATION], x[X.DIFFUSION], x[X.CORE], x[X.SENSOR])
     return Unpacked(cell, installation, state)

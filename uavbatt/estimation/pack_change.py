@@ -56,11 +56,11 @@ class SwapWatch(NamedTuple):
         """Return True if enough rows have shown another pack."""
         return self.rows >= SWAP_ROWS
 
-    def after(self, sample: Sample, row: Innovation, belief: Belief, pack: Pack) -> SwapWatch:
+    def after(self, sample: Sample, row: Innovation, belief: Belief | None, pack: Pack) -> SwapWatch:
         """Return the watch after one more sample, with `row`, the sample against the model, and the belief after it."""
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
         time_s, cell_V, current_A = sample.time_s, sample.voltage_V / cells, sample.current_A
-        if not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
+        if belief is None or not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
             return self
         gap_s = time_s - self.seen_s
         row_s, bounds = self.row_s, self.bounds

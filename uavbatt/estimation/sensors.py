@@ -99,9 +99,8 @@ class LoadWatch(NamedTuple):
         self, time_s: float, voltage_V: float, current_A: float, predicted_V: float, cells: float, capacity_Ah: float
     ) -> LoadWatch:
         """Return the watch after one more row, whose voltage the model predicts as `predicted_V` [V]."""
-        fresh = LoadWatch(time_s, voltage_V, current_A)
         if not math.isfinite(self.current_A):
-            return fresh
+            return LoadWatch(time_s, voltage_V, current_A)
         if self.current_A < LOADED_C_RATE * capacity_Ah or current_A > DEAD_SHARE * self.current_A:
             keep = math.exp(-max(time_s - self.time_s, 0.0) / RECENT_TAU_S)
             return LoadWatch(
@@ -112,5 +111,5 @@ class LoadWatch(NamedTuple):
         is_new = not math.isfinite(self.gone_since_s)
         owed_V = predicted_V - self.voltage_V if is_new else self.owed_V
         if not owed_V > LEAST_RISE_CELL_V * cells or voltage_V - self.voltage_V > RECOVERED_SHARE * owed_V:
-            return fresh
+            return LoadWatch(time_s, voltage_V, current_A)
         return self._replace(owed_V=owed_V, gone_since_s=time_s if is_new else self.gone_since_s)

@@ -53,11 +53,10 @@ class Flown(NamedTuple):
         now = self._with_flag(sample)._with_rate(sample, dt_s, c_rate, is_aloft)
         if not math.isfinite(now.flying_since_s):
             return now
-        now = now._replace(load=now.load.after(sample.time_s, power_W))
+        load, step_s = now.load.after(sample.time_s, power_W), max(dt_s, 0.0)
         if not math.isfinite(now.took_off_s):
-            return now._replace(took_off_s=sample.time_s)
-        step_s = max(dt_s, 0.0)
-        now = now._replace(flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
+            return now._replace(load=load, took_off_s=sample.time_s)
+        now = now._replace(load=load, flown_s=now.flown_s + step_s, flown_J=now.flown_J + step_s * power_W)
         if now.time_s - now.took_off_s <= SPOOL_UP_S:
             return now._spooled_up(power_W, SPOOLED_UP)
         has_waited = is_aloft is not True and c_rate * now.mean_W < WAITING_C * power_W

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.pack import c_rate, most_energy_Wh, true_current, true_power
+from uavbatt.battery.pack import c_rate, most_energy_Wh, true_current, true_voltage
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.errors import UsageError
@@ -256,7 +256,7 @@ class Forecaster:
             return
         installation = self.pack.installation
         current_A = float(true_current(installation, sample.current_A, sample.voltage_V))
-        power_W, before = float(true_power(installation, sample.voltage_V, sample.current_A)), self._flown
+        power_W, before = float(true_voltage(installation, sample.voltage_V)) * current_A, self._flown
         rate = float(c_rate(installation, current_A))
         self._flown = before.after(sample, power_W, rate, navigation.is_aloft(sample.time_s))
         if self._at_take_off is not None and self._flown.took_off_s > before.took_off_s:  # that was the spool-up

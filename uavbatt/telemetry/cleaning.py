@@ -74,8 +74,8 @@ class Cleaner(NamedTuple):
         if sample.voltage_V <= 0.0:  # a meter that is not connected
             return self, replace(sample, voltage_V=NAN, cell_voltages_V=())
         is_soon = sample.time_s - self.voltage_s <= LEAP_WITHIN_S
-        known_V = (self.voltage_V, self.odd_V)
-        if is_soon and not any(abs(sample.voltage_V - was_V) <= LEAP_SHARE * was_V for was_V in known_V):
+        is_repeated = abs(sample.voltage_V - self.odd_V) <= LEAP_SHARE * self.odd_V
+        if is_soon and not is_repeated and not abs(sample.voltage_V - self.voltage_V) <= LEAP_SHARE * self.voltage_V:
             return self._replace(odd_V=sample.voltage_V), replace(sample, voltage_V=NAN, cell_voltages_V=())
         return self._replace(voltage_V=sample.voltage_V, voltage_s=sample.time_s, odd_V=NAN), sample
 
