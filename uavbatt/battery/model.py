@@ -162,8 +162,6 @@ def under_power(p: Parameters, emf_V: Number, series_ohmAh: Number, power_WpAh: 
     `emf_V` stands behind `series_ohmAh`, the cell's own resistance included. The drop of the reaction hardly changes
     with the load: its value at the rate that a cell without resistance would have is good to 1 mV.
     """
-    if not eq.is_on(p.transfer_V):
-        return UnderLoad(eq.current_at_power(emf_V, series_ohmAh, power_WpAh), 0.0)
     transfer_V = transfer_drop(p, power_WpAh / np.maximum(emf_V, eq.LEAST_EMF_V))
     return UnderLoad(eq.current_at_power(emf_V - transfer_V, series_ohmAh, power_WpAh), transfer_V)
 

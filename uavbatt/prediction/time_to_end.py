@@ -166,32 +166,32 @@ def _judged(limits: _Limits, ends: EndTimes, recent: _Recent, k: int) -> EndTime
         margin_V, above_low_V = np.where(within, margin_V, np.inf), np.where(within, above_low_V, np.inf)
     for column in recent:
         column[:JUDGED_BEFORE] = column[new : new + JUDGED_BEFORE]
-    end_s, low_s = (
-        np.where(known_s < np.inf, known_s, _crossing(limits, margin, steps))
-        if ((margin < 0.0) & (known_s == np.inf)).any()
-        else known_s
-        for known_s, margin in zip(ends, (margin_V, above_low_V), strict=True)
-    )
-    return EndTimes(end_s, low_s)
+    return EndTimes(_crossed(limits, ends.end_s, margin_V, steps), _crossed(limits, ends.low_s, above_low_V, steps))
 
 
-def _crossing(limits: _Limits, margin: Array, steps: slice) -> Array:
-    """Time at which each column of `margin` [steps, batch] is below zero by the rule that judges; else infinite."""
-    at_s = np.broadcast_to(limits.at_s[steps], margin.shape).reshape(margin.shape[0], -1)
+def _crossed(limits: _Limits, known_s: Array, margin: Array, steps: slice) -> Array:
+    """The times `known_s` [batch], with those of the columns whose `margin` [steps, batch] has come below zero now."""
+    is_new = ((margin < 0.0) & (known_s == np.inf)).any(axis=0)
+    if not is_new.any():
+        return known_s
     judge = _median_crossing if limits.by_rows else _mean_crossing
-    return judge(margin.reshape(at_s.shape), at_s).reshape(margin.shape[1:])
+    at_s, crossed_s = np.broadcast_to(limits.at_s[steps], margin.shape), known_s.copy()
+    crossed_s[is_new] = judge(margin[:, is_new], at_s[:, is_new])
+    return crossed_s
 
 
 def _mean_crossing(margin: Array, at_s: Array) -> Array:
-    """First fall of each column [steps, columns] through zero, linear between the steps at `at_s`; plus the lag."""
+    """First fall of each column [steps, columns] through zero, linear between the steps at `at_s`; plus the lag.
+
+    There is a step below zero in each.
+    """
     first, column = np.argmax(margin < 0.0, axis=0), np.arange(margin.shape[1])
     last = np.maximum(first - 1, 0)
     above, under = margin[last, column], margin[first, column]
     last_s, first_s = at_s[last, column], at_s[first, column]
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(first > 0, above / (above - under), 0.0)
-    crossing = last_s + share * (first_s - last_s) + np.where(first > 0, MEAN_LAG_S, 0.0)
-    return np.where(under < 0.0, crossing, np.inf)
+    return np.asarray(last_s + share * (first_s - last_s) + np.where(first > 0, MEAN_LAG_S, 0.0))
 
 
 def _median_crossing(margin: Array, at_s: Array) -> Array:
