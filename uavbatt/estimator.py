@@ -278,7 +278,7 @@ class Estimator:
         forecaster.cell_spread_V = self._cleaner.cell_spread_V
         refusal, question = forecaster.update(sample, found, belief, navigation)
         bound = followed.bound.after(sample, belief, pack, self._cleaner.cell_spread_V)
-        self._followed = followed._replace(swap=swap, monitor=monitor, bound=bound)
+        self._followed = Followed(followed.filter, forecaster, followed.is_guessed, swap, monitor, bound)
         return Pending(sample, found, forecaster, refusal, question, bound.left_s(sample.time_s))
 
     def _pack(self, size: PackSize) -> Pack:

@@ -130,7 +130,7 @@ def _take(
     if dt_s > BLOCK_S and state.block.duration_s > 0.0:
         state, _ = _close(pack, state, condition)  # rows before a gap belong to the time before it
     block = state.block.after(sample, current_A, dt_s, state.current_A)
-    state = state._replace(time_s=sample.time_s, current_A=current_A, block=block)
+    state = FilterState(state.moments, sample.time_s, current_A, state.block_A, block, state.air)
     if block.duration_s < BLOCK_S:
         return state, None
     return _close(pack, state, condition)
