@@ -89,7 +89,7 @@ def fly_draws(draws: FlyingDraws, power_W: Array, dt_s: Array, edges_s: Array) -
     for length_s, watts, normals in zip(lengths_s, mean_W, wander(lengths_s.size).bias, strict=True):
         passed.append(step_draws(passed[-1], source_of(passed[-1]), watts, float(length_s), normals))
     columns = zip(*(now.state for now in passed), strict=True)
-    state = State(*(np.stack(np.broadcast_arrays(*column)) for column in columns))
+    state = State(*map(np.stack, columns))
     return draws._replace(state=state, bias_V=np.stack([now.bias_V for now in passed]))
 
 
