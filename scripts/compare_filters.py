@@ -71,7 +71,7 @@ def unscented_close(
 
     predicted = Moments(ukf.x[None].copy(), ukf.P[None].copy(), at.log_weight)
     step_A = block.current_A - state.block_A
-    moments, shown, warmer_K = recursion._update(pack, predicted, block, step_A, by_unscented)
+    moments, shown, warmer_K = recursion._update(pack, predicted, block, step_A, by_unscented, weighs=True)
     is_read = np.isfinite(warmer_K)
     air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
     return state._replace(moments=moments, block_A=block.current_A, block=Block(), air=air), shown

@@ -151,7 +151,7 @@ def twin(samples: list[Sample], members: Capacities) -> Callable[[], Any]:
     most = most_moments(table[0], state.time_s)
     at = (most, state.time_s, state.current_A, state.block_A, np.array(state.block, dtype=float), *state.moments)
     numbers = as_numbers(pack())
-    return lambda: run(numbers, state.air, table, *at)
+    return lambda: run(numbers, state.air, state.since_load_s, table, *at)
 
 
 def question(minutes: float = 20.0) -> tuple[Question, Belief, Forecaster]:

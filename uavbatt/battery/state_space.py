@@ -125,10 +125,14 @@ def ocv_doubt(pack: Pack, soc: Number, drained: Number) -> Number:
     The error of the file's open-circuit voltage is a function of the charge: as far as DOUBT_LENGTH away it is another,
     as far as it changes at all.
     """
+    return drift_variance(at_charge(pack.ocv_drift_sd_V, soc), drained)
+
+
+def at_charge(table: Array, soc: Number) -> Number:
+    """Return the value at a charge of a table over the model's grid of charges."""
     position = (soc - model.LOWEST_SOC) / model.GRID_STEP
     index = eq.segment(position, model.LAST_POSITION)
-    drift_sd_V = eq.interpolated(pack.ocv_drift_sd_V, index, model.held_position(position) - index)
-    return drift_variance(drift_sd_V, drained)
+    return eq.interpolated(table, index, model.held_position(position) - index)
 
 
 def drift_variance(drift_sd_V: Number, drained: Number) -> Number:

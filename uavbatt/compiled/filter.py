@@ -45,9 +45,10 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         return [], state
     table = np.array([[s.time_s, s.voltage_V, s.current_A, s.temp_C] for s in samples]).T.copy()
     most = most_moments(table[0], state.time_s)
-    beliefs, in_force, times_s, ambients_C, shown, (current_A, block_A, block, air) = run(
+    beliefs, in_force, times_s, ambients_C, shown, (current_A, block_A, block, air, since_load_s) = run(
         as_numbers(pack),
         state.air,
+        state.since_load_s,
         table,
         most,
         state.time_s,
@@ -64,7 +65,8 @@ def filter_window(pack: Pack, state: FilterState, samples: Sequence[Sample]) -> 
         )
     ]
     open_block = Block(*block.tolist())
-    return rows, FilterState(moments[-1], rows[-1].time_s, current_A, block_A, open_block, noise.Air(*air))
+    air = noise.Air(*air)
+    return rows, FilterState(moments[-1], rows[-1].time_s, current_A, block_A, open_block, air, since_load_s)
 
 
 @compiled
@@ -141,6 +143,18 @@ def update(
 
 
 @compiled
+def settle(pack: Pack, x: Array, P: Array, dt_s: float) -> None:
+    """Move the discrepancy of one member, in place, towards what it is in a pack at rest, as `recursion._settled`."""
+    keep = np.exp(-dt_s / noise.SETTLING_S)
+    x[X.BIAS] *= keep
+    for j in range(SIZE):
+        P[X.BIAS, j] *= keep
+    for j in range(SIZE):
+        P[j, X.BIAS] *= keep
+    P[X.BIAS, X.BIAS] += (1.0 - keep**2) * noise.rested_variance(pack, x[X.SOC])
+
+
+@compiled
 def put(mean: Array, covariance: Array, x: Array, P: Array) -> None:
     """Copy the moments `x` and `P` of one member; an assignment of arrays would take numba six seconds to compile."""
     for i in range(SIZE):
@@ -159,18 +173,21 @@ def put_all(means: Array, covariances: Array, log_weights: Array, x: Array, P: A
 
 @compiled
 def close(
-    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, air: noise.Air
-) -> tuple[Array, float, float, float, float, noise.Air]:
+    pack: Pack, x: Array, P: Array, log_weight: Array, block: Array, block_A: float, air: noise.Air, since_load_s: float
+) -> tuple[Array, float, float, float, float, noise.Air, float]:
     """Take a block in, as `recursion._close` does: it changes every member in place.
 
     Returns the new ln of the weights, then innovation, NIS and expected voltage by the old weights, the block's mean
-    current, and the air after it.
+    current, the air after it, and for how long the pack has rested since its last load [s].
     """
     mean_A, mean_C = block[4] / block[0], block[5] / block[6] if block[6] > 0.0 else np.nan
     weight, members = np.exp(log_weight), log_weight.size
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
+    since_load_s = noise.since_load_after(since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
     for k in range(members):
+        if since_load_s > 0.0:
+            settle(pack, x[k], P[k], dt_s)
         mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, air.ambient_C, dt_s)
         step_A = mean_A - block_A
         mean, spread, innovation_V[k], variance_V2[k], nis, volts, off_K = update(
@@ -181,10 +198,11 @@ def close(
         put(x[k], P[k], mean, spread)
     for i in range(block.size):
         block[i] = 0.0
-    log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
+    if not noise.is_settling(since_load_s):
+        log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)
-    return log_weight, shown_V, shown_nis, expected_V, mean_A, air
+    return log_weight, shown_V, shown_nis, expected_V, mean_A, air, since_load_s
 
 
 @compiled
@@ -206,6 +224,7 @@ def look(
 def run(
     pack: Pack,
     air: noise.Air,
+    since_load_s: float,
     rows: Array,
     most: int,
     at_s: float,
@@ -237,7 +256,9 @@ def run(
             continue
         current_A = true_current(pack.installation, metered_A, voltage_V)
         if dt_s > BLOCK_S and block[1] > 0.0:  # rows before a gap belong to the time before it
-            log_weight, _, _, _, block_A, air = close(pack, x, P, log_weight, block, block_A, air)
+            log_weight, _, _, _, block_A, air, since_load_s = close(
+                pack, x, P, log_weight, block, block_A, air, since_load_s
+            )
             ambients_C[k] = air.ambient_C
         block[0] += 1.0
         block[1] += dt_s
@@ -251,8 +272,8 @@ def run(
         if block[1] < BLOCK_S:
             look(pack, x, log_weight, block[2], current_A, voltage_V, shown[k])
             continue
-        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air = close(
-            pack, x, P, log_weight, block, block_A, air
+        log_weight, shown[k, 0], shown[k, 1], shown[k, 2], block_A, air, since_load_s = close(
+            pack, x, P, log_weight, block, block_A, air, since_load_s
         )
         ambients_C[k] = air.ambient_C
         shown[k, 3] = np.sum(np.exp(log_weight) * x[:, X.SOC])
@@ -260,4 +281,4 @@ def run(
         put_all(means[last], covariances[last], log_weights[last], x, P, log_weight)
         in_force[k] = last
     moments = (means[: last + 1], covariances[: last + 1], log_weights[: last + 1])
-    return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block, air)
+    return moments, in_force, times_s, ambients_C, shown, (before_A, block_A, block, air, since_load_s)

@@ -14,6 +14,7 @@ from uavbatt.battery import initial_state, model
 from uavbatt.battery import state_space as b
 from uavbatt.battery.capacity_prior import Capacities
 from uavbatt.battery.equations import Number
+from uavbatt.battery.initial_state import IDLE_C_RATE
 from uavbatt.battery.model import Array, State
 from uavbatt.battery.pack import c_rate, grown, series_resistance, weak_lag
 from uavbatt.battery.scaling import Pack
@@ -42,6 +43,10 @@ AIR_OFF_SDS, AIR_TAU_S = 1.1, 30.0
 # The air moves by so much a second for each kelvin. With a quarter of it packs that come warm into the cold are still
 # given twice the time; with twice as much it swings by 15 K.
 AIR_GAIN_PS, LONGEST_AIR_STEP_S = 0.2, 10.0
+
+# What a load made of the discrepancy leaves with it, as overpotentials do. While these go, faster or slower than those
+# of the file, they tell nothing of the capacity. Else a pack that landed nearly empty is believed three times as full.
+SETTLING_S, SETTLED_AFTER_S = 30.0, 60.0
 
 VOLTAGE_SD_V = 0.004
 # Of what a reaction takes more than in the block before. The bend of its drop is a third of it; and in the first
@@ -76,7 +81,7 @@ def first_state(pack: Pack, cell_V: float, temp_C: float, rate_c: float) -> Firs
     weak cell are part of it, as they are of every voltage that the filter expects (`pack.terminal_voltage`).
     """
     installation, cell = pack.installation, grown(pack.cell, pack.installation)
-    idle = abs(rate_c) < initial_state.IDLE_C_RATE
+    idle = abs(rate_c) < IDLE_C_RATE
     drop_share = float(np.hypot(UNSEEN_SHARE, pack.resistance_scale_sd))
     model_sd_V = pack.bias_sd_V * (pack.rested_share[0] if idle else 1.0)
     reaction_V = float(_reaction_V(pack, pack.reaction_sd_V, rate_c))
@@ -137,6 +142,21 @@ def process_variances(pack: Pack, mean: Array, rate_c: float, dt_s: float) -> Ar
     q[X.LOG_CAPACITY] = CAPACITY_WALK_PER_S * dt_s
     q[X.BIAS] = b.bias_variance(pack, dt_s) + b.ocv_doubt(pack, mean[X.SOC], rate_c * dt_s / 3600.0)
     return q
+
+
+def since_load_after(since_load_s: float, rate_c: float, dt_s: float) -> float:
+    """Return for how long a pack has rested since its last load [s], after `dt_s` [s] at a C-rate; NaN before any."""
+    return 0.0 if abs(rate_c) > IDLE_C_RATE else since_load_s + dt_s
+
+
+def is_settling(since_load_s: float) -> bool:
+    """Return True if a load has just gone, so that the voltage still moves by overpotentials of no known make."""
+    return 0.0 < since_load_s < SETTLED_AFTER_S
+
+
+def rested_variance(pack: Pack, soc: Number) -> Number:
+    """Return the variance [V²] of the discrepancy of a cell at rest: what its open-circuit voltage is not known to."""
+    return (pack.rested_share[0] * pack.bias_sd_V) ** 2 + b.at_charge(pack.ocv_sd_V, soc) ** 2
 
 
 class Air(NamedTuple):

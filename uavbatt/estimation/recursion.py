@@ -42,6 +42,7 @@ class FilterState(NamedTuple):
     block_A: float  # mean of the last block
     block: Block  # the open one
     air: noise.Air
+    since_load_s: float = math.nan  # before the first load there is nothing to settle
 
 
 class Innovation(NamedTuple):
@@ -130,7 +131,7 @@ def _take(
     if dt_s > BLOCK_S and state.block.duration_s > 0.0:
         state, _ = _close(pack, state, condition)  # rows before a gap belong to the time before it
     block = state.block.after(sample, current_A, dt_s, state.current_A)
-    state = FilterState(state.moments, sample.time_s, current_A, state.block_A, block, state.air)
+    state = FilterState(state.moments, sample.time_s, current_A, state.block_A, block, state.air, state.since_load_s)
     if block.duration_s < BLOCK_S:
         return state, None
     return _close(pack, state, condition)
@@ -159,20 +160,35 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     block, at = state.block, state.moments
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     rate = float(c_rate(pack.installation, mean_A))
+    since_load_s = noise.since_load_after(state.since_load_s, rate, dt_s)
+    if since_load_s > 0.0:
+        at = _settled(pack, at, dt_s)
     process_Q = noise.process_variances(pack, at.x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.air.ambient_C, dt_s), at.x, at.P, process_Q)
     step_A = block.current_A - state.block_A
-    moments, shown, warmer_K = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition)
+    weighs = not noise.is_settling(since_load_s)
+    moments, shown, warmer_K = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition, weighs)
     is_read = math.isfinite(warmer_K)
     air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
-    return state._replace(moments=moments, block_A=block.current_A, block=Block(), air=air), shown
+    return FilterState(moments, state.time_s, state.current_A, block.current_A, Block(), air, since_load_s), shown
+
+
+def _settled(pack: Pack, at: Moments, dt_s: float) -> Moments:
+    """Return the moments with the discrepancy on its way, for `dt_s` [s], to what it is in a pack at rest."""
+    keep, x, P = math.exp(-dt_s / noise.SETTLING_S), at.x.copy(), at.P.copy()
+    x[:, X.BIAS] *= keep
+    P[:, X.BIAS, :] *= keep
+    P[:, :, X.BIAS] *= keep
+    P[:, X.BIAS, X.BIAS] += (1.0 - keep**2) * noise.rested_variance(pack, x[:, X.SOC])
+    return Moments(x, P, at.log_weight)
 
 
 def _update(
-    pack: Pack, at: Moments, block: Block, step_A: float, condition: Condition
+    pack: Pack, at: Moments, block: Block, step_A: float, condition: Condition, weighs: bool
 ) -> tuple[Moments, Innovation, float]:
     """Condition the moments on the means of a block, whose current is `step_A` [A] more than the last one's.
 
+    weighs : the block tells which member is right.
     Returns them, what is shown, and by how much the block is warmer than expected [K], NaN without a temperature.
     """
     current_A, temp_C = block.current_A, block.temp_C
@@ -195,7 +211,9 @@ def _update(
     # Far off (NIS above GATE): believe it less, so that its normalised innovation is GATE.
     doubted = noise_R + spread * np.maximum(nis / GATE - 1.0, 0.0)[:, None, None]
     x, P = _at_most_full(*condition(at.x, at.P, innovation, observation, doubted), condition)
-    log_weight = weighed(at.log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
+    log_weight = at.log_weight
+    if weighs:
+        log_weight = weighed(log_weight, innovation[:, 0], spread[:, 0, 0], pack.evidence_share)
     after = Moments(x, 0.5 * (P + np.swapaxes(P, 1, 2)), log_weight)
     weight, soc = at.weight, float(after.weight @ x[:, X.SOC])
     shown = Innovation(float(weight @ innovation[:, 0]), float(weight @ nis), float(weight @ expected[:, 0]), soc)
