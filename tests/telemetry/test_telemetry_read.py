@@ -14,6 +14,7 @@ import pytest
 from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.records import Flight, PackFacts, Sample
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.info import describe, lines
 from uavbatt.telemetry.plausibility import plausible_temperature_C, sag_correlation, temperature_verdict
 
@@ -194,3 +195,29 @@ def test_real_logs_are_described(shared_data: Path) -> None:
     sound = describe(read_log(shared_data / "truth/reference/r0/flight_1.tlog"))
     assert (sound.trust, sound.temperature) == ("yes", "plausible")
     assert sound.drawn_Ah == pytest.approx(sound.counter_Ah, rel=0.01)
+
+
+def of_batteries(*currents_A: float) -> LogBuilder:
+    """A log whose batteries report these currents at the same times."""
+    log = LogBuilder()
+    for k in range(100):
+        for number, current_A in enumerate(currents_A):
+            log.add(number, Sample(log.time_s(float(k)), 15.0, current_A))
+    return log
+
+
+@pytest.mark.parametrize(
+    ("currents_A", "number"),
+    [
+        ((1.0, 20.0), 1),  # a camera's pack comes first
+        ((20.0, 1.0), 0),
+        ((9.0, 11.0), 0),  # two in parallel
+        ((10.0, 10.0, 20.0), 0),  # and a monitor that sums them
+        ((math.nan, 20.0), 1),
+        ((math.nan, math.nan), 0),
+        ((0.0, 0.0), 0),
+        ((-5.0, 20.0), 1),
+    ],
+)
+def test_the_battery_that_carries_the_flight_is_read(currents_A: tuple[float, ...], number: int) -> None:
+    assert default_instance(of_batteries(*currents_A)) == number

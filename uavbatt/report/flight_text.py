@@ -19,12 +19,18 @@ from uavbatt.report.series import warnings_of
 JUST_S, NEAR_S = 30.0, 10.0
 
 
+def _which(flight: Flight) -> str:
+    """Which battery it is, where the log has several."""
+    others = ", ".join(str(number) for number in flight.instances if number != flight.instance)
+    return f", battery {flight.instance} (--instance reads {others})" if others else ""
+
+
 def lines(flight: Flight, resolved: PackSize, found: Outcome, run: list[ReplayedRow]) -> list[str]:
     """Return the summary of a replay for a person, as lines."""
     status = resolved.status if resolved.status == "certified" else f"{resolved.status}, not certified"
     lines = [
         f"{flight.source}: {first_answer(found.landing, found.end_of_flight_s, resolved.cutoff_V)}",
-        f"  log        {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s",
+        f"  log        {flight.kind}, {found.rows} rows, {found.duration_s:.0f} s{_which(flight)}",
         f"  battery    {resolved.battery} ({status}); {resolved.words}",
         f"  at the end {found.end_voltage_V:.2f} V, {_charge(found)}",
         f"  forecast   {_given(found.refused_in_air)}",

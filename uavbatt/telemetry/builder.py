@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -30,6 +29,7 @@ LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup l
 SEGMENT_GAP_S = 1.0
 MAX_VOLTAGE_V = 200.0
 MAX_CURRENT_A = 2000.0
+CARRYING = 0.4  # of the energy that the strongest battery gave: of two in parallel each gives about half
 
 
 @dataclass(slots=True)
@@ -114,13 +114,19 @@ def finite_or_nan(value: float) -> float:
 
 
 def default_instance(log: LogBuilder) -> int:
-    """Return the first instance in the log that reports a current; if none does, the first with a voltage."""
-    there = {number: rows.first_current_s for number, rows in log.columns.items()}
-    there |= {number: _first_current_s(rows) for number, rows in log.rows.items()}
-    with_current = [(time_s, number) for number, time_s in there.items() if not math.isnan(time_s)]
+    """Return the battery that carries the flight: the first to report a current of those that give most of the energy.
+
+    If none reports a current, it is the first with a voltage.
+    """
+    from uavbatt.telemetry.columns import rows_of
+    from uavbatt.telemetry.drawn import given_J
+
+    there = log.columns or {number: rows_of(rows) for number, rows in log.rows.items()}
+    if len(there) == 1:
+        return next(iter(there))
     # min() keeps the first of equals, and a dict keeps the log's order: a tie goes to the earlier one.
-    return min(with_current, key=lambda pair: pair[0])[1] if with_current else next(iter(there))
-
-
-def _first_current_s(samples: Iterable[Sample]) -> float:
-    return next((s.time_s for s in samples if not math.isnan(s.current_A)), NAN)
+    first_s = {number: rows.first_current_s for number, rows in there.items() if not math.isnan(rows.first_current_s)}
+    given = {number: given_J(there[number]) for number in first_s}
+    most_J = max(given.values(), default=0.0)
+    carrying = [number for number, energy_J in given.items() if energy_J >= CARRYING * most_J]
+    return min(carrying or first_s or there, key=lambda number: first_s.get(number, 0.0))

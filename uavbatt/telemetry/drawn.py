@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.records import NAN, Sample
+from uavbatt.telemetry.columns import Columns
 
+LONGEST_STEP_S = 30.0
 LOADED_SHARE = 1.0 / 3.0  # of the flight's upper current
 
 
@@ -53,6 +55,12 @@ def _sum(values: Iterable[float]) -> float:
     """Return the sum of what is known; NaN where nothing is."""
     known = [value for value in values if math.isfinite(value)]
     return sum(known) if known else NAN
+
+
+def given_J(rows: Columns) -> float:
+    """Return the energy that a battery gave [J], by trapezoids; a step longer than LONGEST_STEP_S is a gap."""
+    step_s, power_W = np.diff(rows.time_s), rows.voltage_V * rows.current_A
+    return float(np.nansum((0.5 * (power_W[1:] + power_W[:-1]) * step_s)[step_s <= LONGEST_STEP_S]))
 
 
 def loaded_A(current_A: NDArray[np.float64]) -> float:

@@ -38,7 +38,7 @@ def read_log(path: str | Path, instance: int | None = None, system: int | None =
     """Read a flight log of any supported kind.
 
     instance: the battery to read (ArduPilot's instances, MAVLink's ids: from 0). By default the
-    first in the log that reports a current; if none does, the first with a voltage.
+    one that carries the flight (`default_instance`).
     system: MAVLink's number of the vehicle in a `.tlog` that holds several. By default the first that speaks of a
     battery.
     path: `-` reads standard input; a log in gzip, or alone in a zip archive, is unpacked.
