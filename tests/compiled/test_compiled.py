@@ -108,6 +108,14 @@ def test_the_filter_on_the_sample_logs(name: str) -> None:
     assert_same_rows(pack, list(uavbatt.read_log(LOGS / name).samples[:600]))
 
 
+def test_the_filter_after_a_landing() -> None:
+    """A minute at rest is not weighed, the next is; then the load comes back."""
+    before = list(flown()[150:500])
+    rest = [Sample(before[-1].time_s + 1.0 + k, 15.6 + 0.002 * k, 0.3, 25.0) for k in range(90)]
+    shift_s = rest[-1].time_s + 1.0 - flown()[500].time_s
+    assert_same_rows(pack_4s(), [*before, *rest, *(replace(s, time_s=s.time_s + shift_s) for s in flown()[500:560])])
+
+
 def test_the_filter_on_flown_flights(shared_data: Path) -> None:
     # Not the first: one generic capacity explains it so badly that the discrepancy runs to 0.4 V a cell, where the last
     # digit grows to 1e-8.
