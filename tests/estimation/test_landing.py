@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from scoring.other_pack import FULL_AH, LIHV, LIPO, Make, Pack, flown, rested
+from scoring.other_pack import LIHV, LIPO, Make, Pack, flown, rested
 from scoring.scenarios import STATED
 
 from uavbatt.battery import battery_file
