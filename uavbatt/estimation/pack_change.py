@@ -5,8 +5,7 @@ can show at rest has two bounds. The upper one: it rested all along, so the open
 The lower one: the load went on to the end of the silence, and the overpotentials are still there. When the rested
 voltage is outside these bounds for several rows, it is another pack. After a silence of minutes the old pack would
 have settled, so both bounds are close to its predicted voltage. Without a silence three things tell another pack: a
-fall of the rested voltage (a pack at rest only rises), a leap of it once it rises slowly, and far too much voltage (a
-pack that was just loaded shows too little for a while).
+fall of the rested voltage (a pack at rest only rises), and, once it rises slowly, a leap of it or far too much voltage.
 """
 
 from __future__ import annotations
@@ -71,9 +70,10 @@ class SwapWatch(NamedTuple):
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             return SwapWatch(time_s, current_A, belief, row_s)
         since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
-        other = row.innovation_V > FAR_CELL_V * cells or cell_V < self.rested_V - FALLEN_CELL_V
-        if gap_s <= LEAPT_WITHIN_S and time_s - since_s > SLOWLY_AFTER_S:
-            other = other or cell_V > self.rested_V + LEAPT_CELL_V
+        other = cell_V < self.rested_V - FALLEN_CELL_V
+        if time_s - since_s > SLOWLY_AFTER_S:
+            has_leapt = gap_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V
+            other = other or has_leapt or row.innovation_V > FAR_CELL_V * cells
         if bounds is not None:
             other = other or not bounds.low_V <= cell_V <= bounds.high_V
         if other:

@@ -25,8 +25,9 @@ def remarks(
     validated, core_C = battery.certificate.validated_ambient_C, known.core_temp_C
     if validated and math.isfinite(core_C):
         low_C, high_C = min(validated) - BELOW_VALIDATED_K, max(validated) + ABOVE_VALIDATED_K
-        if not low_C <= core_C <= high_C:
-            found.append(f"pack at {core_C:.0f} °C is outside the validated range")
+        if not low_C <= core_C <= high_C:  # no number that changes from row to row: it is said once
+            side = f"below {low_C:g}" if core_C < low_C else f"above {high_C:g}"
+            found.append(f"pack {side} °C: outside the validated range")
     if not math.isfinite(sample.temp_C):
         found.append("no usable pack temperature")
     if pack.sag_compensated:
