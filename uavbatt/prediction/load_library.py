@@ -27,7 +27,7 @@ LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
 SHORTEST_REST_S = 60.0
 OWN_SCALING = 0.5
-USUAL_AWAY = 0.1  # ln of the mean powers of flights of one aircraft; nine of ten Matrice 100 flights are within it
+LEAST_USUAL, USUAL_SDS = 0.1, 2.5  # nine of ten Matrice 100 flights are within 0.1 of the median of the others
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
@@ -45,7 +45,6 @@ class LearnedLoad:
     soc: Array
     landed_s: Array
     mean_W: Array  # running mean power since take-off
-    minutes_W: tuple[float, float]  # lowest and highest power over a minute of them
     powers: Powers = UNKNOWN  # for where a route says what is flown
 
     def typical_W(self, now: Now) -> float:
@@ -57,36 +56,54 @@ class LearnedLoad:
         grid_s = GRID_S * np.arange(self.power_W.shape[1])
         ahead_s = dt_s * np.arange(steps)
         flights = self.power_W.shape[0]
-        traces_W, mean_W = np.empty((steps, flights)), np.empty(flights)
+        traces_W, mean_W, minute_W = np.empty((steps, flights)), np.empty(flights), np.empty(flights)
         for i in range(flights):
             by_time_s = min(now.since_take_off_s, self.landed_s[i] + 300.0)
             by_soc_s = float(np.interp(-now.soc, -self.soc[i], grid_s))
             start_s = 0.5 * by_time_s + 0.5 * by_soc_s
             mean_W[i] = np.interp(start_s, grid_s, self.mean_W[i])
             traces_W[:, i] = np.interp(start_s + ahead_s, grid_s, self.power_W[i])
-        traces_W *= own_scales(self._compared_W(now) / mean_W, now.since_take_off_s)
+            minute_W[i] = np.mean(np.interp(start_s - np.arange(0.0, MEAN_TAU_S, GRID_S), grid_s, self.power_W[i]))
+        traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
         levels = equal_levels(OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
         weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
         return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
 
-    def _compared_W(self, now: Now) -> float:
-        """This flight's mean power, or that of its last minute where no flight of the library flew such a minute."""
-        beyond = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / self.minutes_W[1]) / USUAL_AWAY
-        share = min(max(beyond, 0.0), 1.0)
-        return float(now.flight_W ** (1.0 - share) * now.recent.mean_W**share)
-
 
 def own_scales(ratio: Array, since_take_off_s: float) -> Array:
     """Return the factors on the powers of past flights [flights], by this flight's power over theirs so far [flights].
 
-    Half of what flights of one aircraft usually differ by is chance, and more of it in the first minutes. What all of
-    them are away by beyond that stays: another payload, or wind.
+    Half of what flights of one aircraft usually differ by is chance, and more of it in the first minutes. A flight that
+    is farther away from all of them has another payload, or wind, and keeps its own power.
     """
-    usual = USUAL_AWAY * (1.0 + MEAN_TAU_S / max(since_take_off_s, GRID_S))
-    away = float(np.median(np.log(ratio)))
-    beyond = away - min(max(away, -usual), usual)
-    return np.asarray(ratio**OWN_SCALING * math.exp((1.0 - OWN_SCALING) * beyond))
+    early = 1.0 + MEAN_TAU_S / max(since_take_off_s, GRID_S)
+    surely = _surely(float(np.median(np.log(ratio))), early * _usual(ratio))
+    return np.asarray(ratio ** (OWN_SCALING + (1.0 - OWN_SCALING) * surely))
+
+
+def late_scale(now: Now, shown: Array) -> float:
+    """Return the factor on the power to come where the last minute asks more than past flights did at this place.
+
+    It is a payload taken up, or wind on the nose, which the mean of the whole flight would show late. A minute of less
+    is a descent or a landing, and tells nothing.
+
+    shown : what a minute at this place took over the mean of its flight so far, [flights].
+    """
+    if now.since_take_off_s < 2.0 * MEAN_TAU_S:
+        return 1.0
+    away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W) - float(np.median(np.log(shown)))
+    return math.exp(_surely(away, _usual(shown)) * away) if away > 0.0 else 1.0
+
+
+def _usual(ratio: Array) -> float:
+    """How far from 1 a ratio of powers usually is, in logarithms, by those of the flights of a library."""
+    return math.hypot(LEAST_USUAL, USUAL_SDS * float(np.std(np.log(ratio))))
+
+
+def _surely(away: float, usual: float) -> float:
+    """What of a difference is no chance: nothing up to what is usual, all of it from twice as much on."""
+    return min(max(abs(away) / usual - 1.0, 0.0), 1.0)
 
 
 def learned_load(file: VehicleFile) -> LearnedLoad:
@@ -105,7 +122,7 @@ def learned_load(file: VehicleFile) -> LearnedLoad:
         soc[i] -= 1e-9 * np.arange(grid_s.size)  # strictly falling, so that a charge has one time
     mean_W = np.cumsum(power_W, axis=1) / (np.arange(grid_s.size) + 1.0)
     landed_s = np.array([t.time_s[-1] for t in file.traces])
-    return LearnedLoad(power_W, soc, landed_s, mean_W, _minutes_W(power_W, landed_s), file.powers or UNKNOWN)
+    return LearnedLoad(power_W, soc, landed_s, mean_W, file.powers or UNKNOWN)
 
 
 def _stitched(
@@ -127,15 +144,15 @@ def stated_power(load: Load) -> tuple[float, float] | None:
     """Return the lowest and highest power [W] over a minute that a load states; None for one that states none."""
     if isinstance(load, ConstantLoad):
         return load.power_W, load.power_W
-    return load.minutes_W if isinstance(load, LearnedLoad) else None
-
-
-def _minutes_W(power_W: Array, landed_s: Array) -> tuple[float, float]:
-    """The lowest and the highest power [W] over a minute that the flights of a library flew before they landed."""
+    if not isinstance(load, LearnedLoad):
+        return None
     window = int(MEAN_TAU_S / GRID_S)
-    flown = [watts[: max(int(end_s / GRID_S), window)] for watts, end_s in zip(power_W, landed_s, strict=True)]
-    means_W = np.concatenate([np.convolve(watts, np.full(window, 1.0 / window), mode="valid") for watts in flown])
-    return float(means_W.min()), float(means_W.max())
+    lowest_W, highest_W = math.inf, 0.0
+    for watts, landed_s in zip(load.power_W, load.landed_s, strict=True):
+        flown = watts[: max(int(landed_s / GRID_S), window)]
+        means_W = np.convolve(flown, np.full(window, 1.0 / window), mode="valid")
+        lowest_W, highest_W = min(lowest_W, float(means_W.min())), max(highest_W, float(means_W.max()))
+    return lowest_W, highest_W
 
 
 @dataclass(frozen=True, slots=True)
