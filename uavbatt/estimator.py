@@ -237,7 +237,7 @@ class Estimator:
 
     def _cleaned(self, samples: Sequence[Sample]) -> tuple[list[Cleaner], list[Sample]]:
         """Return the cleaner after each sample, and the samples after cleaning."""
-        cleaner, size = self._cleaner, self._known.size or self._known.by_voltage(samples)
+        cleaner, size = self._cleaner.told(self._known.facts), self._known.size or self._known.by_voltage(samples)
         # Without a current sensor a typical power is assumed; no pack of the size gives more than `most_A`.
         assumed_W = NAN if size is None or cleaner.metered else typical_power_W(size.cells, size.capacity_Ah)
         most_A = HIGHEST_C_RATE * size.capacity_Ah if size is not None else math.inf

@@ -67,7 +67,7 @@ class PackFacts:
     """It holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
 
     Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to the voltage it
-    reports.
+    reports; temperature_of_escs: what it reports as the pack's temperature is that of the motor controllers.
     """
 
     cells_series: int | None = None
@@ -75,6 +75,7 @@ class PackFacts:
     low_voltage_V: float = NAN
     critical_voltage_V: float = NAN
     sag_compensated: bool | None = None
+    temperature_of_escs: bool = False
 
     @property
     def endings_V(self) -> tuple[float, ...]:

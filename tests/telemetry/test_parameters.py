@@ -1,11 +1,17 @@
-"""What ArduPilot's parameters say of a battery whose monitor sums others."""
+"""What ArduPilot's parameters say of a battery: whose monitor sums others, or is that of the motor controllers."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
+from scoring.other_pack import Pack, flown, rested
+from scoring.scenarios import STATED
 
+from uavbatt.battery import battery_file
+from uavbatt.estimator import Estimator
+from uavbatt.records import Estimate, PackFacts, Remaining, Sample
 from uavbatt.telemetry.parameters import facts_timeline
 
 PARTS = {"BATT_MONITOR": 4.0, "BATT_CAPACITY": 5000.0, "BATT2_MONITOR": 4.0, "BATT2_CAPACITY": 6000.0}
@@ -28,3 +34,23 @@ def test_a_sum_of_monitors_holds_what_its_parts_hold(more: dict[str, float], cap
     said = ((0.0, name, value) for name, value in (PARTS | more).items())
     facts = facts_timeline(said, 2, is_telemetry=True)
     assert (facts[-1][1].capacity_Ah if facts else math.nan) == pytest.approx(capacity_Ah, nan_ok=True)
+
+
+def test_the_temperature_of_motor_controllers_is_not_the_packs() -> None:
+    """They warm by 40 K in two minutes: a healthy flight was told a third of its time."""
+    pack = Pack()
+    rows = rested(pack, 20, 0.0)
+    rows += flown(pack, 20.0, 300, rows[-1].consumed_Ah)
+    warm = [replace(row, temp_C=25.0 + 40.0 * (1.0 - math.exp(-max(row.time_s - 20.0, 0.0) / 120.0))) for row in rows]
+    told = facts_timeline(((0.0, "BATT_MONITOR", 9.0),), 0, is_telemetry=True)[-1][1]
+    believed, blind = said(warm, told), said([replace(row, temp_C=math.nan) for row in rows], told)
+    assert believed[0].soc == pytest.approx(blind[0].soc, abs=1e-9)
+    assert believed[1].remaining_s == pytest.approx(blind[1].remaining_s, abs=1e-6)
+    assert any("motor controllers" in warning for warning in believed[0].warnings)
+
+
+def said(rows: list[Sample], facts: PackFacts) -> tuple[Estimate, Remaining]:
+    """What is said at the last of some rows."""
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), STATED)
+    estimator.update_facts(facts)
+    return list(estimator.run(rows))[-1]

@@ -103,12 +103,13 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < 10:
         raise NotEnoughData(f"{flight.source}: {len(rows)} rows with voltage and current: expected at least 10")
+    of_escs = flight.facts_at(rows[-1].time_s).temperature_of_escs
     return Observed(
         name=flight.source,
         time_s=np.array([s.time_s for s in rows]),
         voltage_V=np.array([s.voltage_V for s in rows]),
         current_A=np.array([s.current_A for s in rows]),
-        temp_C=np.array([s.temp_C for s in rows]),
+        temp_C=np.array([NAN if of_escs else s.temp_C for s in rows]),
         ambient_C=NAN,
         cells=cells,
         capacity_Ah=capacity_Ah,

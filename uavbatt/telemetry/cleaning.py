@@ -12,7 +12,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from uavbatt.records import NAN, Sample
+from uavbatt.records import NAN, PackFacts, Sample
 from uavbatt.telemetry.plausibility import BOARD_START_C, plausible_temperature_C
 
 LATEST_S = 1e12  # no clock shows thirty thousand years
@@ -34,6 +34,7 @@ class Cleaner(NamedTuple):
     temp_C: float = NAN
     temp_s: float = NAN
     is_board_sensor: bool = False
+    reads_escs: bool = False  # the temperature is that of the motor controllers
     current_A: float = NAN
     current_s: float = NAN
     metered: bool = False
@@ -56,6 +57,10 @@ class Cleaner(NamedTuple):
         if temp_C is not sample.temp_C or current_A is not sample.current_A:
             sample = replace(sample, temp_C=temp_C, current_A=current_A)
         return now._with_cells(sample) if sample.cell_voltages_V else now, sample
+
+    def told(self, facts: PackFacts) -> Cleaner:
+        """Return the cleaner with what the vehicle states of its sensors."""
+        return self._replace(reads_escs=facts.temperature_of_escs)
 
     def moved(self, shift_s: float) -> Cleaner:
         """Return the same memory on a clock that shows `shift_s` [s] more."""
@@ -86,7 +91,7 @@ class Cleaner(NamedTuple):
             return self, NAN
         is_board = self.is_board_sensor or (not math.isfinite(self.temp_C) and temp_C > BOARD_START_C)
         now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
-        return now, NAN if is_board else temp_C
+        return now, NAN if is_board or self.reads_escs else temp_C
 
     def _with_current(self, sample: Sample, assumed_power_W: float, most_A: float) -> tuple[Cleaner, float]:
         """Take the current in; returns it [A] as read, held or worked out, NaN where it is unknown."""
@@ -121,7 +126,9 @@ class Cleaner(NamedTuple):
     def notices(self) -> tuple[str, ...]:
         """Return notices about the sensors for whoever reads the estimate."""
         found = []
-        if self.is_board_sensor:
+        if self.reads_escs:
+            found.append("the temperature is that of the motor controllers (BATT_MONITOR 9), not the pack's: not used")
+        elif self.is_board_sensor:
             found.append(f"the temperature started above {BOARD_START_C:.0f} °C: a board's, not the pack's, not used")
         if self.guessed and math.isfinite(self.stated_power_W):
             found.append("no current sensor: current worked out from the stated power")

@@ -105,9 +105,11 @@ def _facts(facts: Sequence[PackFacts], wiring: Wiring) -> PackFacts:
     """Join the vehicle's words about each battery into words about the joined pack."""
     capacities = [f.capacity_Ah for f in facts]
     said = [f.sag_compensated for f in facts if f.sag_compensated is not None]
-    sag_compensated = any(said) if said else None
+    sag_compensated, of_escs = any(said) if said else None, any(f.temperature_of_escs for f in facts)
     if wiring is Wiring.PARALLEL:
-        return replace(facts[0], capacity_Ah=sum(capacities), sag_compensated=sag_compensated)
+        return replace(
+            facts[0], capacity_Ah=sum(capacities), sag_compensated=sag_compensated, temperature_of_escs=of_escs
+        )
     cells = [f.cells_series for f in facts]
     return PackFacts(
         cells_series=sum(c for c in cells if c) if all(cells) else None,
@@ -115,6 +117,7 @@ def _facts(facts: Sequence[PackFacts], wiring: Wiring) -> PackFacts:
         low_voltage_V=sum(f.low_voltage_V for f in facts),
         critical_voltage_V=sum(f.critical_voltage_V for f in facts),
         sag_compensated=sag_compensated,
+        temperature_of_escs=of_escs,
     )
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from uavbatt.records import NAN, PackFacts
 
 _UNTOUCHED_CAPACITY_MAH = 3300.0
-VOLTAGE_ONLY, SUM_OF_OTHERS = 3.0, 10.0  # of BATT_MONITOR
+VOLTAGE_ONLY, ESCS, SUM_OF_OTHERS = 3.0, 9.0, 10.0  # of BATT_MONITOR
 _MOST_MONITORS = 16
 _MAX_CELLS = 100  # beyond it the value is damaged
 _SAG_COMPENSATED_TELEMETRY = 64  # bit 6 of BATT_OPTIONS
@@ -138,6 +138,7 @@ def _facts(known: Mapping[str, float], instance: int, is_telemetry: bool) -> Pac
         low_voltage_V=_first(known, *low_names),
         critical_voltage_V=critical_V if critical_V > 0 or not cells * empty_V > 0 else cells * empty_V,
         sag_compensated=None if options is None else is_telemetry and _has_bit(options),
+        temperature_of_escs=known.get(prefix + "MONITOR") == ESCS,
     )
 
 

@@ -135,6 +135,8 @@ def _statements(facts: PackFacts, known_V: Sequence[float]) -> Iterator[Finding]
 def _surroundings(found: Findings) -> Iterator[Finding]:
     if found.temperature == "absent":
         yield _YES, "no temperature: the interval will be wider"
+    elif found.facts.temperature_of_escs:
+        yield _CARE, "temperature: of the motor controllers (BATT_MONITOR 9), not the pack's: not used"
     elif found.temperature != "plausible":
         yield _CARE, f"temperature: {found.temperature}"
     if not found.facts.capacity_Ah > 0:
