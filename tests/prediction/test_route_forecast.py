@@ -194,6 +194,19 @@ def test_on_the_way_home_the_route_is_the_way_home() -> None:
     assert said.soc == pytest.approx(said.home_soc, abs=0.01)
 
 
+@pytest.mark.parametrize(("north_ms", "east_ms", "is_known"), [(0.0, -8.0, True), (8.0, 0.0, False), (0.0, 0.0, False)])
+def test_a_return_along_the_own_track_is_known_where_it_is_straight(
+    north_ms: float, east_ms: float, is_known: bool
+) -> None:
+    """It was taken for a straight way home: "the route comes home in time" of one that was 2.5 times as long."""
+    now = replace(known(leg_to(350.0)), mode=Mode.RETURN_BY_TRACK)
+    assert now.position is not None
+    said = route(replace(now, position=replace(now.position, north_ms=north_ms, east_ms=east_ms)))
+    assert math.isfinite(said.left_s) is is_known
+    assert math.isfinite(said.home_soc) is is_known
+    assert is_known or "own track" in said.reason
+
+
 def test_without_a_position_and_without_home_nothing_is_invented() -> None:
     said = route(replace(known(leg_to(350.0)), home=None))
     assert "home is not known" in said.reason

@@ -20,6 +20,7 @@ from uavbatt.prediction.route_pieces import Pieces, Way, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 from uavbatt.records import NAN
 
+STRAIGHT = 0.9  # of the speed: within 26 degrees of the way home
 LEAST_TIMING_SD = 0.02
 FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
 
@@ -92,10 +93,22 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
         return "the position is not known" if navigation.position is None else "the position is stale"
     if elsewhere := return_reason(navigation.mission, navigation.settings):
         return elsewhere
+    if navigation.mode is Mode.RETURN_BY_TRACK and not _heads_home(here, navigation):
+        return "the aircraft returns along its own track, which is not known"
     legs = way_home(here, navigation.settings)
     if navigation.mode in (Mode.RETURN, Mode.RETURN_BY_TRACK):
         legs = _begun(here, navigation)
     return Ahead(here, way_of(progress).pieces(legs_table(legs)))
+
+
+def _heads_home(here: Point, navigation: Navigation) -> bool:
+    """Return True if the aircraft flies straight towards home, or is there: what is left of its track is a line."""
+    distance_m, position = math.hypot(here.north_m, here.east_m), navigation.position
+    if distance_m < OVER_HOME_M or position is None:
+        return True
+    speed_ms = math.hypot(position.north_ms, position.east_ms)
+    homeward_ms = -(position.north_ms * here.north_m + position.east_ms * here.east_m) / distance_m
+    return speed_ms > FARTHEST_HOVER_MS and homeward_ms > STRAIGHT * speed_ms
 
 
 def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
