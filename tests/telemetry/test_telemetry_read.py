@@ -9,12 +9,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.records import Flight, PackFacts, Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.builder import LogBuilder, default_instance
+from uavbatt.telemetry.drawn import loaded_A
 from uavbatt.telemetry.info import describe, lines
 from uavbatt.telemetry.plausibility import plausible_temperature_C, sag_correlation, temperature_verdict
 
@@ -221,3 +223,10 @@ def of_batteries(*currents_A: float) -> LogBuilder:
 )
 def test_the_battery_that_carries_the_flight_is_read(currents_A: tuple[float, ...], number: int) -> None:
     assert default_instance(of_batteries(*currents_A)) == number
+
+
+@pytest.mark.parametrize("idle_rows", [0, 60, 5400])
+def test_a_flight_is_under_load_however_long_the_log_idles(idle_rows: int) -> None:
+    """A flight of seven minutes in an hour and a half of log was none: every row counted as flown."""
+    amps = np.array([0.4] * idle_rows + [18.0, 22.0] * 200 + [math.nan, 0.4])
+    assert 0.4 < loaded_A(amps) < 18.0

@@ -64,7 +64,13 @@ def given_J(rows: Columns) -> float:
 
 
 def loaded_A(current_A: NDArray[np.float64]) -> float:
-    """Return the current [A] above which a row is under load: a third of the upper one; infinite if none is known."""
-    if not np.isfinite(current_A).any():
+    """Return the current [A] above which a row is under load: a third of the upper one; infinite if none is known.
+
+    The upper one: of a tenth of the rows, or, where the flight is a small part of a log, of half of the charge.
+    """
+    known_A = np.sort(current_A[np.isfinite(current_A)])
+    if not known_A.size:
         return math.inf
-    return LOADED_SHARE * float(np.nanpercentile(current_A, 90))
+    drawn = np.cumsum(np.maximum(known_A, 0.0))
+    half_A = known_A[np.searchsorted(drawn, 0.5 * drawn[-1])]
+    return LOADED_SHARE * float(max(np.percentile(known_A, 90), half_A))
