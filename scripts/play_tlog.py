@@ -28,6 +28,8 @@ def main() -> None:
     while position + 8 < len(data):
         (stamp_us,) = struct.unpack_from(">Q", data, position)
         length = frame_length(data, position + 8)
+        if length < 1:
+            parser.exit(1, f"{args.log}: no frame at byte {position + 8}: damaged from there on\n")
         first_us = first_us or stamp_us
         due_s = start_s + (stamp_us - first_us) / 1e6 / args.speed
         if due_s - start_s > args.seconds:

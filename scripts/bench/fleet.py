@@ -155,5 +155,5 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["make"]:
         make(Path(sys.argv[2]), *map(int, sys.argv[3:4]))
     else:
-        for line in lines(*map(int, sys.argv[1:2])):
+        for line in lines(*map(int, sys.argv[1:3])):
             print(line, flush=True)

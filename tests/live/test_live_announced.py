@@ -180,6 +180,22 @@ def test_a_load_that_never_comes_is_said_where_the_autopilot_says_that_it_flies(
     assert flight(Announcer(0, ()), *parts, airborne_s=40) == [(60, "Battery 0: time unknown, no load seen")]
 
 
+@pytest.mark.parametrize("start_s", [0.0, 1000.0])
+def test_the_load_that_never_comes_is_said_whenever_the_companion_was_started(start_s: float) -> None:
+    """Positions carry the vehicle's time, which is not the companion's: half an hour of uptime silenced the text."""
+    bench = Bench(start_s=start_s)
+    for k in range(5 * 60):
+        if k % 5 == 0:
+            bench.send(heartbeat(True))
+        home = (470000000, 80000000, 400000, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+        bench.send(dialect.MAVLink_home_position_message(*home))
+        bench.send(dialect.MAVLink_global_position_int_message(0, 470000000, 80000000, 430000, 30000, 0, 0, 0, 0))
+        bench.send(battery_status(Sample(0.0, 16.0, 0.0, 25.0, 0.0, armed=True), 0))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+    assert "Battery 0: time unknown, no load seen" in [text for _, text in bench.daemon.board.said]
+
+
 def test_every_flight_has_a_warning_of_its_own() -> None:
     one = ((10, False, forecaster.NOT_FLYING), (60, True, "no current in this row"))
     assert [k for k, _ in flight(Announcer(0, ()), *one, *one)] == [30, 100]

@@ -313,7 +313,7 @@ def test_the_page_answers_to_its_own_names_and_runs_its_own_scripts_only() -> No
         response = connection.getresponse()
         return response.status, response.headers.get("Content-Security-Policy", "")
 
-    for own in (f"127.0.0.1:{port}", f"localhost:{port}", "companion.local", "[::1]:80", "192.168.1.7:8080"):
+    for own in (f"127.0.0.1:{port}", f"localhost:{port}", "companion.local", "[::1]:80", "[::1]", "192.168.1.7:8080"):
         assert answered(own)[0] == 200, own
     assert answered("evil.example")[0] == answered(f"127.0.0.1.evil.example:{port}")[0] == 421
     policy = answered("localhost")[1]

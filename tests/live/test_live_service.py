@@ -210,7 +210,7 @@ def test_options_go_before_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         ("[pack]\ncells = 'four'\n", "pack.cells"), ("[feed]\nkinds = ['radio']\n", "feed.kinds"),
         ("[record]\nwhen = 'sometimes'\n", "record.when"),
         ("[pack]\nforecast_period_s = 0\n", "pack.forecast_period_s"), ("[state]\nperiod_s = -1\n", "state.period_s"),
-        ("[wings]\n", "wings"), ("[link\n", "TOML"),
+        ("[record]\nmax_file_MB = inf\n", "record.max_file_MB"), ("[wings]\n", "wings"), ("[link\n", "TOML"),
     ],
 )  # fmt: skip
 def test_an_error_names_the_key_and_the_file(tmp_path: Path, text: str, key: str) -> None:

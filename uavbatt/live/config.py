@@ -6,6 +6,7 @@ line override. An unknown key, a wrong type or an impossible value is named with
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Annotated, Literal
@@ -129,13 +130,25 @@ def read_config(path: Path | None = None) -> Config:
     except OSError as error:
         raise BadInput(named, "", f"a configuration file, cannot be read: {error.strerror}") from None
     try:
-        return msgspec.toml.decode(text, type=Config)
+        config = msgspec.toml.decode(text, type=Config)
     except msgspec.ValidationError as error:
         what, _, place = str(error).partition(" - at `$.")
         key = place.rstrip("`")
         raise BadInput(named, f"key {key}" if key else "", f"the keys of uavbatt.toml: {what}") from None
     except (msgspec.DecodeError, ValueError, RecursionError) as error:  # no UTF-8, too deeply nested
         raise BadInput(named, "", f"TOML: {error}") from None
+    if endless := _not_finite(msgspec.to_builtins(config)):
+        raise BadInput(named, f"key {endless}", "a finite number")
+    return config
+
+
+def _not_finite(value: object, key: str = "") -> str:
+    """The first key under which a number is not finite; empty if there is none."""
+    if isinstance(value, float):
+        return "" if math.isfinite(value) else key
+    if not isinstance(value, dict):
+        return ""
+    return next(filter(None, (_not_finite(inner, f"{key}.{name}".lstrip(".")) for name, inner in value.items())), "")
 
 
 def _named() -> Path | None:

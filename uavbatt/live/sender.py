@@ -87,7 +87,7 @@ class Sender:
         if now_s < self._look_s:
             return []
         self._look_s = now_s + ANNOUNCE_PERIOD_S
-        is_airborne = reader.navigation.is_aloft(now_s) is True
+        is_airborne = reader.navigation.is_aloft(reader.now_s) is True
         made: list[tuple[int, str]] = []
         for report in reports:
             announcer = self._announcers.get(report.instance)

@@ -126,8 +126,8 @@ def is_own_name(asked: str, listens: str) -> bool:
     asked : the request's Host header; listens : the host of `--http`. A name that a foreign site lets point to this
     address (DNS rebinding) would let that site read the feed.
     """
-    name = asked.rsplit(":", 1)[0] if asked.count(":") == 1 or "]" in asked else asked
-    name = name.strip("[]").lower()
+    name = asked[1:].partition("]")[0] if asked.startswith("[") else asked
+    name = (name.partition(":")[0] if name.count(":") == 1 else name).lower()
     if ("." not in name and ":" not in name) or name == listens.lower() or name.endswith(".local"):
         return True
     try:
