@@ -17,8 +17,9 @@ from packs.made import flight
 
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.errors import BadInput
-from uavbatt.packs import schema
+from uavbatt.packs import airborne, schema
 from uavbatt.packs.ledger import AnotherSize, Ledger
+from uavbatt.records import Sample
 
 FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k) for k in range(4)]
 
@@ -129,6 +130,19 @@ def test_forgetting_a_pack_leaves_the_others(tmp_path):
         assert not ledger.forget("A")
         assert [p.name for p in ledger.packs()] == ["B"]
         assert ledger.flights("A") == []
+
+
+@pytest.mark.parametrize("landed", [True, False])
+def test_forgetting_a_pack_forgets_its_flight_that_never_landed(tmp_path, landed):
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        if landed:
+            ledger.save("A", FLIGHTS[0])
+        for name in "AB":
+            number = airborne.store_flight(ledger, airborne.Airborne(name, 1.79e9, 4, 5.0))
+            airborne.store_rows(ledger, number, [Sample(0.0, 16.0, 12.0, 25.0)])
+        assert ledger.forget("A")
+        assert [left.flight.name for left in airborne.left_over(ledger)] == ["B"]
+        assert ledger._connection.execute("SELECT count(*) FROM rows").fetchone()[0] == 1
 
 
 def test_a_pack_of_another_size_is_another_pack(tmp_path):

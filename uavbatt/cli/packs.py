@@ -49,17 +49,17 @@ def packs(
 
 
 def _change(path: Path, forget: str, take_in: Path | None) -> None:
-    """Forget a pack, take one in. What cannot be done is found before the ledger is opened, which makes one."""
+    """Forget a pack, take one in. A file that is not there is refused before writing makes one."""
     from uavbatt.packs import exchange
     from uavbatt.packs.ledger import Ledger
 
     carried = exchange.read_pack(take_in) if take_in is not None else None
     if forget:
-        with Ledger(path, only_read=True) as ledger:
-            if ledger.pack(forget) is None:
-                raise UavbattError(f"{path}: expected a pack named {forget} to forget, found none")
+        Ledger(path, only_read=True).close()
     with Ledger(path) as ledger:
-        if forget and ledger.forget(forget):
+        if forget:
+            if not ledger.forget(forget):
+                raise UavbattError(f"{path}: expected a pack named {forget} to forget, found none")
             remark(f"{forget} is forgotten")
         if carried is not None:
             remark(f"{exchange.import_pack(ledger, carried)} is taken in")

@@ -159,10 +159,11 @@ class Ledger:
         return [after[key] for key in kept if key in after]
 
     def forget(self, name: str) -> bool:
-        """Delete a pack with its flights; return False when there is none of that name."""
+        """Delete a pack with its flights, also one that never landed; return False when there is none of that name."""
         with self.writing() as connection:
             connection.execute("DELETE FROM flights WHERE pack = (SELECT id FROM packs WHERE name = ?)", (name,))
-            return connection.execute("DELETE FROM packs WHERE name = ?", (name,)).rowcount > 0
+            tables = ("packs", "airborne")
+            return sum(connection.execute(f"DELETE FROM {t} WHERE name = ?", (name,)).rowcount for t in tables) > 0
 
 
 def check_name(name: str, path: Path, place: str) -> None:
