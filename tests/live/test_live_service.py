@@ -21,10 +21,13 @@ from live_rig import PATIENCE_S, ROOT, Station, Vehicle, free_port, manager_at, 
 
 from uavbatt.live import config
 from uavbatt.live.config import Config, LinkSection, RecordSection
+from uavbatt.live.recorder import Recorder
 from uavbatt.live.web import serve
 from uavbatt.mavlink.endpoint import Chunk
 from uavbatt.records import Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
+
+FILE_SIZE = resource.RLIMIT_FSIZE
 
 
 class StuckLink(FakeLink):
@@ -104,6 +107,21 @@ def test_a_disk_that_is_full_stops_recording_and_state_but_not_the_estimate(vehi
         assert process.wait(PATIENCE_S) == 0
     assert resource.getrlimit(resource.RLIMIT_FSIZE) == before
     assert not list(tmp_path.glob("*.part"))  # what could not be written whole is not left behind
+
+
+def test_a_disk_that_is_full_is_said_once_in_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is held cannot be written either when the file is closed, and each of two tries fails so."""
+    recorder, before = Recorder(RecordSection(folder=str(tmp_path), min_free_MB=0.0)), resource.getrlimit(FILE_SIZE)
+    resource.setrlimit(FILE_SIZE, (2000, before[1]))
+    try:
+        for k in range(400):
+            recorder.frame(b"x" * 50, 1_700_000_000_000_000 + k * 100_000, 0.1 * k, 0.1 * k, True)
+            recorder.flush(0.1 * k)
+    finally:
+        resource.setrlimit(FILE_SIZE, before)
+    assert len(list(tmp_path.glob("*.tlog"))) == 2
+    assert recorder.problem == "not recording: File too large"
+    assert capsys.readouterr().err == "uavbatt: recording stopped: File too large; tried again every 30 s\n"
 
 
 def test_sigterm_writes_out_what_is_held_and_the_replay_gives_the_same_lines(vehicle: Vehicle, tmp_path: Path) -> None:

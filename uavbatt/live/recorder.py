@@ -45,6 +45,7 @@ class Recorder:
         self.words: Mapping[bytes, bytes] = {}  # the vehicle's own frames that a recording begins with
         self._next_s = self._look_s = self._flush_s = float("-inf")
         self.problem = ""
+        self._is_stop_told = False
 
     def remember(self, key: bytes, frame: bytes) -> None:
         """Keep a frame of ours that every new recording shall begin with; the last one of a key stays."""
@@ -143,6 +144,8 @@ class Recorder:
             self.close()
         elif self._free_MB() < self._settings.min_free_MB:
             self._failed(f"less than {self._settings.min_free_MB:g} MB free", now_s)
+        else:
+            self._is_stop_told = False  # it records again: LOOK_S of frames are written
 
     def _free_MB(self) -> float:
         disk = os.statvfs(self._folder)
@@ -157,7 +160,8 @@ class Recorder:
 
     def _failed(self, why: str, now_s: float) -> None:
         self.close()
-        if not self.problem:
+        if not self._is_stop_told:
+            self._is_stop_told = True
             tell(f"recording stopped: {why}; tried again every {RETRY_S:.0f} s")
         self.problem = f"not recording: {why}"
         self._next_s = now_s + RETRY_S
