@@ -49,6 +49,11 @@ def flown(kept, rows, serial="A"):
     return kept
 
 
+def settled(kept):
+    """Wait until all that the keeper has to write is written."""
+    kept._worker.submit(lambda: None).result()
+
+
 def test_a_damaged_ledger_is_a_note_and_no_end(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     flown(keeper(path), rows).close(rows[-1].time_s)
@@ -100,6 +105,25 @@ def test_a_flight_that_cannot_be_resumed_keeps_its_rows_apart_from_those_of_the_
         assert airborne.left_over(ledger) == []
     assert len(durations_s) == 2
     assert max(durations_s) < 0.7 * rows[-1].time_s and sum(durations_s) > 0.9 * rows[-1].time_s
+
+
+@pytest.mark.parametrize("utc_s", (math.nan, UTC_S), ids=("no_clock", "clock"))
+def test_a_flight_that_another_process_still_flies_is_left_to_it(tmp_path, rows, utc_s):
+    path = tmp_path / "packs.sqlite"
+    first = flown(keeper(path, utc=utc_s), rows[:60])
+    settled(first)
+    second = keeper(path, utc=utc_s)
+    for row in rows[60:]:
+        settled(flown(first, [row]))
+        second.look_after(row.time_s)
+        settled(second)
+    first.close(rows[-1].time_s)
+    second.close(rows[-1].time_s)
+    assert "flight remembered" in first.note and second.note == ""
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+        assert airborne.left_over(ledger) == []
+    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
 
 
 def test_a_flight_whose_process_never_came_back_is_saved_by_the_next_one(tmp_path, rows):

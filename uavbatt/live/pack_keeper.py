@@ -5,6 +5,7 @@
     landing           -> what the flight taught, saved
 
 The disk may be slow and another program may write: all of it is done by one thread beside the loop, which never waits.
+A flight that another process left may be in the air still: it is landed only when no rows of it have come meanwhile.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ class PackKeeper:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
         self._kept: dict[int, Kept] = {}
         self._left_over: dict[str, LeftOver] = {}
+        self._ask_s: dict[str, float] = {}  # when to ask whether it has grown, monotonic
         self.note = ""
         self._ledger = Ledger(path)
         for left in airborne.left_over(self._ledger):
@@ -121,9 +123,12 @@ class PackKeeper:
             elif now_s - kept.flushed_s >= FLUSH_S:
                 self._flush(kept, now_s)
         for name, left in list(self._left_over.items()):
-            if not self._is_resumable(left, now_s):
-                del self._left_over[name]
-                self._worker.submit(self._noting_errors, self._learned, left.number, left.flight)
+            if self._is_resumable(left, now_s):
+                continue
+            wait_s = 0.0 if self._utc_s(now_s) - left.last_utc_s > RESUMED_WITHIN_S else FLIGHT_SILENT_S + FLUSH_S
+            if now_s >= self._ask_s.setdefault(name, now_s + wait_s):
+                del self._left_over[name], self._ask_s[name]
+                self._worker.submit(self._noting_errors, self._learned_unless_grown, left)
 
     def close(self, now_s: float) -> None:
         """Write what is held; a flight that is still in the air stays airborne in the ledger."""
@@ -138,6 +143,7 @@ class PackKeeper:
         left = self._left_over.get(kept.name)
         if left is not None and self._is_resumable(left, now_s):  # what is not, `look_after` lands
             del self._left_over[kept.name]
+            self._ask_s.pop(kept.name, None)
             kept.number = Future()
             kept.number.set_result(left.number)
             kept.start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
@@ -165,7 +171,7 @@ class PackKeeper:
             return
         self._flush(kept, kept.last_s)
         number, kept.number = kept.number, None
-        self._worker.submit(self._noting_errors, lambda: self._learned(number.result(), None))
+        self._worker.submit(self._noting_errors, lambda: self._learned(number.result()))
 
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
         """Run work of the thread; an error becomes the note, gives nothing, and does not end the process."""
@@ -184,11 +190,22 @@ class PackKeeper:
             return None
         return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256)
 
-    def _learned(self, number: int, known: Airborne | None) -> None:
-        left = next((one for one in airborne.left_over(self._ledger) if one.number == number), None)
+    def _learned_unless_grown(self, was: LeftOver) -> None:
+        """Land a flight of another process, or wait on if it flies still, or if its number is another flight's now."""
+        now = self._airborne(was.number)
+        if now is not None and (now.flight != was.flight or len(now.rows) > len(was.rows)):
+            self._left_over[now.flight.name] = now
+        else:
+            self._learned(was.number)
+
+    def _airborne(self, number: int) -> LeftOver | None:
+        return next((one for one in airborne.left_over(self._ledger) if one.number == number), None)
+
+    def _learned(self, number: int) -> None:
+        left = self._airborne(number)
         if left is None:
             return
-        flight = known or left.flight
+        flight = left.flight
         facts = PackFacts(cells_series=flight.cells, capacity_Ah=flight.capacity_Ah)
         identity = Identity(battery_serial=flight.name, battery_cycles=flight.cycles, start_utc_s=flight.start_utc_s)
         log = Flight("live", "live", left.rows, facts=((0.0, facts),), identity=identity)
