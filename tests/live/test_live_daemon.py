@@ -103,6 +103,30 @@ def test_a_crash_is_resumed_with_the_charge_drawn_meanwhile(tmp_path: Path) -> N
     assert third.daemon.board.notes[0] == "not resumed: saved state is 739 s old"
 
 
+def fly_on(bench: Bench, *batteries: int) -> None:
+    """Fly half a minute on these batteries at 12 A each."""
+    for k in range(60):
+        bench.send(heartbeat(True))
+        for instance in batteries:
+            drawn = 12.0 * k / 7200.0
+            bench.send(battery_status(Sample(0.0, 16.0 - 0.5 * drawn, 12.0, 25.0, drawn, armed=True), instance))
+        bench.daemon.turn()
+        bench.now_s += 0.5
+
+
+def test_a_battery_that_was_silent_for_a_day_costs_no_other_its_state(tmp_path: Path) -> None:
+    state = StateSection(file=str(tmp_path / "state.json"))
+    first = Bench(state=state)
+    fly_on(first, 0, 1)
+    first.now_s += 86_500.0
+    fly_on(first, 0)
+    first.daemon.close()
+    second = Bench(state=state, start_s=first.now_s + 1.0)
+    fly_on(second, 0, 1)
+    (note,) = [note for note in second.daemon.board.notes if "resumed" in note]
+    assert note.startswith("battery 0: resumed from a state ")
+
+
 def test_a_damaged_state_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "state.json"
     for text in ("", "{", "[]", '{"version": 2}', '{"version": 2, "batteries": {"0": {"mean": [1]}}}'):

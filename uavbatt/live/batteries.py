@@ -155,11 +155,13 @@ class Batteries:
         return state.SavedVehicle(system=reader.system or 0, component=reader.component or 0, hardware=reader.hardware)
 
     def _saved(self, now_s: float) -> dict[str, SavedBattery]:
-        return {
+        """Return the batteries that the next process may go on from: those of which nothing is too old."""
+        aged = {
             str(i): replace(saved, since_row_s=saved.since_row_s + self.reports[i].age_s(now_s))
             for i, tracked in self.tracked.items()
             if (saved := tracked.saved(self._facts_of(i))) is not None
         }
+        return {key: saved for key, saved in aged.items() if saved.since_row_s <= self._config.state.max_age_s}
 
     def _opened(self) -> PackKeeper | None:
         packs = self._config.packs
