@@ -18,6 +18,7 @@ from uavbatt.battery.model import LONGEST_STEP_S, Array
 from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
 from uavbatt.records import NAN, Flight
+from uavbatt.telemetry.cleaning import Cleaner
 
 BIN_S = 5.0
 # The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
@@ -99,17 +100,24 @@ def held_load(time_s: Array, current_A: Array) -> Array:
 
 
 def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
-    """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10."""
+    """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
+
+    A temperature that a replay would not use (impossible, a board's, the motor controllers') is not measured here.
+    """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < 10:
         raise NotEnoughData(f"{flight.source}: {len(rows)} rows with voltage and current: expected at least 10")
-    of_escs = flight.facts_at(rows[-1].time_s).temperature_of_escs
+    cleaner = Cleaner().told(flight.facts_at(rows[-1].time_s))
+    temp_C = []
+    for row in rows:
+        cleaner, cleaned = cleaner.clean(row)
+        temp_C.append(cleaned.temp_C)
     return Observed(
         name=flight.source,
         time_s=np.array([s.time_s for s in rows]),
         voltage_V=np.array([s.voltage_V for s in rows]),
         current_A=np.array([s.current_A for s in rows]),
-        temp_C=np.array([NAN if of_escs else s.temp_C for s in rows]),
+        temp_C=np.array(temp_C),
         ambient_C=NAN,
         cells=cells,
         capacity_Ah=capacity_Ah,

@@ -1,0 +1,34 @@
+"""Records of flights as the fit takes them: what a log may hold of time and temperature."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uavbatt.battery.model import Array
+from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.telemetry import read_log
+
+ROWS = 60
+
+
+def written(folder: Path, temp_C: Array) -> Observed:
+    """A flight of ROWS rows a second apart with such temperatures, read from its table."""
+    rows = [f"{k},{16.4 - 0.01 * k:.2f},15,{temp_C[k]}" for k in range(ROWS)]
+    path = folder / "flight.csv"
+    path.write_text("\n".join(["time_s,voltage_V,current_A,temp_C", *rows, ""]))
+    return from_flight(read_log(path), 4, 5.0)
+
+
+@pytest.mark.parametrize("everywhere_C", [298.15, 1e9, 0.0, 55.0], ids=["kelvin", "damaged", "not set", "of a board"])
+def test_a_temperature_that_no_cell_has_is_not_measured(tmp_path: Path, everywhere_C: float) -> None:
+    assert np.isnan(written(tmp_path, np.full(ROWS, everywhere_C)).temp_C).all()
+
+
+@pytest.mark.parametrize("once_C", [1e9, 655.35, -273.0, 60.0])
+def test_a_row_with_an_impossible_temperature_costs_that_row_alone(tmp_path: Path, once_C: float) -> None:
+    temp_C = np.linspace(25.0, 31.0, ROWS)
+    read = written(tmp_path, np.where(np.arange(ROWS) == 30, once_C, temp_C)).temp_C
+    assert np.isnan(read[30]) and np.allclose(np.delete(read, 30), np.delete(temp_C, 30))
