@@ -42,6 +42,15 @@ def test_a_long_pause_is_no_reboot(tmp_path: Path) -> None:
     assert [s.time_s for s in flight.samples] == [0.0, 100000.0]
 
 
+@pytest.mark.parametrize("current", ["current_a", "current_filtered_a"])
+def test_what_px4_writes_for_unknown_is_unknown_in_a_table_of_ulog2csv(tmp_path: Path, current: str) -> None:
+    head = f"timestamp,voltage_v,{current},discharged_mah,remaining,temperature\n"
+    first, second = read(tmp_path, head + "0,16.4,-1.0,-1,-1,0.0\n1000000,16.3,-0.5,500,0.8,25\n").samples
+    unknown = (first.current_A, first.consumed_Ah, first.reported_soc, first.temp_C)
+    assert all(math.isnan(value) for value in unknown)
+    assert (second.current_A, second.consumed_Ah, second.reported_soc, second.temp_C) == (-0.5, 0.5, 0.8, 25.0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -24,6 +24,7 @@ from uavbatt.errors import BadInput
 from uavbatt.limits import LONGEST_ROW_S
 from uavbatt.records import NAN, Sample
 from uavbatt.telemetry.builder import MAX_VOLTAGE_V, LogBuilder
+from uavbatt.telemetry.formats.px4_unknown import known
 
 REQUIRED = ("time_s", "voltage_V")
 OPTIONAL = ("current_A", "temp_C", "consumed_Ah", "reported_soc", "armed")
@@ -63,7 +64,7 @@ def read_csv(source: str, data: bytes) -> LogBuilder:
             raise BadInput(source, place, f"{len(columns)} cells, found {len(cells)}")
         named = dict(zip(columns, cells, strict=True))
         if factors:
-            named = {ours: _scaled(named[theirs], factor) for ours, (theirs, factor) in factors.items()}
+            named = {ours: _scaled(theirs, named[theirs], factor) for ours, (theirs, factor) in factors.items()}
         sample = _sample(source, place, named, before_s)
         before_s = sample.time_s
         start_s = before_s if start_s is None else start_s
@@ -82,12 +83,15 @@ def _ulog2csv(header: Sequence[str]) -> dict[str, tuple[str, float]]:
     return found if "voltage_V" in found else {}
 
 
-def _scaled(cell: str, factor: float) -> str:
-    """A cell in our unit; what is no number stays as it is, to be refused with its place."""
+def _scaled(column: str, cell: str, factor: float) -> str:
+    """A cell of PX4's column in our unit, empty where it stands for unknown; what is no number stays, to be refused."""
     try:
-        return repr(float(cell) * factor) if factor != 1.0 else cell
+        value = float(cell)
     except ValueError:
         return cell
+    if math.isnan(known(column, value)):
+        return ""
+    return repr(value * factor) if factor != 1.0 else cell
 
 
 def _seconds(cell: str) -> str:

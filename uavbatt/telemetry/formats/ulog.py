@@ -15,6 +15,7 @@ from uavbatt.errors import BadInput, MissingExtra
 from uavbatt.mavlink import fields
 from uavbatt.records import NAN, Identity, Sample
 from uavbatt.telemetry.builder import LogBuilder, finite_or_nan
+from uavbatt.telemetry.formats.px4_unknown import known
 from uavbatt.telemetry.formats.ulog_route import OF_ROUTE, navigation
 from uavbatt.telemetry.identity import utc_s, version
 
@@ -134,14 +135,16 @@ def _row(columns: Any, index: int) -> dict[str, float]:
 
 
 def _sample(row: dict[str, float], time_s: float, armed: bool | None) -> Sample:
-    current_A, temp_C = row.get("current_a", NAN), row.get("temperature", NAN)
-    consumed_mAh, remaining = row.get("discharged_mah", NAN), row.get("remaining", NAN)
+    def read(column: str) -> float:
+        return finite_or_nan(known(column, row.get(column, NAN)))
+
+    remaining = read("remaining")
     return Sample(
         time_s=time_s,
         voltage_V=row.get("voltage_v", NAN),
-        current_A=NAN if current_A == -1 else finite_or_nan(current_A),
-        temp_C=NAN if temp_C == 0 else finite_or_nan(temp_C),
-        consumed_Ah=NAN if consumed_mAh == -1 else finite_or_nan(consumed_mAh) / 1000,
+        current_A=read("current_a"),
+        temp_C=read("temperature"),
+        consumed_Ah=read("discharged_mah") / 1000,
         reported_soc=remaining if 0 <= remaining <= 1 else NAN,
         armed=armed,
         cell_voltages_V=_cells(row),

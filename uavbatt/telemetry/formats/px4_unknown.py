@@ -1,0 +1,18 @@
+"""What PX4 writes into battery_status where it knows nothing: in a ULog file, and in a table of `ulog2csv`."""
+
+from __future__ import annotations
+
+from uavbatt.records import NAN
+
+_UNKNOWN = {
+    "current_a": -1.0,
+    "current_filtered_a": -1.0,
+    "discharged_mah": -1.0,
+    "remaining": -1.0,
+    "temperature": 0.0,
+}
+
+
+def known(column: str, value: float) -> float:
+    """Return the value that a column of battery_status holds, NaN where it stands for unknown; the unit is PX4's."""
+    return NAN if value == _UNKNOWN.get(column) else value
