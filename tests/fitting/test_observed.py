@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from uavbatt.battery.model import Array
-from uavbatt.fitting.observed import Observed, from_flight
+from uavbatt.errors import NotEnoughData
+from uavbatt.fitting.observed import Observed, from_flight, stack
 from uavbatt.telemetry import read_log
 
 ROWS = 60
@@ -32,3 +33,12 @@ def test_a_row_with_an_impossible_temperature_costs_that_row_alone(tmp_path: Pat
     temp_C = np.linspace(25.0, 31.0, ROWS)
     read = written(tmp_path, np.where(np.arange(ROWS) == 30, once_C, temp_C)).temp_C
     assert np.isnan(read[30]) and np.allclose(np.delete(read, 30), np.delete(temp_C, 30))
+
+
+@pytest.mark.parametrize(("step_s", "found"), [(0.1, 1), (0.8, 2)])
+def test_rows_within_too_few_steps_are_said_to_be_too_few(tmp_path: Path, step_s: float, found: int) -> None:
+    rows = [f"{step_s * k:.1f},{16.4 - 0.01 * k:.2f},20" for k in range(12)]
+    (tmp_path / "short.csv").write_text("\n".join(["time_s,voltage_V,current_A", *rows, ""]))
+    record = from_flight(read_log(tmp_path / "short.csv"), 4, 5.0)
+    with pytest.raises(NotEnoughData, match=f"rows within {found} x 5 s: expected at least 3 x 5 s"):
+        stack([record])

@@ -24,6 +24,7 @@ BIN_S = 5.0
 # The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0
+LEAST_BINS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +142,25 @@ def _mapped(record: Observed, change: Callable[[Array], Array]) -> Observed:
 
 
 def binned(record: Observed) -> Observed:
-    """Return the record as means over bins of BIN_S where rows come faster; the record itself otherwise."""
+    """Return the record as means over bins of BIN_S where rows come faster; the record itself otherwise.
+
+    Raises NotEnoughData when its rows lie in fewer than LEAST_BINS bins: they have no slope.
+    """
     if np.median(np.diff(record.time_s)) >= 0.9 * BIN_S:
         return record
     index = np.floor((record.time_s - record.time_s[0]) / BIN_S).astype(int)
     _, index = np.unique(index, return_inverse=True)
+    merged = _merged(record, index)
+    found = merged.time_s.size
+    if found < LEAST_BINS:
+        raise NotEnoughData(
+            f"{record.name}: rows within {found} x {BIN_S:g} s: expected at least {LEAST_BINS} x {BIN_S:g} s"
+        )
+    return merged
+
+
+def _merged(record: Observed, index: NDArray[np.intp]) -> Observed:
+    """The record as means of the rows that share an index; the indices count up from 0 without a gap."""
     count = np.bincount(index)
 
     def mean(column: Array) -> Array:
