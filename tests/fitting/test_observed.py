@@ -42,3 +42,13 @@ def test_rows_within_too_few_steps_are_said_to_be_too_few(tmp_path: Path, step_s
     record = from_flight(read_log(tmp_path / "short.csv"), 4, 5.0)
     with pytest.raises(NotEnoughData, match=f"rows within {found} x 5 s: expected at least 3 x 5 s"):
         stack([record])
+
+
+def test_slow_rows_of_one_time_are_their_mean(tmp_path: Path) -> None:
+    rows = [f"{6 * k},{16.4 - 0.01 * k:.2f},15" for k in range(20)]
+    doubled = [*rows[:10], "54,16.51,17", *rows[10:]]
+    (tmp_path / "doubled.csv").write_text("\n".join(["time_s,voltage_V,current_A", *doubled, ""]))
+    record = from_flight(read_log(tmp_path / "doubled.csv"), 4, 5.0)
+    assert record.time_s.size == 20
+    assert (record.voltage_V[9], record.current_A[9]) == (pytest.approx(16.41), pytest.approx(16.0))
+    assert np.isfinite(stack([record]).slope_Vps).all()

@@ -24,7 +24,7 @@ BIN_S = 5.0
 # The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
 INDEPENDENT_S = 60.0
 HELD_WINDOW_S = 30.0
-LEAST_BINS = 3
+LEAST_ROWS, LEAST_BINS = 10, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,16 +104,18 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
     A temperature that a replay would not use (impossible, a board's, the motor controllers') is not measured here.
+    Rows of one time become their mean: a slope between them would divide by zero.
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
-    if len(rows) < 10:
-        raise NotEnoughData(f"{flight.source}: {len(rows)} rows with voltage and current: expected at least 10")
+    if len(rows) < LEAST_ROWS:
+        said = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
+        raise NotEnoughData(f"{flight.source}: {said}")
     cleaner = Cleaner().told(flight.facts_at(rows[-1].time_s))
     temp_C = []
     for row in rows:
         cleaner, cleaned = cleaner.clean(row)
         temp_C.append(cleaned.temp_C)
-    return Observed(
+    record = Observed(
         name=flight.source,
         time_s=np.array([s.time_s for s in rows]),
         voltage_V=np.array([s.voltage_V for s in rows]),
@@ -123,6 +125,11 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
         cells=cells,
         capacity_Ah=capacity_Ah,
     )
+    times_s, index = np.unique(record.time_s, return_inverse=True)
+    if times_s.size < LEAST_ROWS:
+        said = f"{times_s.size} different times: expected at least {LEAST_ROWS}"
+        raise NotEnoughData(f"{flight.source}: {said}")
+    return _merged(record, index) if times_s.size < len(rows) else record
 
 
 def until(record: Observed, time_s: float) -> Observed:
