@@ -75,9 +75,14 @@ def test_runs_of_different_lengths_are_compared_where_all_are(tmp_path):
 
 
 def test_missing_readings_are_nan(tmp_path):
-    rows = "a,1,25,0,12.5,,\na,1,25,60,,3.5,\na,1,25,120,10.5,,24\na,1,25,180,10.1,3.4,25\n"
+    rows = "a,1,25,0,12.5,,\na,1,25,60,11.2,3.5,\na,1,25,120,10.5,,24\na,1,25,180,10.1,3.4,25\n"
     run = dataset.load(folder(tmp_path, rows)).runs[0]
-    assert np.isnan(run.voltage_V[1]) and np.isnan(run.current_A[0]) and run.surface_C[3] == 25
+    assert np.isnan(run.surface_C[1]) and np.isnan(run.current_A[0]) and run.surface_C[3] == 25
+
+
+def test_rows_without_a_voltage_are_left_out(tmp_path):
+    run = dataset.load(folder(tmp_path, ROWS + "a,1,25,180,,3.5,24\na,1,25,240,10.1,,\n")).runs[0]
+    assert list(run.time_s) == [0, 60, 120, 240] and np.isfinite(run.voltage_V).all()
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """`discharge.csv`: the readings of a discharge data set, checked row by row.
 
 Columns `sample,run,ambient_c,time_s,voltage_v,current_a,surface_c` in any order; an empty cell means not
-measured. A run is one (sample, run, ambient) triple. Bounds: a lithium cell reads 0.5 to 5 V, a test chamber
--80 to 150 °C; what lies outside is a slip of unit. Every refusal names the line.
+measured, and a row without a voltage is left out. A run is one (sample, run, ambient) triple. Bounds: a lithium
+cell reads 0.5 to 5 V, a test chamber -80 to 150 °C; what lies outside is a slip of unit. Every refusal names the line.
 """
 
 from __future__ import annotations
@@ -146,13 +146,13 @@ def _check_units(row: _Row, cells_series: int, shown: str) -> None:
 def _run(key: tuple[str, int, float], rows: list[_Row], cells_series: int, shown: str) -> Run:
     sample, run, ambient_C = key
     place = f"sample {sample}, run {run} at {ambient_C:g} °C (from line {rows[0].line})"
-    time_s, voltage_V, current_A, surface_C = np.array([r[2:] for r in rows], dtype=float).T
-    measured = voltage_V[~np.isnan(voltage_V)]
-    if len(measured) < MIN_POINTS:
-        raise BadInput(shown, place, f"at least {MIN_POINTS} voltage readings, found {len(measured)}")
-    if np.all(measured == measured[0]):
-        raise BadInput(shown, place, f"a discharge, voltage_v is constant at {measured[0]:g}")
-    highest_V = float(np.max(measured))
+    readings = np.array([r[2:] for r in rows if not math.isnan(r.voltage_V)], dtype=float)
+    if len(readings) < MIN_POINTS:
+        raise BadInput(shown, place, f"at least {MIN_POINTS} voltage readings, found {len(readings)}")
+    time_s, voltage_V, current_A, surface_C = readings.T
+    if np.all(voltage_V == voltage_V[0]):
+        raise BadInput(shown, place, f"a discharge, voltage_v is constant at {voltage_V[0]:g}")
+    highest_V = float(np.max(voltage_V))
     if highest_V < LEAST_HIGHEST_CELL_V * cells_series:
         said = f"the voltage of the whole pack, found {highest_V:g} V at most for {cells_series} cells: per cell?"
         raise BadInput(shown, f"{place}, voltage_v", said)
