@@ -95,6 +95,7 @@ def test_rows_without_a_voltage_are_left_out(tmp_path):
         (ROWS.replace("11.0", "eleven"), "found 'eleven'"),
         (ROWS.replace("a,1,25,60", "a,1,25,"), "line 3, time_s: expected a finite number, found ''"),
         (ROWS + "a,1,25,60,11.0,,\n", "line 5: expected each reading once, it repeats line 3"),
+        (ROWS + '"' + 200_000 * "a,1,25,60,11.0,,\n", "discharge.csv: expected a table, cannot be read"),
         (ROWS + "a,1,25,90,11.0,,\n", "line 5, time_s: expected time increasing"),
         (ROWS[: ROWS.rindex("a,1")], "at least 3 voltage readings, found 2"),
         (ROWS.replace("11.0", "12.5").replace("10.5", "12.5"), "voltage_v is constant at 12.5"),

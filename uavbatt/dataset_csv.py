@@ -51,7 +51,10 @@ class _Row(NamedTuple):
 
 def read_runs(text: str, shown: str, cells_series: int) -> tuple[Run, ...]:
     """Read the runs in the text of `discharge.csv`; raises BadInput, in which `shown` names the file."""
-    return _runs(_rows(text, shown), cells_series, shown)
+    try:
+        return _runs(_rows(text, shown), cells_series, shown)
+    except csv.Error as error:  # a cell without an end
+        raise BadInput(shown, "", f"a table, cannot be read: {error}") from None
 
 
 def _rows(text: str, shown: str) -> list[_Row]:

@@ -17,6 +17,7 @@ from uavbatt.records import Flight, PackFacts, Sample
 from uavbatt.telemetry import read_log
 from uavbatt.telemetry.builder import LogBuilder, default_instance
 from uavbatt.telemetry.drawn import loaded_A
+from uavbatt.telemetry.identity import gps_utc_s
 from uavbatt.telemetry.info import describe, lines
 from uavbatt.telemetry.plausibility import plausible_temperature_C, sag_correlation, temperature_verdict
 
@@ -230,3 +231,10 @@ def test_a_flight_is_under_load_however_long_the_log_idles(idle_rows: int) -> No
     """A flight of seven minutes in an hour and a half of log was none: every row counted as flown."""
     amps = np.array([0.4] * idle_rows + [18.0, 22.0] * 200 + [math.nan, 0.4])
     assert 0.4 < loaded_A(amps) < 18.0
+
+
+def test_a_clock_of_another_century_was_never_set() -> None:
+    """A damaged GPS week ended `info` with a year that is out of range."""
+    week, time_of_week_ms = 2366.0, 172_800_000.0
+    assert 1.7e9 < gps_utc_s(week, time_of_week_ms) < 1.9e9
+    assert math.isnan(gps_utc_s(99_999_999.0, time_of_week_ms))

@@ -186,7 +186,7 @@ def close(
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
     since_load_s = noise.since_load_after(since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
     for k in range(members):
-        if since_load_s > 0.0:
+        if noise.is_settling(since_load_s):
             settle(pack, x[k], P[k], dt_s)
         mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, air.ambient_C, dt_s)
         step_A = mean_A - block_A

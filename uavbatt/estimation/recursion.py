@@ -161,13 +161,15 @@ def _close(pack: Pack, state: FilterState, condition: Condition) -> tuple[Filter
     mean_A, dt_s = block.charge_As / block.duration_s, block.duration_s
     rate = float(c_rate(pack.installation, mean_A))
     since_load_s = noise.since_load_after(state.since_load_s, rate, dt_s)
-    if since_load_s > 0.0:
+    is_settling = noise.is_settling(since_load_s)
+    if is_settling:
         at = _settled(pack, at, dt_s)
     process_Q = noise.process_variances(pack, at.x.T, rate, dt_s).T
     x, P = kalman.predict(lambda x: b.transition(pack, x, mean_A, state.air.ambient_C, dt_s), at.x, at.P, process_Q)
     step_A = block.current_A - state.block_A
-    weighs = not noise.is_settling(since_load_s)
-    moments, shown, warmer_K = _update(pack, Moments(x, P, at.log_weight), block, step_A, condition, weighs)
+    moments, shown, warmer_K = _update(
+        pack, Moments(x, P, at.log_weight), block, step_A, condition, weighs=not is_settling
+    )
     is_read = math.isfinite(warmer_K)
     air = noise.air_after(state.air, warmer_K, pack.temperature_sd_K, dt_s) if is_read else state.air
     return FilterState(moments, state.time_s, state.current_A, block.current_A, Block(), air, since_load_s), shown

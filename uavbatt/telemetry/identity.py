@@ -16,7 +16,7 @@ from uavbatt.mavlink.fields import PackIdentity, known_serial
 from uavbatt.records import NAN, Identity
 from uavbatt.telemetry.parameters import ardupilot_prefix
 
-_EARLIEST_UTC_S = 946_684_800.0  # 2000-01-01
+_EARLIEST_UTC_S, _LATEST_UTC_S = 946_684_800.0, 4_102_444_800.0  # 2000-01-01, 2100-01-01
 _GPS_EPOCH_S, _WEEK_S = 315_964_800.0, 604_800.0  # 1980-01-06
 _LEAP_S = 18.0  # GPS time less UTC since 2017; before, it is one or two seconds off
 _VERSION = re.compile(r"\bV?\d+\.\d+")
@@ -25,8 +25,8 @@ _SYSTEM = ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID")
 
 
 def utc_s(clock_s: float) -> float:
-    """Return a clock's time [s since 1970] if it was ever set, else NaN."""
-    return clock_s if clock_s >= _EARLIEST_UTC_S else NAN
+    """Return a clock's time [s since 1970] if it was ever set and shows no date of another century, else NaN."""
+    return clock_s if _EARLIEST_UTC_S <= clock_s < _LATEST_UTC_S else NAN
 
 
 def gps_utc_s(week: float, time_of_week_ms: float) -> float:
