@@ -84,17 +84,17 @@ def main() -> int:
     daemon, rewriter, slipped, forged, rows = bench.daemon, Rewriter(soc=True), [], [], 0
     step = daemon._step
 
-    def watched(row: LiveRow, at_s: float) -> None:
+    def watched(row: LiveRow, now_s: float) -> None:
         nonlocal rows
         rows += 1
         if not is_sound(row.sample):
             slipped.append(row)
-        step(row, at_s)
+        step(row, now_s)
         estimate = daemon.batteries.reports[row.instance].estimate
         if row.instance > 1 or not (estimate.voltage_V != estimate.voltage_V or is_sound(row.sample)):
             forged.append(estimate)
 
-    daemon._step = watched  # type: ignore[method-assign, assignment]
+    daemon._step = watched  # type: ignore[method-assign]
     good = good_frames(bench)
     changed = sent_good = 0
     body = struct.pack(ESTIMATE_LAYOUT, 1, 1, 0, OK, 321.0, 0.5, bench.now_s)

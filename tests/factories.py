@@ -1,4 +1,4 @@
-"""What many tests begin with: a pack of the packaged generic battery."""
+"""What many tests begin with: a pack of the packaged generic battery, and an estimator with it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,19 @@ from functools import cache
 
 from uavbatt.battery import battery_file
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.sizing import PackOptions
+from uavbatt.estimator import Estimator
+from uavbatt.log_replay.run import engine_for
+from uavbatt.prediction.forecaster import ForecastSettings
 
 
 @cache
 def generic_pack(cells: int = 4, capacity_Ah: float = 5.0, cutoff_V: float = 13.2, low_V: float = 14.0) -> Pack:
     """A pack of `lipo-generic`: 4S 5 Ah, cut-off 13.2 V and low-voltage warning 14.0 V of the pack if not said else."""
     return pack_of(battery_file.read_battery("lipo-generic"), cells, capacity_Ah, cutoff_V, low_V)
+
+
+def generic_estimator(options: PackOptions, period_s: float = 10.0) -> Estimator:
+    """An estimator on `lipo-generic` for a stated pack, compiled where it can be; a forecast every `period_s` [s]."""
+    settings = ForecastSettings(forecast_period_s=period_s)
+    return Estimator(battery_file.read_battery("lipo-generic"), options, settings, engine_for(is_long=True))

@@ -8,24 +8,16 @@ from pathlib import Path
 
 import pytest
 from daemon_bench import Bench
+from factories import generic_estimator
 from scoring.other_pack import CELLS, CUTOFF_V, FULL_AH, LIHV, Pack, rested
 from scoring.scenarios import STATED, another, flight
 
-from uavbatt.battery import battery_file
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.estimator import Estimator
 from uavbatt.live.config import StateSection
-from uavbatt.log_replay.run import engine_for
-from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Estimate, Remaining, Sample, Status
 
 TAKEN_FOR = "taken for LiHV"
-
-
-def estimator(period_s: float = 10.0) -> Estimator:
-    settings = ForecastSettings(forecast_period_s=period_s)
-    return Estimator(battery_file.read_battery("lipo-generic"), STATED, settings, engine_for(is_long=True))
 
 
 @cache
@@ -35,7 +27,7 @@ def rows(soc: float, air_C: float, capacity_Ah: float = FULL_AH) -> tuple[Sample
 
 @cache
 def run(soc: float, air_C: float, capacity_Ah: float = FULL_AH) -> list[tuple[Estimate, Remaining]]:
-    return list(estimator().run(rows(soc, air_C, capacity_Ah)))
+    return list(generic_estimator(STATED).run(rows(soc, air_C, capacity_Ah)))
 
 
 @pytest.mark.parametrize(("soc", "air_C"), [(1.0, 25.0), (1.0, 5.0), (0.97, 25.0)])
@@ -60,7 +52,7 @@ def test_a_worn_pack_is_still_seen() -> None:
 @pytest.mark.parametrize("first_V", [17.4, 4.0])
 def test_one_damaged_first_row_makes_no_other_cells(first_V: float) -> None:
     sound = rested(Pack(), 20, 0.0)
-    judge = estimator()
+    judge = generic_estimator(STATED)
     for sample in [replace(sound[0], voltage_V=first_V), *sound[1:]]:
         judge.step(sample)
     assert judge.pack_size is not None and judge.pack_size.fullest_cell_V == ORDINARY_FULL_V
@@ -70,7 +62,7 @@ def test_one_damaged_first_row_makes_no_other_cells(first_V: float) -> None:
 def test_the_next_pack_may_be_of_other_cells(first: str, second: str) -> None:
     """A swap in a silence: the kind of the cells is told anew."""
     packs = {"lihv": Pack(make=LIHV), "lipo": Pack()}
-    judge = estimator()
+    judge = generic_estimator(STATED)
     for _ in judge.run(another(packs[first], 300, 60.0, packs[second])[:-300]):
         pass
     assert judge.pack_size is not None

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from factories import generic_estimator
 from scoring.other_pack import LIHV, LIPO, Make, Pack, flown, rested
 from scoring.scenarios import STATED
-
-from uavbatt.battery import battery_file
-from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import engine_for
-from uavbatt.prediction.forecaster import ForecastSettings
 
 
 @pytest.mark.parametrize("make", [LIPO, LIHV], ids=lambda make: make.name)
@@ -23,9 +19,7 @@ def test_a_short_hop_after_a_landing_is_not_said_too_long(make: Make, left_s: in
     rows += rested(pack, pause_s, rows[-1].time_s + 1.0, rows[-1].consumed_Ah)
     landed_soc, begin_s = pack.soc, rows[-1].time_s + 1.0
     rows += flown(pack, begin_s, drawn_Ah=rows[-1].consumed_Ah, seed=4)
-    settings = ForecastSettings(forecast_period_s=5.0)
-    judge = Estimator(battery_file.read_battery("lipo-generic"), STATED, settings, engine_for(is_long=True))
-    said = list(judge.run(rows))
+    said = list(generic_estimator(STATED, period_s=5.0).run(rows))
     at_rest = [e for e, _ in said if e.time_s < begin_s][-1]
     assert abs(at_rest.soc - landed_soc) < max(2.0 * at_rest.soc_sd, 0.08)
     assert at_rest.capacity_scale < 1.12

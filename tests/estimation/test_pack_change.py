@@ -7,26 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from factories import generic_estimator
 from scoring.other_pack import Pack, Power, drawn, rested
 from scoring.scenarios import STATED, another
 
-from uavbatt.battery import battery_file
-from uavbatt.estimator import Estimator
-from uavbatt.log_replay.run import engine_for
-from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import Sample
-
-
-def estimator() -> Estimator:
-    settings = ForecastSettings(forecast_period_s=10.0)
-    return Estimator(battery_file.read_battery("lipo-generic"), STATED, settings, engine_for(is_long=True))
 
 
 @pytest.mark.parametrize("second_soc", [0.65, 0.8])
 def test_a_somewhat_fuller_pack_is_another_without_a_silence(second_soc: float) -> None:
     """It was taken for the old one with a quarter more capacity: a minute before the end it was told at least two."""
     rows = another(Pack(), 400, 0.0, Pack(soc=second_soc), restarts=False)
-    said = list(estimator().run(rows))
+    said = list(generic_estimator(STATED).run(rows))
     begin_s = 20.0 + 400.0 + 20.0 + 5.0
     at_rest = next(estimate for estimate, _ in said if estimate.time_s >= begin_s)
     assert at_rest.soc == pytest.approx(second_soc, abs=0.05)
@@ -46,7 +38,7 @@ def test_a_pack_that_rests_after_a_flight_is_the_same(cells: int, air_C: float, 
     after = rested(pack, 300, before[-1].time_s + 1.0, before[-1].consumed_Ah)
     dice = np.random.default_rng(cells)
     options = replace(STATED, cells=cells, cutoff_V=3.3 * cells)
-    judge = Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
+    judge = generic_estimator(options)
     assert len(before) == 320
     told = [e for e, _ in judge.run([noisy(row, dice) for row in before])][-1]
     for estimate, _ in judge.run([noisy(row, dice) for row in after]):

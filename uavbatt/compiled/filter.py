@@ -185,8 +185,9 @@ def close(
     innovation_V, variance_V2 = np.empty(members), np.empty(members)
     shown_V, shown_nis, expected_V, warmer_K, dt_s = 0.0, 0.0, 0.0, 0.0, block[1]
     since_load_s = noise.since_load_after(since_load_s, c_rate(pack.installation, block[2] / dt_s), dt_s)
+    is_settling = noise.is_settling(since_load_s)
     for k in range(members):
-        if noise.is_settling(since_load_s):
+        if is_settling:
             settle(pack, x[k], P[k], dt_s)
         mean, spread = predict(pack, x[k].copy(), P[k].copy(), block[2] / dt_s, air.ambient_C, dt_s)
         step_A = mean_A - block_A
@@ -198,7 +199,7 @@ def close(
         put(x[k], P[k], mean, spread)
     for i in range(block.size):
         block[i] = 0.0
-    if not noise.is_settling(since_load_s):
+    if not is_settling:
         log_weight = weighed(log_weight, innovation_V, variance_V2, pack.evidence_share)
     if np.isfinite(warmer_K):
         air = noise.air_after(air, warmer_K, pack.temperature_sd_K, dt_s)

@@ -6,8 +6,8 @@ line override. An unknown key, a wrong type or an impossible value is named with
 
 from __future__ import annotations
 
-import math
 import os
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,7 +22,8 @@ FeedKind = Literal["proxy", "battery", "named"]
 
 Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Component = Annotated[int, msgspec.Meta(ge=1, le=255)]
-Positive = Annotated[float, msgspec.Meta(gt=0)]
+MOST = sys.float_info.max  # no number of a configuration is endless: JSON, by which the process gets it, has none
+Positive = Annotated[float, msgspec.Meta(gt=0, le=MOST)]
 Rate = Annotated[float, msgspec.Meta(gt=0, le=50)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=0.99)]
 
@@ -58,7 +59,7 @@ class PackSection(Section, frozen=True):
     vehicle: str = ""
     load: str = "learned"
     mission: str = ""
-    forecast_period_s: Annotated[float, msgspec.Meta(ge=0.1)] = 1.0
+    forecast_period_s: Annotated[float, msgspec.Meta(ge=0.1, le=MOST)] = 1.0
     allow_uncertified: bool = False
 
 
@@ -94,7 +95,7 @@ class RecordSection(Section, frozen=True):
     when: Literal["always", "while-armed"] = "always"
     max_file_MB: Positive = 200.0
     max_files: Annotated[int, msgspec.Meta(ge=1)] = 50
-    min_free_MB: Annotated[float, msgspec.Meta(ge=0)] = 500.0
+    min_free_MB: Annotated[float, msgspec.Meta(ge=0, le=MOST)] = 500.0
 
 
 class StateSection(Section, frozen=True):
@@ -130,25 +131,13 @@ def read_config(path: Path | None = None) -> Config:
     except OSError as error:
         raise BadInput(named, "", f"a configuration file, cannot be read: {error.strerror}") from None
     try:
-        config = msgspec.toml.decode(text, type=Config)
+        return msgspec.toml.decode(text, type=Config)
     except msgspec.ValidationError as error:
         what, _, place = str(error).partition(" - at `$.")
         key = place.rstrip("`")
         raise BadInput(named, f"key {key}" if key else "", f"the keys of uavbatt.toml: {what}") from None
     except (msgspec.DecodeError, ValueError, RecursionError) as error:  # no UTF-8, too deeply nested
         raise BadInput(named, "", f"TOML: {error}") from None
-    if endless := _not_finite(msgspec.to_builtins(config)):
-        raise BadInput(named, f"key {endless}", "a finite number")
-    return config
-
-
-def _not_finite(value: object, key: str = "") -> str:
-    """The first key under which a number is not finite; empty if there is none."""
-    if isinstance(value, float):
-        return "" if math.isfinite(value) else key
-    if not isinstance(value, dict):
-        return ""
-    return next(filter(None, (_not_finite(inner, f"{key}.{name}".lstrip(".")) for name, inner in value.items())), "")
 
 
 def _named() -> Path | None:

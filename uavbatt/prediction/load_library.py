@@ -78,8 +78,8 @@ def own_scales(ratio: Array, since_take_off_s: float) -> Array:
     is farther away from all of them has another payload, or wind, and keeps its own power.
     """
     early = 1.0 + MEAN_TAU_S / max(since_take_off_s, GRID_S)
-    surely = _surely(float(np.median(np.log(ratio))), early * _usual(ratio))
-    return np.asarray(ratio ** (OWN_SCALING + (1.0 - OWN_SCALING) * surely))
+    real_share = _real_share(float(np.median(np.log(ratio))), early * _usual_difference(ratio))
+    return np.asarray(ratio ** (OWN_SCALING + (1.0 - OWN_SCALING) * real_share))
 
 
 def late_scale(now: Now, shown: Array) -> float:
@@ -93,16 +93,16 @@ def late_scale(now: Now, shown: Array) -> float:
     if now.since_take_off_s < 2.0 * MEAN_TAU_S:
         return 1.0
     away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W) - float(np.median(np.log(shown)))
-    return math.exp(_surely(away, _usual(shown)) * away) if away > 0.0 else 1.0
+    return math.exp(_real_share(away, _usual_difference(shown)) * away) if away > 0.0 else 1.0
 
 
-def _usual(ratio: Array) -> float:
-    """How far from 1 a ratio of powers usually is, in logarithms, by those of the flights of a library."""
+def _usual_difference(ratio: Array) -> float:
+    """Return the difference of power, as ln of the ratio, that flights of one aircraft usually show at one place."""
     return math.hypot(LEAST_USUAL, USUAL_SDS * float(np.std(np.log(ratio))))
 
 
-def _surely(away: float, usual: float) -> float:
-    """What of a difference is no chance: nothing up to what is usual, all of it from twice as much on."""
+def _real_share(away: float, usual: float) -> float:
+    """Return the share of a difference of power that is real: 0 up to the usual difference, 1 from twice that on."""
     return min(max(abs(away) / usual - 1.0, 0.0), 1.0)
 
 

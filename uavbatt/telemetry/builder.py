@@ -121,9 +121,9 @@ def default_instance(log: LogBuilder) -> int:
     from uavbatt.telemetry.columns import rows_of
     from uavbatt.telemetry.drawn import given_J
 
+    if len(log.columns or log.rows) == 1:
+        return next(iter(log.columns or log.rows))
     there = log.columns or {number: rows_of(rows) for number, rows in log.rows.items()}
-    if len(there) == 1:
-        return next(iter(there))
     # min() keeps the first of equals, and a dict keeps the log's order: a tie goes to the earlier one.
     first_s = {number: rows.first_current_s for number, rows in there.items() if not math.isnan(rows.first_current_s)}
     given = {number: given_J(there[number]) for number in first_s}

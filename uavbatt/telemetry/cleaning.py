@@ -60,7 +60,8 @@ class Cleaner(NamedTuple):
 
     def told(self, facts: PackFacts) -> Cleaner:
         """Return the cleaner with what the vehicle states of its sensors."""
-        return self._replace(reads_escs=facts.temperature_of_escs)
+        of_escs = facts.temperature_of_escs
+        return self if self.reads_escs is of_escs else self._replace(reads_escs=of_escs)
 
     def moved(self, shift_s: float) -> Cleaner:
         """Return the same memory on a clock that shows `shift_s` [s] more."""

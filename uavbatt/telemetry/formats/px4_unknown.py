@@ -1,4 +1,4 @@
-"""What PX4 writes into battery_status where it knows nothing: in a ULog file, and in a table of `ulog2csv`."""
+"""The values by which PX4 says in battery_status that it does not know, in ULog files and in tables of `ulog2csv`."""
 
 from __future__ import annotations
 
