@@ -35,7 +35,7 @@ _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
 class Uncertainty(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """It states the standard uncertainties and resolutions of the instruments; None = not stated."""
+    """Uncertainty states the standard uncertainties and resolutions of the instruments; None = not stated."""
 
     voltage_resolution_V: _Positive | None = None
     voltage_calibration_V: _Positive | None = None
@@ -47,7 +47,7 @@ class Uncertainty(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Flag(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """It marks a suspect entry: where, what is printed, what it likely is, and why. It is never applied."""
+    """Flag marks a suspect entry: where, what is printed, what it likely is, and why. It is never applied."""
 
     where: str
     kind: str
@@ -78,7 +78,7 @@ class _Flags(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class DataSet:
-    """It holds repeated discharge tests of one type of battery; `sha256` covers the content of both files."""
+    """DataSet holds repeated discharge tests of one type of battery; `sha256` covers the content of both files."""
 
     name: str
     chemistry: str
@@ -114,7 +114,7 @@ class DataSet:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """It holds repeated runs on a common time grid: `values[occasion, sample, time]`, NaN where there is none."""
+    """Levels holds repeated runs on a common time grid: `values[occasion, sample, time]`, NaN where there is none."""
 
     ambient_C: float
     quantity: str

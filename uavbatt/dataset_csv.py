@@ -29,7 +29,7 @@ TEMP_RANGE_C = (-80.0, 150.0)
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """It holds one discharge. NaN = not measured; positive current discharges."""
+    """Run holds one discharge. NaN = not measured; positive current discharges."""
 
     sample: str
     run: int

@@ -10,7 +10,7 @@ from uavbatt.prediction.batch import Answers, answers
 
 
 class Engine(NamedTuple):
-    """It holds the functions that work on many rows at once; an `Estimator` uses the first two in `run`.
+    """Engine holds the functions that work on many rows at once; an `Estimator` uses the first two in `run`.
 
     `PLAIN` is their numpy form, `compiled.engine()` their compiled form. `Estimator.step` uses neither.
     """

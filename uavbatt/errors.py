@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 class UavbattError(Exception):
-    """It is an error with a one-line message for the user; exit code 1 (failed or bad data)."""
+    """UavbattError is an error with a one-line message for the user; exit code 1 (failed or bad data)."""
 
     exit_code = 1
 

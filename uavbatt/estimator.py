@@ -58,7 +58,7 @@ LONGEST_WINDOW, NO_TIME = 4096, "no time in this row"
 
 
 class Past(NamedTuple):
-    """It keeps the memory of an estimator beside its belief: the past of the flight, and the past of the sensors."""
+    """Past keeps the memory of an estimator beside its belief: the past of the flight, and the past of the sensors."""
 
     forecaster: Memory
     cleaner: Cleaner
@@ -69,7 +69,7 @@ class Past(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """It holds the state of the pack that is estimated, from its first row on; another pack or size begins another."""
+    """Followed holds the state of the pack that is estimated, from its first row on; another pack begins another."""
 
     filter: SocFilter
     forecaster: Forecaster

@@ -17,7 +17,7 @@ ALOFT_M, ALOFT_MS = 5.0, 5.0  # nobody carries or drives an armed aircraft about
 
 
 class Mode(StrEnum):
-    """It names the ways in which the autopilot flies, as far as the load to come depends on them."""
+    """Mode names the ways in which the autopilot flies, as far as the load to come depends on them."""
 
     MISSION = "mission"  # AUTO
     RETURN = "return"  # RTL
@@ -30,7 +30,7 @@ class Mode(StrEnum):
 
 
 class Action(StrEnum):
-    """It names the things that a mission item asks for."""
+    """Action names the things that a mission item asks for."""
 
     TAKEOFF = "takeoff"
     WAYPOINT = "waypoint"
@@ -50,7 +50,7 @@ class Action(StrEnum):
 
 
 class Frame(StrEnum):
-    """It names the level from which an altitude counts."""
+    """Frame names the level from which an altitude counts."""
 
     HOME = "home"
     SEA = "sea"
@@ -58,7 +58,7 @@ class Frame(StrEnum):
 
 
 class SpeedKind(StrEnum):
-    """It names the speed that a SPEED item changes."""
+    """SpeedKind names the speed that a SPEED item changes."""
 
     GROUND = "ground"
     AIR = "air"
@@ -68,7 +68,7 @@ class SpeedKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """It holds one item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home and is kept)."""
+    """MissionItem is one item of a mission, in the autopilot's own numbering (ArduPilot: item 0 is home, kept)."""
 
     seq: int
     action: Action
@@ -89,7 +89,7 @@ class MissionItem:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """It holds a whole mission as uploaded or read from a file; `reason` is empty or says why it is not understood."""
+    """Mission holds a whole mission; `reason` is empty or says why it is not understood."""
 
     items: tuple[MissionItem, ...]
     source: str = ""  # "link", "log" or the file's name
@@ -100,7 +100,7 @@ class Mission:
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """It is the place that the autopilot returns to; alt_m is above sea."""
+    """Home is the place that the autopilot returns to; alt_m is above sea."""
 
     lat_deg: float
     lon_deg: float
@@ -129,7 +129,7 @@ class ReturnSettings:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """It holds place and velocity of the aircraft at one instant."""
+    """Position holds place and velocity of the aircraft at one instant."""
 
     time_s: float
     lat_deg: float
@@ -143,7 +143,7 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """It is the wind as the autopilot estimates it: the velocity of the air, not where it comes from."""
+    """Wind is the wind as the autopilot estimates it: the velocity of the air, not where it comes from."""
 
     north_ms: float
     east_ms: float
@@ -152,7 +152,7 @@ class Wind:
 
 @dataclass(frozen=True, slots=True)
 class Navigation:
-    """It holds all that is known of route and place at one instant; it changes by replacement, one field at a time."""
+    """Navigation holds all that is known of route and place at one instant; fields change by replacement."""
 
     time_s: float = NAN  # of the last change of anything in it
     mode: Mode = Mode.UNKNOWN

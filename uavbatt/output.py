@@ -112,7 +112,7 @@ class Sink(Protocol):
 
 
 class JsonLinesSink:
-    """It writes one JSON object a line, with the keys in the order of `COLUMNS`."""
+    """JsonLinesSink writes one JSON object a line, with the keys in the order of `COLUMNS`."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -123,7 +123,7 @@ class JsonLinesSink:
 
 
 class CsvSink:
-    """It writes a header row, then one row a line; an empty cell is what JSON Lines calls null."""
+    """CsvSink writes a header row, then one row a line; an empty cell is what JSON Lines calls null."""
 
     def __init__(self, file: TextIO, with_route: bool = False) -> None:
         self._rows = csv.writer(file, lineterminator="\n")

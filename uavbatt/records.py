@@ -39,7 +39,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """It holds one telemetry row of one battery; NaN is not measured.
+    """Sample holds one telemetry row of one battery; NaN is not measured.
 
     Attributes:
         time_s: since the first record of the log [s]; live, a monotonic clock.
@@ -64,7 +64,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class PackFacts:
-    """It holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
+    """PackFacts holds the parameters in which the vehicle states its pack; NaN or None where it states nothing.
 
     Voltages [V] are of the pack, the capacity is in Ah; sag_compensated: the autopilot adds the sag to the voltage it
     reports; temperature_of_escs: what it reports as the pack's temperature is that of the motor controllers.
@@ -88,7 +88,7 @@ class PackFacts:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """It identifies aircraft and flight, as far as a log tells them; empty, None or NaN where it does not."""
+    """Identity identifies aircraft and flight, as far as a log tells them; empty, None or NaN where it does not."""
 
     system: int | None = None  # MAVLink's number of the vehicle; most are 1
     hardware: str = ""  # serial of the flight controller
@@ -100,7 +100,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """It holds a flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
+    """Flight holds a flight log as it was read: the rows of one battery, and what the vehicle stated meanwhile.
 
     Attributes:
         source: path or name of the log.
@@ -176,7 +176,7 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """It holds the filter's belief after one sample; NaN is not known.
+    """Estimate holds the filter's belief after one sample; NaN is not known.
 
     Attributes:
         time_s: of the sample [s].
@@ -225,7 +225,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """It holds the part of a forecast about the route, the way home and the turn-back.
+    """Route holds the part of a forecast about the route, the way home and the turn-back.
 
     Times are seconds from now, charges 0 to 1 at touchdown; lo and hi are the 5 % and 95 % points; NaN is unknown.
 
@@ -270,7 +270,7 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Remaining:
-    """It holds the time until the end of flight; NaN with a reason when it is refused.
+    """Remaining holds the time until the end of flight; NaN with a reason when it is refused.
 
     Attributes:
         time_s: of the sample [s].

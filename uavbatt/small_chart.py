@@ -21,7 +21,7 @@ MARGIN = 2.0
 
 
 class Size(NamedTuple):
-    """It holds width and height of a drawing [px]."""
+    """Size holds width and height of a drawing [px]."""
 
     width: float
     height: float
@@ -31,7 +31,7 @@ SPARK, CHART = Size(96.0, 22.0), Size(460.0, 130.0)
 
 
 class Span(NamedTuple):
-    """It holds the least and the greatest value that an axis shows."""
+    """Span holds the least and the greatest value that an axis shows."""
 
     low: float
     high: float

@@ -35,7 +35,7 @@ UNKNOWN_MAKE_PRIOR = ((0.53, 0.0, 0.03), (0.35, -0.14, 0.09), (0.12, -0.30, 0.35
 
 
 class Capacities(NamedTuple):
-    """It holds the prior's members, [members] each: ln of the capacity scale, its sd within the member, its weight.
+    """Capacities holds the prior's members, [members] each: ln of capacity scale, its sd within the member, its weight.
 
     With them go ln of the resistance scale (of ohm times Ah) and its sd.
     """

@@ -13,7 +13,7 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """It holds one parameter of an effect, and what is assumed of it when the effect is on and nothing else is known.
+    """Quantity holds one parameter of an effect, and what is assumed of it when nothing else is known.
 
     `prior`, `prior_sd` and the bounds `low` and `high` are in `unit`; with `log`, the sd is relative (a factor).
     `neutral` means "effect off".

@@ -25,7 +25,7 @@ SLOPE_WITHIN, LEAST_SLOPE_V = 0.04, 0.1  # the OCV's slope at a charge is that o
 
 
 class Charge(NamedTuple):
-    """It holds a state of charge and its standard deviation."""
+    """Charge holds a state of charge and its standard deviation."""
 
     soc: float
     sd: float

@@ -150,7 +150,7 @@ def transfer_drop(p: Parameters, c_rate: Number) -> Number:
 
 
 class UnderLoad(NamedTuple):
-    """It holds the load of a cell: its C-rate [1/h], and the drop that a sluggish reaction takes [V]."""
+    """UnderLoad holds the load of a cell: its C-rate [1/h], and the drop that a sluggish reaction takes [V]."""
 
     c_rate: Number
     transfer_V: Number
@@ -181,7 +181,7 @@ def depletion(p: Parameters, soc: Number, c_rate: Number) -> Number:
 
 
 class Lags(NamedTuple):
-    """It holds the share of a deviation that is left after one step, `equations.decay` for each lag."""
+    """Lags holds the share of a deviation that is left after one step, `equations.decay` for each lag."""
 
     polarisation: Number
     diffusion: Number

@@ -21,7 +21,7 @@ FULL_CELL_V = 4.0  # of a cell, in the mean of a gentle discharge: less
 
 
 class Installation(NamedTuple):
-    """It holds the pack's size and everything between its cells and the telemetry; the defaults are neutral."""
+    """Installation holds the pack's size and all between its cells and the telemetry; the defaults are neutral."""
 
     cells: Number
     capacity_Ah: Number

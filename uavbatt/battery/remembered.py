@@ -30,7 +30,7 @@ CAUSES = f"damaged, or {ANOTHER}"
 
 
 class PackHealth(NamedTuple):
-    """It holds one pack's ln of ohms per cell and ln of Ah at 25 °C and half charge, and their covariance [2, 2].
+    """PackHealth holds a pack's ln of ohms per cell and ln of Ah at 25 °C and half charge, and their covariance [2, 2].
 
     They are in ohms and ampere-hours, so that they hold against any battery file and whatever capacity the vehicle
     states.
@@ -48,7 +48,7 @@ class PackHealth(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """It holds ln of the resistance scale (of ohm·Ah) and ln of the capacity scale against a battery file.
+    """Scales holds ln of the resistance scale (of ohm·Ah) and ln of the capacity scale against a battery file.
 
     They are a mean [2] and a covariance [2, 2].
     """

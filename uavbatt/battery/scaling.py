@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Pack(NamedTuple):
-    """It applies a battery file to one aircraft's pack: the parameters, limits [V] and standard deviations for it."""
+    """Pack applies a battery file to one aircraft's pack: the parameters, limits [V] and standard deviations for it."""
 
     cell: Parameters
     installation: Installation

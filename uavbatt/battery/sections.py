@@ -92,7 +92,7 @@ class Wander(Record, frozen=True):
 
 
 class Discrepancy(Record, frozen=True):
-    """It states the error that the model leaves on effect-free data, per pack of `cells_series` cells: [discrepancy].
+    """Discrepancy states the error of the model on effect-free data, per pack of `cells_series` cells: [discrepancy].
 
     `wander` is missing in files from before it was known; the other numbers of those files stand in for it.
     """
@@ -131,7 +131,7 @@ FITTED_LOW, FITTED_HIGH = "fitted_low_C", "fitted_high_C"  # statistics: the tem
 
 
 class Certificate(Record, frozen=True):
-    """It says who vouches for the file, and on which data: [certificate].
+    """Certificate says who vouches for the file, and on which data: [certificate].
 
     The status `edited` is none to ship: it marks a file that was let through.
     """
@@ -147,7 +147,7 @@ class Certificate(Record, frozen=True):
 
 
 class BatteryFile(Record, frozen=True):
-    """It holds the whole battery file, section by section."""
+    """BatteryFile holds the whole battery file, section by section."""
 
     battery: Battery
     parameters: ParameterTable

@@ -62,7 +62,7 @@ class PackOptions:
 
 @dataclass(frozen=True, slots=True)
 class PackSize:
-    """It holds the size of a pack, and where each number came from."""
+    """PackSize holds the size of a pack, and where each number came from."""
 
     battery: str
     status: str

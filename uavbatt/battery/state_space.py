@@ -29,7 +29,7 @@ from uavbatt.battery.scaling import Pack
 
 
 class X(IntEnum):
-    """It names the index of each component of the state vector."""
+    """X names the index of each component of the state vector."""
 
     SOC = 0
     POLARISATION = 1
@@ -83,7 +83,7 @@ def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
 
 
 class Unpacked(NamedTuple):
-    """It holds one belief vector as the model's own records."""
+    """Unpacked holds one belief vector as the model's own records."""
 
     cell: Parameters
     installation: Installation

@@ -49,7 +49,7 @@ IN_KELVIN = Doubt("the temperature reads as if it were in kelvin: not used", Fal
 
 
 class Means(NamedTuple):
-    """It holds the time under load so far [s], and mean current [A] and power [W] over about the last minute of it."""
+    """Means holds the time under load [s], and mean current [A] and power [W] over about the last minute of it."""
 
     loaded_s: float = 0.0
     current_A: float = NAN
@@ -65,7 +65,7 @@ class Means(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """It holds for how long the voltage has been lower than the discharge explains [s], and by how much [V a cell]."""
+    """Strain tells how long the voltage has been lower than the discharge explains [s], and how much [V a cell]."""
 
     lasting_s: float = 0.0
     mean_V: float = 0.0
@@ -80,7 +80,7 @@ NO_LOAD, NO_STRAIN = Means(), Strain()
 
 
 class Current(NamedTuple):
-    """It sums up the current of the rows so far: charge drawn, load, sign, and the strain of the voltage under it."""
+    """Current sums up the current of the rows: charge drawn, load, sign, and the strain of the voltage under it."""
 
     time_s: float = NAN
     current_A: float = NAN
@@ -115,7 +115,7 @@ class Current(NamedTuple):
 
 
 class Statements(NamedTuple):
-    """It sums up the rows so far, as far as statements are compared with them; `after` takes in one more."""
+    """Statements sums up the rows so far, as far as statements are compared with them; `after` takes in one more."""
 
     seen: Seen = Seen()
     rows: int = 0

@@ -29,7 +29,7 @@ Points = msgspec.Meta(min_length=2, max_length=MOST_POINTS)
 
 
 class Trace(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """It holds one past flight from take-off to landing: time since take-off [s], power [W], state of charge."""
+    """Trace holds one past flight from take-off to landing: time since take-off [s], power [W], state of charge."""
 
     time_s: Annotated[list[Seconds], Points]
     power_W: Annotated[list[Watts], Points]
@@ -37,7 +37,7 @@ class Trace(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """It holds the mean power [W] over the flights: of the first minute, the whole, the last minute."""
+    """Phases holds the mean power [W] over the flights: of the first minute, the whole, the last minute."""
 
     take_off_W: Watts
     flight_W: Watts
@@ -62,7 +62,7 @@ class Speeds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class VehicleFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """It holds the whole vehicle file."""
+    """VehicleFile holds the whole vehicle file."""
 
     name: str
     battery: str

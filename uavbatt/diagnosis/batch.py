@@ -25,7 +25,7 @@ FREE_START_SD = 0.02  # of a record around the shift that all share
 
 
 class Batch:
-    """It turns values of the candidates' unknowns into whitened residuals, and alone knows how columns are laid out."""
+    """Batch turns values of the candidates' unknowns into whitened residuals; it alone knows the layout of columns."""
 
     def __init__(self, problem: Problem, candidates: list[Candidate], *, file_errors: bool = False) -> None:
         """Lay the columns out; with `file_errors` every error of the file is estimated, each with its prior."""

@@ -16,7 +16,7 @@ BLOCKS = ("rest", "take-off", "first third", "middle third", "last third", "temp
 
 
 class EvidenceBlock(NamedTuple):
-    """It holds the name of one block, how many numbers all records have there, and how much chi-square they save."""
+    """EvidenceBlock holds a block's name, how many numbers all records have there, and the chi-square they save."""
 
     name: str
     numbers: int

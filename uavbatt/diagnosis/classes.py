@@ -23,7 +23,7 @@ NEVER_SURE = 0.97  # share of the candidates' probability that is kept at most: 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """It holds a value with its 95 % interval from `lo` to `hi`."""
+    """Interval holds a value with its 95 % interval from `lo` to `hi`."""
 
     value: float
     lo: float

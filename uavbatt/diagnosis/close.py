@@ -40,7 +40,7 @@ ROW_S, FORECAST_S, SETTLING_S = 2.0, 60.0, 60.0
 
 @dataclass(frozen=True, slots=True)
 class HeldOutErrors:
-    """It holds the errors on held-out records; NaN where one cannot be judged (no end in the log, no temperature).
+    """HeldOutErrors holds the errors on held-out records; NaN where one cannot be judged (no end, no temperature).
 
     `coverage` is the share of forecasts whose interval holds the true remaining time.
     """
@@ -53,7 +53,7 @@ class HeldOutErrors:
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """It holds the errors before and after the extension, and the names of the records held out for them."""
+    """ClosedLoop holds the errors before and after the extension, and the names of the records held out for them."""
 
     before: HeldOutErrors
     after: HeldOutErrors

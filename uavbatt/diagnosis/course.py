@@ -43,7 +43,7 @@ def courses(flights: int) -> list[Course]:
 
 @dataclass(frozen=True, slots=True)
 class OwnValues:
-    """It holds each flight's own change of an effect's first quantity from the battery file's, in order of time."""
+    """OwnValues holds each flight's change of an effect's first quantity from the file's, in order of time."""
 
     change: Array
     sd: Array

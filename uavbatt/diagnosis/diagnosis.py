@@ -187,7 +187,7 @@ def floor_V(file: BatteryFile, problem: Problem) -> float:
 
 
 class LeftPerNumber(NamedTuple):
-    """It holds the chi-square per number that a model leaves."""
+    """LeftPerNumber holds the chi-square per number that a model leaves."""
 
     voltage: float
     temperature: float  # NaN: not measured

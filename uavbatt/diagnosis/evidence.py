@@ -47,7 +47,7 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """It holds the rows of one record that count, and the inverse Cholesky factor of their covariance.
+    """Whitener holds the rows of one record that count, and the inverse Cholesky factor of their covariance.
 
     `rest` marks those at rest before take-off.
     """
@@ -59,7 +59,7 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """It holds records side by side with their whitening; `shifted_A` [shifts, rows, records] is the current read late.
+    """Evidence holds records side by side with their whitening; `shifted_A` [shifts, rows, records] is late current.
 
     `start_soc` and `start_sd` are the charge that each record is believed to start with and its sd.
     """

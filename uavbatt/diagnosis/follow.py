@@ -43,7 +43,7 @@ LEAST_FLIGHTS = 2
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """It holds one effect with its course; flights are counted from 0 in order of time."""
+    """Followed holds one effect with its course; flights are counted from 0 in order of time."""
 
     found: EffectClass
     course: Course
@@ -57,7 +57,7 @@ class Followed:
 
 @dataclass(frozen=True, slots=True)
 class Follow:
-    """It holds the flights in order of time, the verdict and what was found in them."""
+    """Follow holds the flights in order of time, the verdict and what was found in them."""
 
     verdict: Verdict
     flights: tuple[str, ...]

@@ -17,7 +17,7 @@ from uavbatt.diagnosis.evidence import Evidence, Rows
 
 @dataclass(frozen=True, slots=True)
 class TableErrors:
-    """It holds the errors of the file's OCV [V] and R0 (relative) at their knots, one standard deviation each."""
+    """TableErrors holds the errors of the file's OCV [V] and R0 (relative) at their knots, one sd each."""
 
     ocv_soc: Array
     ocv_sd_V: Array
@@ -51,7 +51,7 @@ def _hats(soc: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """It holds what all refits share: the pack of the battery file, the records, the quantities' values (`base`)."""
+    """Problem holds what all refits share: the battery file's pack, the records, the quantities' values (`base`)."""
 
     pack: Pack
     evidence: Evidence
@@ -64,7 +64,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """It holds one candidate at its best: u [records, columns] in the solver's space, nuisances v [records, 3]."""
+    """Refit holds one candidate at its best: u [records, columns] in the solver's space, nuisances v [records, 3]."""
 
     candidate: Candidate
     columns: tuple[Freed, ...]  # shared errors of the file, then the candidate's quantities

@@ -21,7 +21,7 @@ PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """It holds measured minus modelled voltage [V] and temperature [K] at the real rows of one record.
+    """Residual holds measured minus modelled voltage [V] and temperature [K] at the real rows of one record.
 
     The other columns are what the two may go with; `flatness` is the weight of each row, `rest` marks those at rest.
     """

@@ -58,7 +58,7 @@ class FoundEffect:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """It tells what each single effect is worth beside what the model has."""
+    """Trial tells what each single effect is worth beside what the model has."""
 
     before: Refit
     fits: tuple[Refit, ...]  # by chi-square

@@ -32,7 +32,7 @@ class OwnValues(NamedTuple):
 
 
 class Simulated(NamedTuple):
-    """It holds the readings that the sensors should show, [rows, variants, records]; soc for reports."""
+    """Simulated holds the readings that the sensors should show, [rows, variants, records]; soc for reports."""
 
     voltage_V: Array
     temp_C: Array

@@ -29,7 +29,7 @@ WEAK = 0.05  # information that stands for the prior where the other records tel
 
 @dataclass(frozen=True, slots=True)
 class Constancy:
-    """It tells how far the records agree on an effect's first quantity (Cochran's Q, as a spread).
+    """Constancy tells how far the records agree on an effect's first quantity (Cochran's Q, as a spread).
 
     The spread is the sd between records, relative to the change or to what errors of the file make of nothing.
     """
@@ -40,7 +40,7 @@ class Constancy:
 
 @dataclass(frozen=True, slots=True)
 class Worth:
-    """It holds the evidence for one effect of a refit, over the model without it."""
+    """Worth holds the evidence for one effect of a refit, over the model without it."""
 
     gains: Array  # chi-square saved on each record by the values that the others give
     most: float  # what the refit saves where nothing is left out: what only steadies the rest is not the effect's

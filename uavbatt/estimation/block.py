@@ -15,7 +15,7 @@ BLOCK_S = 2.0
 
 
 class Block(NamedTuple):
-    """It holds the sums over the rows of a block, as a value: `after` gives the block with one row more."""
+    """Block holds the sums over the rows of a block, as a value: `after` gives the block with one row more."""
 
     rows: int = 0
     duration_s: float = 0.0

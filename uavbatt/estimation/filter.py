@@ -37,7 +37,7 @@ REFUSED_SOC_SD = 0.25
 
 
 class BeliefSummary(NamedTuple):
-    """It holds the means and sds of a belief that an estimate shows; they change only when a block is closed."""
+    """BeliefSummary holds the means and sds of a belief that an estimate shows; they change when a block is closed."""
 
     soc: float = NAN
     soc_sd: float = NAN
@@ -51,7 +51,7 @@ class BeliefSummary(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """It holds the filter after one row: its belief, the belief's summary, and the row against the model.
+    """Filtered holds the filter after one row: its belief, the belief's summary, and the row against the model.
 
     The belief is None before the first complete row.
     """

@@ -29,7 +29,7 @@ Condition = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
 
 
 class Moments(NamedTuple):
-    """It holds a sum of Gaussians: means, covariances and ln of the weights of its members."""
+    """Moments holds a sum of Gaussians: means, covariances and ln of the weights of its members."""
 
     x: Array  # [members, 9]
     P: Array  # [members, 9, 9]

@@ -45,7 +45,7 @@ MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad c
 
 
 class Innovations(NamedTuple):
-    """It follows the mean of the normalised innovation squared over about a minute.
+    """Innovations follows the mean of the normalised innovation squared over about a minute.
 
     high_since_s : since when that is too large [s], NaN while it is not; time_s : time of the last block [s].
     """

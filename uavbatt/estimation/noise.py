@@ -67,7 +67,7 @@ def snapshot(dt_s: float, shares: tuple[float, float]) -> float:
 
 
 class First(NamedTuple):
-    """It holds the first belief of a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
+    """First holds the first belief of a cell: its state, and mean and covariance of (charge, discrepancy [V])."""
 
     state: State
     mean: Array
@@ -160,7 +160,7 @@ def rested_variance(pack: Pack, soc: Number) -> Number:
 
 
 class Air(NamedTuple):
-    """It holds the temperature of the air around the pack [°C], how far off it looks, and if it is known to be off.
+    """Air holds the temperature of the air around the pack [°C], how far off it looks, and if it is known to be off.
 
     off_sds : by how much the pack is warmer than expected, in standard deviations, smoothed; NaN where somebody stated
     the temperature of the air, which is then believed.

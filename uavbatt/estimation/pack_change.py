@@ -29,14 +29,14 @@ ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
 
 
 class Bounds(NamedTuple):
-    """It bounds the voltage that the believed pack can show at rest, per cell [V]."""
+    """Bounds bounds the voltage that the believed pack can show at rest, per cell [V]."""
 
     low_V: float = -math.inf
     high_V: float = math.inf
 
 
 class SwapWatch(NamedTuple):
-    """It keeps the last row with a pack in the aircraft, and how many rows in turn have shown another pack.
+    """SwapWatch keeps the last row with a pack in the aircraft, and how many rows in turn have shown another pack.
 
     seen_s, current_A, belief : time [s], current [A] and belief of that row.
     """

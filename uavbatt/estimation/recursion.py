@@ -34,7 +34,7 @@ ROOM_TEMP_C = 22.0
 
 
 class FilterState(NamedTuple):
-    """It holds the state of the filter between two rows."""
+    """FilterState holds the state of the filter between two rows."""
 
     moments: Moments  # after the last block
     time_s: float  # of the last row
@@ -46,7 +46,7 @@ class FilterState(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """It holds a row against the model: innovation [V], its NIS (NaN within a block), expected voltage [V], charge."""
+    """Innovation holds a row against the model: innovation [V], NIS (NaN within a block), expected voltage [V], soc."""
 
     innovation_V: float
     nis: float
@@ -55,7 +55,7 @@ class Innovation(NamedTuple):
 
 
 class FilteredRow(NamedTuple):
-    """It holds the filter after one row of a window; it has no moments before the first complete row."""
+    """FilteredRow holds the filter after one row of a window; it has no moments before the first complete row."""
 
     moments: Moments | None
     time_s: float

@@ -20,7 +20,7 @@ DEAD_SHARE, RECOVERED_SHARE, LEAST_RISE_CELL_V, DEAD_S, RECENT_TAU_S = 0.1, 0.35
 
 
 class Still(NamedTuple):
-    """It follows one reading since its last change.
+    """Still follows one reading since its last change.
 
     value : the reading; since_s : the time of its last change [s]; rows : since that change; step : its smallest change
     so far; habit : the share of rows in which it changed.
@@ -47,7 +47,7 @@ class Still(NamedTuple):
 
 
 class SinceMoved(NamedTuple):
-    """It follows voltage and current since their last changes, the charge drawn meanwhile, and the voltage's turns."""
+    """SinceMoved follows voltage and current since they last changed, the charge drawn then, the voltage's turns."""
 
     time_s: float = math.nan
     voltage: Still = Still()
@@ -84,7 +84,7 @@ class SinceMoved(NamedTuple):
 
 
 class LoadWatch(NamedTuple):
-    """It notices a current that falls to nothing while the voltage stays low.
+    """LoadWatch notices a current that falls to nothing while the voltage stays low.
 
     voltage_V and current_A are means over the last seconds of sound rows.
     """

@@ -14,7 +14,7 @@ from uavbatt.records import NAN, Sample
 
 
 class Skew:
-    """It gives each sample voltage and current of one instant, from a memory of the rows before.
+    """Skew gives each sample voltage and current of one instant, from a memory of the rows before.
 
     delay_s : that of the effect `current_delay` [s], not 0.
     """

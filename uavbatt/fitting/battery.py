@@ -29,7 +29,7 @@ LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data sai
 
 @dataclass(frozen=True, slots=True)
 class RecordedPack:
-    """It holds the size of the pack that the records are of, and the voltage that ends a flight [V]."""
+    """RecordedPack holds the size of the pack that the records are of, and the voltage that ends a flight [V]."""
 
     name: str
     cells: int
@@ -47,7 +47,7 @@ class RecordedPack:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """It holds the battery file (not sealed) and, in words, what the data tell and do not tell."""
+    """Fitted holds the battery file (not sealed) and, in words, what the data tell and do not tell."""
 
     file: BatteryFile
     known: tuple[str, ...]

@@ -29,7 +29,7 @@ LEAST_ROWS, LEAST_BINS = 10, 3
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """It holds one record: rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN = not measured)."""
+    """Observed holds one record: rows of time [s], pack voltage [V], current [A], temperature [°C] (NaN: unknown)."""
 
     name: str
     time_s: Array
@@ -43,7 +43,7 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """It holds records side by side, [rows, records]; `compare` marks real rows, sigma and slope are per pack."""
+    """Stack holds records side by side, [rows, records]; `compare` marks real rows, sigma and slope are per pack."""
 
     names: tuple[str, ...]
     cells: Array

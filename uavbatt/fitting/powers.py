@@ -31,7 +31,7 @@ AS_METERED = Installation(1, 1.0)
 
 
 class PowerRows(NamedTuple):
-    """It holds block means of a flight: power [W], airspeed, climb [m/s], shares of take-off and landing, time [s]."""
+    """PowerRows holds block means: power [W], airspeed, climb [m/s], take-off and landing shares, time [s]."""
 
     power_W: Array
     airspeed_ms: Array

@@ -115,7 +115,7 @@ def cell(slots: tuple[Slot, ...], x: Array, effects: tuple[str, ...] = BASE_EFFE
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """It holds the result of a fit: the slots' most probable u with its covariance, and the effects that were on."""
+    """Posterior holds a fit's result: the slots' most probable u with its covariance, and the effects that were on."""
 
     slots: tuple[Slot, ...]
     effects: tuple[str, ...]

@@ -29,7 +29,7 @@ OWN = ("start_soc", "log_resistance", "log_capacity")
 
 @dataclass(frozen=True, slots=True)
 class OwnPrior:
-    """It holds the prior sds of what each record has of its own, beside the cell that all share.
+    """OwnPrior holds the prior sds of what each record has of its own, beside the cell that all share.
 
     They are those of the starting charge of a rested and of a loaded record, and of ln of its pack's scales.
     """
@@ -46,7 +46,7 @@ SAMPLES = OwnPrior(log_resistance=0.04, log_capacity=0.02)  # bench tests beside
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatteryFit(Posterior):
-    """It adds to the posterior of the shared slots what each record has of its own: start soc and ln of its scales."""
+    """BatteryFit adds to the posterior of the shared slots each record's own: start soc and ln of its scales."""
 
     own: Array  # [records, 3]
     cost: float

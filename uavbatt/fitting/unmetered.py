@@ -35,7 +35,7 @@ LOAD_SLOTS = (
 
 @dataclass(frozen=True, slots=True)
 class MeanTest:
-    """It holds mean voltage [V], its standard error and mean surface temperature [°C] at instants [s], for a fit."""
+    """MeanTest holds mean voltage [V], its standard error and surface temperature [°C] at instants [s], for a fit."""
 
     time_s: Array
     voltage_V: Array

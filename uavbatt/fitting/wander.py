@@ -37,7 +37,7 @@ NUDGE = 1e-3
 
 
 class Misfit(NamedTuple):
-    """It holds the misfit of records side by side, [rows, records], and the quantities that its size goes with.
+    """Misfit holds the misfit of records side by side, [rows, records], and the quantities that its size goes with.
 
     slope : of the voltage [V/s], 0 for temperatures; known : marks the rows that count.
     """

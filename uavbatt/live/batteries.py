@@ -37,7 +37,7 @@ NOTE_S = 60.0
 
 
 class Batteries:
-    """It takes the rows of one vehicle in and gives a report of each battery.
+    """Batteries takes the rows of one vehicle in and gives a report of each battery.
 
     `clocks` reads all clocks at a monotonic time [s].
     """

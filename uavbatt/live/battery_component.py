@@ -22,7 +22,7 @@ LISTEN_S = 3.0  # the autopilot names its batteries in turn
 
 
 class BatteryFeed:
-    """It makes HEARTBEAT each second and BATTERY_STATUS at `rate_Hz`, as of a battery component of its own."""
+    """BatteryFeed makes HEARTBEAT each second and BATTERY_STATUS at `rate_Hz`, as of a battery component of its own."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz

@@ -107,7 +107,7 @@ class StateSection(Section, frozen=True):
 
 
 class Config(Section, frozen=True):
-    """It holds the whole file, a section each."""
+    """Config holds the whole file, a section each."""
 
     link: LinkSection = LinkSection()
     pack: PackSection = PackSection()

@@ -25,7 +25,7 @@ GIVES_NOTHING = "gives nothing"  # in the warning of its estimate
 
 
 class Headline:
-    """It keeps the order of the batteries; it remembers who was first, and since when one gives nothing."""
+    """Headline keeps the order of the batteries; it remembers who was first, and since when one gives nothing."""
 
     def __init__(self) -> None:
         self._first: int | None = None

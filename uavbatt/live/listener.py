@@ -22,7 +22,7 @@ MOST_TOLD = 100  # notes that go to the log
 
 
 class HeardFrame(NamedTuple):
-    """It holds a whole and valid frame with its sender."""
+    """HeardFrame holds a whole and valid frame with its sender."""
 
     data: bytes
     header: framing.Header

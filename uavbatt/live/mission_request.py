@@ -21,7 +21,7 @@ REST_S, LONGEST_REST_S = 10.0, 120.0  # after a reading that came to nothing
 
 
 class MissionRequest:
-    """It asks the autopilot for its mission, item by item; `frames` is to be called every turn of the loop."""
+    """MissionRequest asks the autopilot for its mission, item by item; `frames` is called every turn of the loop."""
 
     def __init__(self) -> None:
         self._is_reading = False

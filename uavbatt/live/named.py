@@ -17,7 +17,7 @@ from uavbatt.mavlink.outgoing import Outgoing
 
 
 class NamedFeed:
-    """It makes the frames with the named values of every battery, at `rate_Hz` at most."""
+    """NamedFeed makes the frames with the named values of every battery, at `rate_Hz` at most."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz

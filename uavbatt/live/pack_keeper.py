@@ -38,7 +38,7 @@ Result = TypeVar("Result")
 
 @dataclass(slots=True)
 class Kept:
-    """It holds the rows of one battery's flight; the loop alone changes it, in place."""
+    """Kept holds the rows of one battery's flight; the loop alone changes it, in place."""
 
     name: str
     health: Future[PackHealth | None]

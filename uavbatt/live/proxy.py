@@ -61,7 +61,7 @@ def message(kind: bytes, body: bytes) -> bytes:
 
 
 class Messages:
-    """It cuts a control stream into messages."""
+    """Messages cuts a control stream into messages."""
 
     def __init__(self) -> None:
         self._data = b""

@@ -49,7 +49,7 @@ def control_path(autopilot: str) -> str:
 
 
 class ProxyClient:
-    """It is a `Link` to the autopilot, with a way to the ground stations and to the rewriter."""
+    """ProxyClient is a `Link` to the autopilot, with a way to the ground stations and to the rewriter."""
 
     is_stream = True
 

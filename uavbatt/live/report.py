@@ -22,7 +22,7 @@ TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
 @dataclass(frozen=True, slots=True)
 class Display:
-    """It holds the values that may be shown now; NaN is unknown."""
+    """Display holds the values that may be shown now; NaN is unknown."""
 
     status: Status
     reason: str
@@ -40,7 +40,7 @@ class Display:
 
 
 class EnduranceNow(NamedTuple):
-    """It tells how long a flight that begins now would last [s]: median, 5 % and 95 % point; NaN is unknown."""
+    """EnduranceNow tells how long a flight begun now would last [s]: median, 5 % and 95 % point; NaN is unknown."""
 
     median_s: float = NAN
     lo_s: float = NAN
@@ -60,7 +60,7 @@ UNKNOWN = EnduranceNow()
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """It holds the last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""
+    """Report holds the last estimate of one battery. received_s is on the monotonic clock; cells 0 is unknown."""
 
     instance: int
     system: int
@@ -146,7 +146,7 @@ class Report:
 
 
 class Trend:
-    """It keeps the time left of each battery over the last ten minutes, a point every five seconds."""
+    """Trend keeps the time left of each battery over the last ten minutes, a point every five seconds."""
 
     def __init__(self) -> None:
         self._points: dict[int, tuple[tuple[float, Display], ...]] = {}

@@ -32,7 +32,7 @@ def parameter_names(instances: Iterable[int], is_px4: bool) -> list[str]:
 
 
 class Requests:
-    """It decides what to ask the autopilot for, and remembers what was asked and how often."""
+    """Requests decides what to ask the autopilot for, and remembers what was asked and how often."""
 
     def __init__(self, rate_Hz: float) -> None:
         self._rate_Hz = rate_Hz

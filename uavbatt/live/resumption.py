@@ -9,7 +9,7 @@ from uavbatt.live.state import Found, SavedState, SavedVehicle
 
 
 class Resumption:
-    """It hands out what an earlier process saved of a vehicle to that vehicle and to no other, each battery once."""
+    """Resumption hands out what an earlier process saved of a vehicle to that vehicle alone, each battery once."""
 
     def __init__(self, found: Found[SavedBattery]) -> None:
         self.age_s = found.age_s  # when this process began

@@ -13,7 +13,7 @@ SILENT_AFTER_S = 3.0
 
 
 class LastEstimate(NamedTuple):
-    """It holds the last estimate of one battery, as the control socket carried it."""
+    """LastEstimate holds the last estimate of one battery, as the control socket carried it."""
 
     status: int
     remaining_s: float

@@ -52,7 +52,7 @@ LARGEST_OTHER = 1e6
 
 @dataclass(frozen=True, slots=True)
 class SavedBattery:
-    """It holds the belief `since_row_s` [s] before the last row of a battery, and what goes with it."""
+    """SavedBattery holds the belief `since_row_s` [s] before the last row of a battery, and what goes with it."""
 
     since_row_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
     means: Annotated[list[Column], msgspec.Meta(min_length=1, max_length=MOST_MEMBERS)]

@@ -28,7 +28,7 @@ MOST_SAID = 8
 
 
 class Sender:
-    """It sends heartbeats, feeds and requests, each when it is due."""
+    """Sender sends heartbeats, feeds and requests, each when it is due."""
 
     def __init__(self, config: Config, link: Link, stations: Sequence[Link], key: bytes | None = None) -> None:
         self._config, self._link, self._stations = config, link, stations

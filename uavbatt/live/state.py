@@ -37,7 +37,7 @@ Battery = TypeVar("Battery")
 
 
 class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
-    """It tells whose batteries these are: the autopilot's address, and its serial number where the link has told it."""
+    """SavedVehicle tells whose batteries these are: the autopilot's address, and its serial number if known."""
 
     system: Byte
     component: Byte
@@ -45,7 +45,7 @@ class SavedVehicle(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
-    """It holds the file's content but for when it was written; `battery_sha256` and `link` are of the process."""
+    """SavedState holds the file's content but when it was written; `battery_sha256` and `link` are of the process."""
 
     battery_sha256: Name
     link: Annotated[str, msgspec.Meta(max_length=1000)]
@@ -56,7 +56,7 @@ class SavedState(msgspec.Struct, Generic[Battery], frozen=True, kw_only=True):
 
 
 class Clock(msgspec.Struct, frozen=True, kw_only=True):
-    """It is one instant by the clocks of this computer; `boot_id` is empty where it has none."""
+    """Clock is one instant by the clocks of this computer; `boot_id` is empty where it has none."""
 
     boot_id: str
     monotonic_s: Time
@@ -69,7 +69,7 @@ class _Written(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Found(NamedTuple, Generic[Battery]):
-    """It holds the state and its age [s], or None and the reason; no reason if nothing was ever saved."""
+    """Found holds the state and its age [s], or None and the reason; no reason if nothing was ever saved."""
 
     state: SavedState[Battery] | None
     age_s: float

@@ -31,7 +31,7 @@ ENDURANCE_PERIOD_S = 10.0
 
 
 class TrackedBattery:
-    """It runs the estimator of one battery; it raises no error for anything that a vehicle may send."""
+    """TrackedBattery runs the estimator of one battery; it raises no error for anything that a vehicle may send."""
 
     def __init__(
         self,

@@ -50,7 +50,7 @@ class Checkpoint:
 
 @dataclass(frozen=True, slots=True)
 class Landing:
-    """It tells how much longer the aircraft could have flown, by the forecast at the last row in the air.
+    """Landing tells how much longer the aircraft could have flown, by the forecast at the last row in the air.
 
     time_s [s] is the row's; the forecasts [s] are NaN where none was given there. is_cut: the log ends in the air.
     """
@@ -66,7 +66,7 @@ class Landing:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """It describes a replayed flight in figures; NaN is unknown.
+    """Outcome describes a replayed flight in figures; NaN is unknown.
 
     Attributes:
         rows: rows of the battery.

@@ -97,7 +97,7 @@ def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:
 
 
 class RouteForecasts(NamedTuple):
-    """It holds the forecasts of a replay about a route or the way home, each with its time [s]."""
+    """RouteForecasts holds the forecasts of a replay about a route or the way home, each with its time [s]."""
 
     rows: list[tuple[float, Route]]
 

@@ -19,7 +19,7 @@ Chunk = tuple[bytes, object]  # bytes, and who sent them
 
 
 class Endpoint(NamedTuple):
-    """It is an endpoint string, taken apart."""
+    """Endpoint is an endpoint string, taken apart."""
 
     kind: str  # udpin | udpout | tcp | tcpin | serial
     host: str  # or the device

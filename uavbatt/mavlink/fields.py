@@ -28,7 +28,7 @@ INTEGER_CODES = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 
 @dataclass(frozen=True, slots=True)
 class BatteryFields:
-    """It holds one battery message in SI; NaN where the sender did not know."""
+    """BatteryFields holds one battery message in SI; NaN where the sender did not know."""
 
     id: int
     voltage_V: float
@@ -41,7 +41,7 @@ class BatteryFields:
 
 @dataclass(frozen=True, slots=True)
 class PackIdentity:
-    """It identifies one pack by its serial, empty where it has none, and its own count of cycles."""
+    """PackIdentity identifies one pack by its serial, empty where it has none, and its own count of cycles."""
 
     id: int
     serial: str = ""

@@ -106,7 +106,7 @@ def is_signed(frame: bytes) -> bool:
 
 
 class BatteryStatusParts(NamedTuple):
-    """It holds the parts of a BATTERY_STATUS that a rewriter needs."""
+    """BatteryStatusParts holds the parts of a BATTERY_STATUS that a rewriter needs."""
 
     id: int
     percent: int
@@ -137,7 +137,7 @@ def with_battery(frame: bytes, time_remaining_s: int, percent: int | None = None
 
 
 class Splitter:
-    """It cuts a byte stream into whole frames and garbage; what is not yet whole waits for the next bytes."""
+    """Splitter cuts a byte stream into whole frames and garbage; what is not yet whole waits for the next bytes."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -172,7 +172,7 @@ class Splitter:
 
 
 class Frames:
-    """It takes a byte stream or datagrams in and gives whole frames out, found again after damage.
+    """Frames takes a byte stream or datagrams in and gives whole frames out, found again after damage.
 
     A damaged length would swallow frames behind it, so that whoever checks a frame and finds it broken calls
     `reject`: the search goes on one byte after its start.

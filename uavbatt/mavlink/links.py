@@ -56,14 +56,14 @@ def open_autopilot(text: str) -> Link:
 
 
 class Peer(NamedTuple):
-    """It counts the datagrams of a peer that sent to a listening socket, and keeps the time of the last [s]."""
+    """Peer counts the datagrams of a peer that sent to a listening socket, and keeps the time of the last [s]."""
 
     datagrams: int
     heard_s: float
 
 
 class UdpLink:
-    """It carries datagrams: `udpin` learns its peers from what they send, `udpout` has one.
+    """UdpLink carries datagrams: `udpin` learns its peers from what they send, `udpout` has one.
 
     Raises UsageError for a host that nobody knows and a local address that is taken.
     """
@@ -128,7 +128,7 @@ class UdpLink:
 
 
 class StreamLink:
-    """It is a TCP client or a serial line that is opened again whenever it breaks."""
+    """StreamLink is a TCP client or a serial line that is opened again whenever it breaks."""
 
     is_stream = True
 

@@ -24,7 +24,7 @@ SIGNING_EPOCH_S, SIGNING_TICKS_PER_S = 1_420_070_400, 100_000  # 2015-01-01, 10 
 
 
 class Outgoing:
-    """It packs frames of one component and counts their sequence."""
+    """Outgoing packs frames of one component and counts their sequence."""
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ import threading
 
 
 class Resolver:
-    """It finds the address of a host without making anybody wait: a slow resolver is asked in a thread of its own."""
+    """Resolver finds the address of a host without making anybody wait: a slow one is asked in a thread of its own."""
 
     def __init__(self, host: str) -> None:
         self._host = host

@@ -22,7 +22,7 @@ WRONG, UNSIGNED, LATE = "with a wrong signature", "without a signature", "sent a
 
 
 class Verifier:
-    """It judges the signatures of frames in order of reception, and counts the frames that it rejects."""
+    """Verifier judges the signatures of frames in order of reception, and counts the frames that it rejects."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key

@@ -21,7 +21,7 @@ QUIET_S = 5.0  # heartbeats come every second
 
 
 class TcpServer:
-    """It holds the listening socket and its clients, at most MOST_CLIENTS.
+    """TcpServer holds the listening socket and its clients, at most MOST_CLIENTS.
 
     Raises UsageError for a local address that is taken.
     """

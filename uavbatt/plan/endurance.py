@@ -38,7 +38,7 @@ VALID_WITHIN_K = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """It gives the seconds in the air at one ambient temperature; NaN with the reason in `remark` if they are unknown.
+    """Endurance gives the seconds in the air at one ambient temperature; NaN with the reason in `remark` if unknown.
 
     lo_s, hi_s : 5 % and 95 % point; to_low_s : until the low-voltage warning, NaN where the pack has none.
     """

@@ -44,7 +44,7 @@ FASTEST_USUAL_MS = 22.0  # through the air; small multirotors end at 15 to 25 m/
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """It holds a mission to be flown from home with these powers in this wind."""
+    """Planned holds a mission to be flown from home with these powers in this wind."""
 
     mission: Mission
     home: Home
@@ -65,7 +65,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class LegEnd:
-    """It tells where and when a leg ends [s from take-off], and the charge then; NaN where most flights end before."""
+    """LegEnd tells where and when [s from take-off] a leg ends, and the charge then; NaN if most flights end before."""
 
     item: int  # -1 on the way home
     end_s: float
@@ -77,7 +77,7 @@ class LegEnd:
 
 @dataclass(frozen=True, slots=True)
 class RouteFit:
-    """It tells whether the mission fits at one ambient temperature; `spare_s` is the hover left after touchdown [s].
+    """RouteFit tells whether the mission fits at one ambient temperature; `spare_s` [s] is the hover left then.
 
     The charge at touchdown is NaN where most flights end before it.
     """
@@ -103,7 +103,7 @@ class RouteFit:
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """It holds the pack, the mission, and what came of it at the planned temperature and at others."""
+    """MissionPlan holds the pack, the mission, and what came of it at the planned temperature and at others."""
 
     resolved: PackSize
     planned: Planned

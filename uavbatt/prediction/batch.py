@@ -23,7 +23,7 @@ SIDE_BY_SIDE = 16  # more do not fit the cache
 
 
 class Question(NamedTuple):
-    """It holds one forecast to simulate: samples of the belief under their powers (`time_to_end.time_to_end`).
+    """Question holds one forecast to simulate: samples of the belief under their powers (`time_to_end.time_to_end`).
 
     Shapes: x [9, draws], power_W [steps, draws], dt_s [steps].
     """

@@ -33,7 +33,7 @@ LEAST_FLOWN_S = 20.0
 
 
 class Timing(NamedTuple):
-    """It holds the belief about stretch s and speeding e.
+    """Timing holds the belief about stretch s and speeding e.
 
     ss, se, ee : their precision matrix; s, e : its product with their means.
     """
@@ -70,7 +70,7 @@ class Timing(NamedTuple):
 
 
 class FlightLessons(NamedTuple):
-    """It holds what this flight has taught and no message repeats: timing, power level, wind. It outlives a restart."""
+    """FlightLessons holds timing, power level and wind as this flight taught them; it outlives a restart."""
 
     short: Timing = Timing()
     long: Timing = Timing()

@@ -20,7 +20,7 @@ WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its rad
 
 
 class Flown(NamedTuple):
-    """It holds the past of a flight at `time_s` [s], NaN before the first row; it is a value, replaced by `after`.
+    """Flown holds the past of a flight at `time_s` [s], NaN before the first row; it is a value, replaced by `after`.
 
     rate_c : smoothed C-rate; loaded_s : last row under a load that carries the aircraft; flying_since_s : NaN on the
     ground; took_off_s : begin of the flight whose energy `flown_J` [J] was drawn in `flown_s` [s]; row_s : usual

@@ -16,7 +16,7 @@ LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
 
 
 class Forecast(NamedTuple):
-    """It holds the quantiles of one forecast's simulated ends, in seconds from `time_s`, when it was made.
+    """Forecast holds the quantiles of one forecast's simulated ends, in seconds from `time_s`, when it was made.
 
     lo_s, hi_s : 5 % and 95 % point; low_warning_s : until the low-voltage warning, NaN where the pack has none;
     alarm_s : the point at ALARM_RISK, by which alarms go; ends_s : all ends.

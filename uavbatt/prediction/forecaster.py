@@ -47,7 +47,7 @@ LONGEST_SHARE = 2.0  # of the time at the typical power: the gentlest scenario a
 
 @dataclass(frozen=True, slots=True)
 class ForecastSettings:
-    """It holds what the operator asks of forecasts. Raises UsageError for a number that cannot be.
+    """ForecastSettings holds what the operator asks of forecasts. Raises UsageError for a number that cannot be.
 
     load : how the load to come is known; reserve_soc : state of charge that ends the flight, 0..1;
     forecast_period_s : seconds between two forecasts.
@@ -64,7 +64,7 @@ class ForecastSettings:
 
 
 class Memory(NamedTuple):
-    """It holds the past as a forecaster needs it, as a value: saved with the belief, so that a restart goes on."""
+    """Memory holds the past as a forecaster needs it, as a value: saved with the belief, so that a restart goes on."""
 
     flown: Flown
     route: FlightLessons

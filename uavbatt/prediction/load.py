@@ -40,7 +40,7 @@ class Scenarios(NamedTuple):
 
 
 class Now(NamedTuple):
-    """It says where a flight stands: log time, time since take-off [s], charge, mean power so far [W], and place."""
+    """Now says where a flight stands: log time, time since take-off [s], charge, mean power so far [W], and place."""
 
     time_s: float
     since_take_off_s: float
@@ -63,7 +63,7 @@ class Load(Protocol):
 
 
 class RecentLoad(NamedTuple):
-    """It remembers the power [W] in exponentially weighted means; it is a value, replaced by `after`."""
+    """RecentLoad remembers the power [W] in exponentially weighted means; it is a value, replaced by `after`."""
 
     time_s: float = math.nan
     mean_W: float = math.nan
@@ -162,7 +162,7 @@ def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
 
 @dataclass(frozen=True, slots=True)
 class LoggedLoad:
-    """It gives the flight's own later power [W], read from its log: replay only, it tests the battery alone."""
+    """LoggedLoad gives the flight's own later power [W], read from its log: replay only, it tests the battery alone."""
 
     time_s: Array
     power_W: Array

@@ -39,7 +39,7 @@ FLIGHT_SPREAD = 0.06
 
 @dataclass(frozen=True, slots=True)
 class LearnedLoad:
-    """It holds past flights on one time grid from take-off: power [W] and charge, [flights, grid]."""
+    """LearnedLoad holds past flights on one time grid from take-off: power [W] and charge, [flights, grid]."""
 
     power_W: Array
     soc: Array
@@ -157,7 +157,7 @@ def stated_power(load: Load) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, slots=True)
 class UnknownAircraft:
-    """It expects of an aircraft that nobody knows: power as recently, a surge that may come, and a wide spread."""
+    """UnknownAircraft expects of an unknown aircraft: power as recently, a surge that may come, a wide spread."""
 
     powers: Powers = UNKNOWN
 

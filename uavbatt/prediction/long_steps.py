@@ -27,7 +27,7 @@ LONGEST_STEP_S = 2.0 * STEP_S  # where only the charge is asked, not the sag of 
 
 
 class FlyingDraws(NamedTuple):
-    """It holds draws of a pack on their way: cell, installation, state, and the model's error [V] of each."""
+    """FlyingDraws holds draws of a pack on their way: cell, installation, state, and the model's error [V] of each."""
 
     pack: Pack
     ambient_C: float
@@ -43,7 +43,7 @@ class FlyingDraws(NamedTuple):
 
 
 class Source(NamedTuple):
-    """It is the voltage source that a load meets in each cell now, as `model.source` has it.
+    """Source is the voltage source that a load meets in each cell now, as `model.source` has it.
 
     emf_V holds the model's error as well; drift_sd_V is how fast that error changes at this charge.
     """

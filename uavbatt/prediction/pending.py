@@ -23,7 +23,7 @@ TURN_BACK = "turn back now: later the way home may be longer than the charge las
 
 
 class Pending(NamedTuple):
-    """It is one row taken in: its estimate is known, its remaining time may wait for a forecast to be simulated."""
+    """Pending is a row taken in: its estimate is known, its remaining time may wait for a forecast to be simulated."""
 
     sample: Sample
     estimate: Estimate

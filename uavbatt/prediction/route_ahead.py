@@ -26,7 +26,7 @@ FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
 
 
 class Ahead(NamedTuple):
-    """It holds the pieces to come in order; `begin` is where the aircraft is now."""
+    """Ahead holds the pieces to come in order; `begin` is where the aircraft is now."""
 
     begin: Point
     pieces: Pieces

@@ -39,7 +39,7 @@ UNTOLD_POWER = "nothing has been flown yet that tells the power of this aircraft
 
 
 class ToCome(NamedTuple):
-    """It holds the load that is expected, by route where one is known, and what is known of route and way home."""
+    """ToCome holds the load that is expected, by route where one is known, and what is known of route and way home."""
 
     load: Load
     name: str
@@ -50,7 +50,7 @@ class ToCome(NamedTuple):
 
 
 class RouteAsked(NamedTuple):
-    """It holds what one forecast knows of route and way home before the ends of its draws are simulated."""
+    """RouteAsked holds what one forecast knows of route and way home before the ends of its draws are simulated."""
 
     load: str
     reason: str
@@ -60,7 +60,7 @@ class RouteAsked(NamedTuple):
 
 
 class WaysAsked(NamedTuple):
-    """It holds the time [s] at which route and way home were asked about last, and what was known of them then."""
+    """WaysAsked holds when route and way home were last asked about [s], and what was known of them then."""
 
     time_s: float = math.nan
     about: tuple[object, ...] = ()
@@ -101,7 +101,7 @@ def ways_asked(known: ToCome, navigation: Navigation, time_s: float) -> WaysAske
 
 
 class Flying(NamedTuple):
-    """It holds the simulated flights of a forecast: draws of the belief, power [steps, draws], scenario of each draw.
+    """Flying holds a forecast's simulated flights: draws of the belief, power [steps, draws], scenario of each draw.
 
     reserve_soc : the charge at which they end, too
     """

@@ -62,7 +62,7 @@ class Leg(NamedTuple):
 
 
 class LegsTable(NamedTuple):
-    """It holds legs as columns [legs], with the properties of `Leg`."""
+    """LegsTable holds legs as columns [legs], with the properties of `Leg`."""
 
     seq: Array
     phase: Array

@@ -28,7 +28,7 @@ ON_GROUND = (Action.SPEED, Action.OTHER, Action.DELAY, Action.LAND)  # after a l
 
 @dataclass(frozen=True)
 class Path:
-    """It holds the legs of a mission from its first item to touchdown, or the reason why there are none."""
+    """Path holds the legs of a mission from its first item to touchdown, or the reason why there are none."""
 
     legs: tuple[Leg, ...] = ()
     reason: str = ""

@@ -20,7 +20,7 @@ CURVE = 1.5  # a leg so many times longer than the straight line is a curve: the
 
 
 class Pieces(NamedTuple):
-    """It holds the pieces of a way in order, each field [pieces]."""
+    """Pieces holds the pieces of a way in order, each field [pieces]."""
 
     length_s: Array
     airspeed_ms: Array
@@ -53,7 +53,7 @@ def waiting(at: Point, length_s: float) -> Pieces:
 
 
 class Way(NamedTuple):
-    """It turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s]."""
+    """Way turns legs into pieces, by the timing of short and long legs and the velocity of the air [m/s]."""
 
     short: Timing = Timing()
     long: Timing = Timing()

@@ -22,7 +22,7 @@ TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 
 
 class Movement(NamedTuple):
-    """It says how the aircraft moves at one row."""
+    """Movement says how the aircraft moves at one row."""
 
     airspeed_ms: float
     climb_ms: float
@@ -31,7 +31,7 @@ class Movement(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """It remembers how far the aircraft is on its route; it is a value, replaced by `after`."""
+    """Progress remembers how far the aircraft is on its route; it is a value, replaced by `after`."""
 
     known_by: tuple[Mission, Home, ReturnSettings] | None = None  # what the path was made of
     path: Path = Path()

@@ -24,7 +24,7 @@ STEPS_IN_BLOCK = 32
 
 
 class Swings(NamedTuple):
-    """It holds the relative sd of the power's two wandering parts: their own, not what an average shows of it."""
+    """Swings holds the relative sd of the power's two wandering parts: their own, not what an average shows of it."""
 
     manoeuvres: float
     gusts: float

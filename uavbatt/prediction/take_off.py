@@ -82,7 +82,7 @@ def before_take_off(load: Load, pack: Pack) -> Load:
 
 
 class AtTakeOff(NamedTuple):
-    """It holds what was expected at take-off: ends and low-voltage warnings of draws [s since then].
+    """AtTakeOff holds what was expected at take-off: ends and low-voltage warnings of draws [s since then].
 
     It is a value of plain numbers, saved with the memory of the forecaster.
     """

@@ -40,14 +40,14 @@ COUNTED = 0.96
 
 
 class EndTimes(NamedTuple):
-    """It holds the seconds until end of flight and low-voltage warning, per column; inf is beyond the horizon."""
+    """EndTimes holds the seconds until end of flight and low-voltage warning, per column; inf is beyond the horizon."""
 
     end_s: Array
     low_s: Array
 
 
 class Normals(NamedTuple):
-    """It holds standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
+    """Normals holds standard normals [steps, batch]: of the model's wandering error and of the rows' own noise."""
 
     bias: Array
     row: Array

@@ -34,7 +34,7 @@ ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is 
 
 
 class Turning(NamedTuple):
-    """It holds draws that turn at instants `turn_at_s` [s], being `at_turn` [turns, draws] after flying along `flown`.
+    """Turning holds draws that turn at instants `turn_at_s` [s], `at_turn` [turns, draws] after flying `flown`.
 
     load, scenario : the powers, the level and the scenario [draws] of each draw on the way home
     reserve_soc : the charge at which a flight ends, as it does at the cut-off
@@ -56,7 +56,7 @@ class Turning(NamedTuple):
 
 
 class TurnBack(NamedTuple):
-    """It says how far above cut-off and reserve each draw stayed on its way home, after turning at some instants."""
+    """TurnBack says how far above cut-off and reserve each draw stayed on its way home after a turn."""
 
     turn_at_s: Array  # [turns] from now
     above_V: Array  # [turns, draws]
@@ -64,7 +64,7 @@ class TurnBack(NamedTuple):
 
 
 class Homewards(NamedTuple):
-    """It holds ways home in equally many steps each: lengths [s], middle powers [W], shares of fast flight (0..1)."""
+    """Homewards holds ways home in equally many steps: lengths [s], middle powers [W], shares of fast flight."""
 
     length_s: Array  # [steps, turns]
     power_W: Array

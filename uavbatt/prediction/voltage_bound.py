@@ -43,7 +43,7 @@ NO_END = "no end in sight: the charge believed and the load do not fit"
 
 
 class FallBin(NamedTuple):
-    """It holds means over one bin: begin [s], voltage [V], current [A], lagging overpotential of the pack [V], rows."""
+    """FallBin holds a bin's means: begin [s], voltage [V], current [A], the pack's lagging overpotential [V], rows."""
 
     begin_s: float
     voltage_V: float
@@ -63,7 +63,7 @@ NO_BIN = FallBin(NAN, NAN, NAN, NAN)
 
 
 class Fall(NamedTuple):
-    """It holds the last minute in bins, the open one last."""
+    """Fall holds the last minute in bins, the open one last."""
 
     bins: tuple[FallBin, ...] = ()
 
@@ -132,7 +132,7 @@ def _crossing_s(height_V: float, slope: float, bend: float) -> float:
 
 
 class VoltageBound(NamedTuple):
-    """It holds the fall of the voltage and the ends that it has shown; it is a value, replaced at each row.
+    """VoltageBound holds the fall of the voltage and the ends that it has shown; it is a value, replaced at each row.
 
     One look may be chance: the bound is the latest end of the last SURE_LOOKS looks.
     """

@@ -30,7 +30,7 @@ _FIGURE = re.compile(r"\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """It holds a scale early and late in a group's life, their difference and its standard deviation."""
+    """Change holds a scale early and late in a group's life, their difference and its standard deviation."""
 
     early: float
     late: float
@@ -54,7 +54,7 @@ class Change:
 
 
 class AgeingVerdict(NamedTuple):
-    """It judges one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
+    """AgeingVerdict judges one pack or aircraft: `grown`, `lost`, `steady` or `cannot tell`, and the words for it."""
 
     kind: str
     words: str
@@ -77,7 +77,7 @@ def verdict(group: Group, resistance: Change | None, capacity: Change | None) ->
 
 @dataclass(slots=True)
 class Group:
-    """It collects the flights of one pack or aircraft, in the order of the table, while the rows go by."""
+    """Group collects the flights of one pack or aircraft, in the order of the table, while the rows go by."""
 
     name: str
     is_identified: bool = True  # by a serial or by the caller, not by a folder alone
@@ -136,7 +136,7 @@ def _mean(pairs: NDArray[np.float64]) -> tuple[float, float]:
 
 @dataclass(slots=True)
 class Overview:
-    """It holds everything that the fleet's page tells; `gathered` fills it."""
+    """Overview holds everything that the fleet's page tells; `gathered` fills it."""
 
     groups: dict[str, Group] = field(default_factory=dict)
     errors: dict[str, list[float]] = field(default_factory=lambda: {key: [] for key in CHECKPOINTS})

@@ -38,7 +38,7 @@ _NO_ID = re.compile(r"[^a-z0-9]+")
 
 
 class Html(str):
-    """It is text that is markup already and goes into the page as it is."""
+    """Html is text that is markup already and goes into the page as it is."""
 
     __slots__ = ()
 

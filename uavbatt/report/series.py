@@ -28,7 +28,7 @@ GAP = "no row in the log"
 
 @dataclass(frozen=True, slots=True)
 class FlightSeries:
-    """It holds the columns of a flight; a number that was refused is NaN here, whatever value its maker left in it.
+    """FlightSeries holds the columns of a flight; a refused number is NaN here, whatever its maker left in it.
 
     The filter takes rows in blocks and has one innovation a block: `innovation_V` is NaN at the rows between.
     `innovation_sd_V` is what it expected of it, recovered from its NIS: exact where only voltage was measured; with
@@ -71,7 +71,7 @@ class Stretch:
 
 
 class Stood(NamedTuple):
-    """It tells when a warning stood: its first and its last row [s], and how many rows carried it."""
+    """Stood tells when a warning stood: its first and its last row [s], and how many rows carried it."""
 
     since_s: float
     until_s: float

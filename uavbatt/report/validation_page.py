@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """It holds Mandel's h and k of the samples at one instant, with their critical values at 5 % and 1 %."""
+    """Consistency holds Mandel's h and k of the samples at one instant, with their critical values at 5 % and 1 %."""
 
     quantity: str
     time_s: float
@@ -33,7 +33,7 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class ModelCurve:
-    """It holds the mean prediction of held-out tests at the gated ambient temperature.
+    """ModelCurve holds the mean prediction of held-out tests at the gated ambient temperature.
 
     `surface_C` is None where it was not predicted.
     """
@@ -46,7 +46,7 @@ class ModelCurve:
 
 @dataclass(frozen=True, slots=True)
 class ErrorChange:
-    """It holds one error before and after the model was extended, on the data named."""
+    """ErrorChange holds one error before and after the model was extended, on the data named."""
 
     quantity: str
     unit: str
@@ -59,7 +59,7 @@ class ErrorChange:
 
 @dataclass(frozen=True, slots=True)
 class ValidationPage:
-    """It holds a validation as the page shows it: `found`, and what is worked out from it for the page alone.
+    """ValidationPage holds a validation as the page shows it: `found`, and what is worked out for the page alone.
 
     `paper` is the study's method replayed, None where it cannot be applied.
     """

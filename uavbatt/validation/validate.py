@@ -33,7 +33,7 @@ LEAST_DRIFT_RUNS = 4
 
 @dataclass(frozen=True, slots=True)
 class LevelPrecision:
-    """It holds the precision of one quantity at one instant, with Mandel's h and k (None where they are undefined)."""
+    """LevelPrecision holds the precision of a quantity at an instant, with Mandel's h and k (None if undefined)."""
 
     quantity: str
     time_s: float
@@ -43,7 +43,7 @@ class LevelPrecision:
 
 @dataclass(frozen=True, slots=True)
 class LevelDrift:
-    """It holds the drift tests of one quantity over the runs of one sample at one instant."""
+    """LevelDrift holds the drift tests of one quantity over the runs of one sample at one instant."""
 
     quantity: str
     sample: str
@@ -53,7 +53,7 @@ class LevelDrift:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """It holds everything the stage found; `battery` is None unless the verdict is pass.
+    """Validation holds everything the stage found; `battery` is None unless the verdict is pass.
 
     `rivals` are other models, held out alike, with their claims in `rival_claims`; they do not ship. `held` and
     `claims` are those of the circuit model. `temperatures` closes the loop over one-time tests, None without them.

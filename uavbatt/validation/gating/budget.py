@@ -78,7 +78,7 @@ def coverage_factor(df: Array | float, instants: int) -> Array:
 
 
 class Expanded(NamedTuple):
-    """It holds standard uncertainty `u`, effective degrees of freedom `df` and half width `half`, each per instant."""
+    """Expanded holds standard uncertainty `u`, effective freedom `df` and half width `half`, each per instant."""
 
     u: Array
     df: Array

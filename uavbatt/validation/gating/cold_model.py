@@ -51,7 +51,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class OneTimeTests:
-    """It holds the voltage [V] per test (rows) and instant [s], NaN where it is flagged.
+    """OneTimeTests holds the voltage [V] per test (rows) and instant [s], NaN where it is flagged.
 
     `series` is the number of the series of each test, from 0.
     """

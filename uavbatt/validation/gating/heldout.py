@@ -50,7 +50,7 @@ class Single:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """It sets measured and predicted values side by side, [occasion, sample, level] at `time_s`.
+    """HeldOut sets measured and predicted values side by side, [occasion, sample, level] at `time_s`.
 
     The surface temperatures are None where they were not measured. `at_rest` marks the instants before the load,
     `row_s` and `step_V` are the spacing of the original rows and the smallest step between their voltages, `curves`

@@ -33,7 +33,7 @@ NAMES = ("p0", "p1", "p2", "a", "ln_tau", "q1", "q2", "ln_t0", "c1", "c2", "d", 
 
 @dataclass(frozen=True, slots=True)
 class RunTable:
-    """It holds the readings of many runs in one table, one a row.
+    """RunTable holds the readings of many runs in one table, one a row.
 
     Time under load [s] (negative at rest), ambient temperature [°C], voltage [V], series and reading SD `sigma_V` [V].
     """
@@ -47,7 +47,7 @@ class RunTable:
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """It holds the fitted coefficients in the order of NAMES, and per further series (level [V], ln of knee time)."""
+    """Regression holds fitted coefficients in the order of NAMES, and per series (level [V], ln of knee time)."""
 
     coefficients: Array
     series: Array

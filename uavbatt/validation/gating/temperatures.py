@@ -36,7 +36,7 @@ START_FITS = 0.5  # one start of a variant takes about half as long as one fit o
 
 @dataclass(frozen=True, slots=True)
 class TemperatureLoop:
-    """It holds the isothermal model's claims, its residual over temperature, and what its extensions are worth.
+    """TemperatureLoop holds the isothermal model's claims, its residual over temperature, and its extensions' worth.
 
     `series_C` are the temperature ranges of the series, `measured_rise_V` the tests' change from minute 1 to 3.
     """

@@ -28,7 +28,7 @@ class BadCells(UavbattError, ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """It reduces each cell to its number of results, its mean less `reference` and its variance.
+    """Summary reduces each cell to its number of results, its mean less `reference` and its variance.
 
     Means are in the unit of the results, variances in its square; the variance of a single result is NaN.
     """

@@ -46,7 +46,7 @@ class Nested:
 
 @dataclass(frozen=True, slots=True)
 class Crossed:
-    """It holds the Sample + Occasion model fitted at one level, in the unit of the results.
+    """Crossed holds the Sample + Occasion model fitted at one level, in the unit of the results.
 
     Mean squares in the order occasion, sample, residual. `u_mean` is the standard uncertainty of the mean over
     these samples with `occasions - 1` degrees of freedom (intermediate precision: no sample part). With one sample

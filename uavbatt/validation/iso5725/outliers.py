@@ -88,7 +88,7 @@ class Mandel:
 
 @dataclass(frozen=True, slots=True)
 class Scrutiny:
-    """It holds the results of the tests for outliers in the standard's order.
+    """Scrutiny holds the results of the tests for outliers in the standard's order.
 
     `grubbs` is None below three cells; `double` runs only if the single test finds nothing; `retest` tests the
     other end after one value was found and dropped.

@@ -29,7 +29,7 @@ Method = Literal["anova", "reml"]
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """It holds the precision at one level; everything is in the unit of the results.
+    """Precision holds the precision at one level; everything is in the unit of the results.
 
     `s_L2_raw` is the between-cell variance before a negative value is set to 0 (`negative_between`).
     `reproducibility` is "ok" or "not enough data" (fewer than three cells). `A_r`, `A_R` are the relative 95 %

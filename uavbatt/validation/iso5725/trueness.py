@@ -35,7 +35,7 @@ class Bias:
 
 @dataclass(frozen=True, slots=True)
 class PrecisionCheck:
-    """It compares the observed variances with the claimed ones: ratios C_r and C_R with their limits (ISO 5725-4)."""
+    """PrecisionCheck compares observed variances with claimed ones: ratios C_r, C_R and their limits (ISO 5725-4)."""
 
     C_r: float
     limit_r: float
@@ -46,7 +46,7 @@ class PrecisionCheck:
 
 @dataclass(frozen=True, slots=True)
 class RangeCheck:
-    """It compares the range of n results with f(n)·s_r, in the unit of the results."""
+    """RangeCheck compares the range of n results with f(n)·s_r, in the unit of the results."""
 
     range: float
     factor: float

@@ -74,7 +74,7 @@ class Corridor:
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """It holds `table[occasion, sample, level]` without gaps; `notes` name what was left out for that."""
+    """Shared holds `table[occasion, sample, level]` without gaps; `notes` name what was left out for that."""
 
     table: Array
     occasions: tuple[int, ...]

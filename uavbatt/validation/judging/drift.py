@@ -50,7 +50,7 @@ class MannKendall:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """It holds the least-squares and the Theil-Sen slope, unit of the results per run, and the t-test of the first."""
+    """Slope holds the least-squares and the Theil-Sen slope, unit of the results a run, and the first's t-test."""
 
     per_run: float
     standard_error: float
@@ -76,7 +76,7 @@ class StepTest:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """It holds all drift tests of one column of results in run order; `step` is None below five runs."""
+    """Drift holds all drift tests of one column of results in run order; `step` is None below five runs."""
 
     paper: PaperDrift
     abbe: Abbe

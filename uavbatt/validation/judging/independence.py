@@ -25,7 +25,7 @@ DEPENDENT_BELOW = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Independence:
-    """It compares run k of one sample with run k of another, for each k.
+    """Independence compares run k of one sample with run k of another, for each k.
 
     `identical` of `compared` readings are equal; random pairings give `expected_identical` on the average and
     `most_identical` at most. `correlation` is of the residuals about each sample's own mean curve; p-values are
@@ -67,7 +67,7 @@ class Bimodality:
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """It sets the SD of the readings against their step; rounding alone makes `rounding_share` of the variance.
+    """Resolution sets the SD of the readings against their step; rounding alone makes `rounding_share` of the variance.
 
     Rounding makes a variance of step²/12; `coarse` is True for an SD below two steps.
     """

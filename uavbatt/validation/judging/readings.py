@@ -20,7 +20,7 @@ VOLTAGE, SURFACE = "voltage_V", "surface_C"
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """It holds the runs of a data set and the tables that follow from them.
+    """Readings holds the runs of a data set and the tables that follow from them.
 
     `dataset` holds the runs as they were recorded, `tests` the same with fast records read at the whole minutes.
     `ambient_C` [°C] is the temperature with the most runs, the one that a gate can judge. `tables` has the repeated

@@ -42,7 +42,7 @@ class ColumnFigures:
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """It holds equations (8)-(17) evaluated over the samples at one instant; V or °C by `quantity`.
+    """Pooled holds equations (8)-(17) evaluated over the samples at one instant; V or °C by `quantity`.
 
     `share_beyond_R` is NaN where single results are not known.
     `may_pool` is the study's own rule: t <= t_kr and F <= F_kr, with F the ratio of variances that the table
@@ -69,7 +69,7 @@ class Pooled:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """It counts the figures of one printed table that are met (`agree` of `total`) and names the others (`slips`)."""
+    """Agreement counts figures of a printed table that are met (`agree` of `total`) and names the others (`slips`)."""
 
     table: str
     agree: int
@@ -92,7 +92,7 @@ class FisherClaim:
 
 @dataclass(frozen=True, slots=True)
 class PaperReplay:
-    """It holds the study's method applied at one ambient temperature.
+    """PaperReplay holds the study's method applied at one ambient temperature.
 
     `pooled_surface` of the study's own data rests on rebuilt figures (`rebuild`).
     """
