@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from uavbatt.battery.battery_file import BatteryFile
+from uavbatt.battery.battery_file import Battery, BatteryFile
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V, fullest_cell_V
 from uavbatt.battery.scaling import Pack, pack_of
+from uavbatt.battery.size_remarks import fuller, likely, scaled_far, uncertified
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
     EMPTIEST_CELL_V,
@@ -37,7 +38,6 @@ LITTLE_SOC, LITTLE_CELL_V = 0.1, 3.65
 CAPACITY = "capacity of the vehicle,"
 GUESSED_FROM = "first voltage"  # a count of cells that nobody states
 CALLERS_CELLS = {names.cells.rstrip(" =") for names in (OPTIONS, Names())}
-SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,27 +119,8 @@ def size_of_pack(
     if cells_notices:  # a PX4 works its critical voltage out from its count of cells
         said = replace(said, critical_voltage_V=NAN)
     said, notices = believed(said, cells, seen)
-    capacity_Ah, capacity_from = _first(
-        (given.capacity_Ah, _by(given.spelt.capacity)),
-        (said.capacity_Ah, "vehicle"),
-        (typed.capacity_Ah, "battery file"),
-    )
-    if not math.isfinite(capacity_Ah):
-        why = "".join(f"{notice}; " for notice in notices if notice.startswith(CAPACITY))
-        by = _by(given.spelt.capacity)
-        raise UsageError(f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give {by}")
-    share = cells / typed.cells_series
-    cutoff_V, cutoff_from = _first(
-        (given.cutoff_V, _by(given.spelt.cutoff)),
-        (said.critical_voltage_V, "vehicle"),
-        (typed.cutoff_V * share, "battery file"),
-    )
-    low_V, low_from = _first(
-        (given.low_V, _by(given.spelt.low)),
-        (said.low_voltage_V, "vehicle"),
-        (None if typed.low_V is None else typed.low_V * share, "battery file"),
-        (NAN, "nobody"),
-    )
+    capacity_Ah, capacity_from = _capacity(typed, given, said, notices)
+    (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, given, said, cells)
     doubts = [
         ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
         ending_doubt("low-voltage warning at ", given.low_V, cells),
@@ -150,19 +131,19 @@ def size_of_pack(
         status=battery.status,
         cells=cells,
         cells_from=cells_from,
-        capacity_Ah=float(capacity_Ah),
+        capacity_Ah=capacity_Ah,
         capacity_from=capacity_from,
-        cutoff_V=float(cutoff_V),
+        cutoff_V=cutoff_V,
         cutoff_from=cutoff_from,
-        low_V=float(low_V),
+        low_V=low_V,
         low_from=low_from,
-        uncertified=_uncertified(battery, cells, float(capacity_Ah)),
+        uncertified=uncertified(battery, cells, capacity_Ah),
         notices=(
             *cells_notices,
             *notices,
-            *_oddities(doubts),
-            *_scaled_far(battery, cells, capacity_Ah),
-            *_fuller(battery, fullest_V),
+            *likely(doubts),
+            *scaled_far(battery, cells, capacity_Ah),
+            *fuller(battery, fullest_V),
         ),
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
         fullest_cell_V=fullest_V,
@@ -233,6 +214,37 @@ def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFact
     return sound, tuple(d.words + ": not used" if d.is_certain else d.words for d in doubts)
 
 
+def _capacity(typed: Battery, given: PackOptions, said: PackFacts, notices: tuple[str, ...]) -> tuple[float, str]:
+    """The capacity [Ah] and where it came from; raises UsageError when nobody states it, with what was not believed."""
+    by = _by(given.spelt.capacity)
+    capacity_Ah, source = _first(
+        (given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
+    )
+    if not math.isfinite(capacity_Ah):
+        why = "".join(f"{notice}; " for notice in notices if notice.startswith(CAPACITY))
+        raise UsageError(f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give {by}")
+    return capacity_Ah, source
+
+
+def _endings(
+    typed: Battery, given: PackOptions, said: PackFacts, cells: int
+) -> tuple[tuple[float, str], tuple[float, str]]:
+    """The cut-off and the low-voltage warning of the pack [V], each with where it came from."""
+    share = cells / typed.cells_series
+    cutoff = _first(
+        (given.cutoff_V, _by(given.spelt.cutoff)),
+        (said.critical_voltage_V, "vehicle"),
+        (typed.cutoff_V * share, "battery file"),
+    )
+    low = _first(
+        (given.low_V, _by(given.spelt.low)),
+        (said.low_voltage_V, "vehicle"),
+        (None if typed.low_V is None else typed.low_V * share, "battery file"),
+        (NAN, "nobody"),
+    )
+    return cutoff, low
+
+
 def _cells(
     given: PackOptions, said: PackFacts, guess: tuple[int, str], seen: Seen, cell: Resting
 ) -> tuple[int, str, tuple[str, ...]]:
@@ -257,42 +269,9 @@ def _by(name: str) -> str:
     return name.rstrip(" =")
 
 
-def _oddities(doubts: list[Doubt | None]) -> tuple[str, ...]:
-    return tuple(doubt.words for doubt in doubts if doubt is not None and not doubt.is_certain)
-
-
-def _scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[str, ...]:
-    """A remark where a file from data of one pack is used for a very different one; other files have other remarks."""
-    typed = battery.battery
-    if battery.status != "fitted":
-        return ()
-    ratio = capacity_Ah / typed.capacity_Ah if typed.capacity_Ah else 1.0
-    if cells == typed.cells_series and 1.0 / SCALED_FAR <= ratio <= SCALED_FAR:
-        return ()
-    size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
-    return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
-
-
-def _fuller(battery: BatteryFile, fullest_V: float) -> tuple[str, ...]:
-    """A remark where the cells are taken for ones that charge higher than others."""
-    is_fuller = battery.status == "generic" and fullest_V > ORDINARY_FULL_V
-    return (f"a cell has rested at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",) if is_fuller else ()
-
-
-def _uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:
-    """Return in words how a pack of this size goes beyond the certificate; empty when it does not."""
-    typed = battery.battery
-    if battery.caveat:
-        return battery.caveat
-    if (cells, capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
-        return ""
-    size = f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
-    return f"the certificate is for a {size} pack; this one is scaled from it"
-
-
 def _first(*candidates: tuple[float | int | None, str]) -> tuple[float, str]:
     """The first candidate that is known, with its source; NaN and the last source when none is."""
     for value, source in candidates:
         if value is not None and math.isfinite(value):
-            return value, source
+            return float(value), source
     return NAN, candidates[-1][1]

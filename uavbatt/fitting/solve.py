@@ -90,6 +90,62 @@ def residuals(stack: Stack, trajectory: Trajectory, variants: int) -> Array:
     return np.moveaxis(scaled, 1, 0)
 
 
+@dataclass(frozen=True, slots=True)
+class _Unknowns:
+    """One vector v of standard normal numbers: first the shared slots' u, then each record's own three."""
+
+    stack: Stack
+    slots: tuple[Slot, ...]
+    effects: tuple[str, ...]
+    own_mean: Array  # [records, 3]
+    own_sd: Array
+
+    @property
+    def shared(self) -> int:
+        return len(self.slots)
+
+    def values(self, v: Array) -> tuple[Array, Array]:
+        """The slots' values [variants, slots] and each record's own [variants, records, 3] of v [variants, all]."""
+        own = v[:, self.shared :].reshape(-1, *self.own_sd.shape)
+        return prior.values(self.slots, v[:, : self.shared]), self.own_mean + self.own_sd * own
+
+    def evaluate(self, v: Array) -> tuple[Array, Array]:
+        """The residuals [variants, rows·2, records] of vectors v, and what is not monotone [variants, knots - 1]."""
+        x, own = self.values(v)
+        shown = run(self.stack, self.slots, self.effects, x, own)
+        return residuals(self.stack, shown, v.shape[0]), prior.monotonicity_penalty(self.slots, x)
+
+    def objective(self, v: Array) -> Array:
+        misfit, disorder = self.evaluate(v[None])
+        return np.concatenate([misfit[0].ravel(), disorder[0], v])
+
+    def jacobian(self, v: Array) -> Array:
+        shared, records, of_one = self.shared, *self.own_sd.shape
+        nudges = np.zeros((shared + of_one, v.size))
+        nudges[:shared, :shared] = np.eye(shared) * NUDGE
+        for k in range(of_one):  # every record's k-th own unknown at once
+            nudges[shared + k, shared + k :: of_one] = NUDGE
+        misfit, disorder = self.evaluate(np.vstack([v, v + nudges]))
+        slopes = (misfit[1:] - misfit[0]) / NUDGE
+        block = np.zeros((slopes.shape[1], records, v.size))
+        block[:, :, :shared] = np.moveaxis(slopes[:shared], 0, -1)
+        for r in range(records):
+            for k in range(of_one):
+                block[:, r, shared + r * of_one + k] = slopes[shared + k, :, r]
+        order_slopes = np.zeros((disorder.shape[1], v.size))
+        order_slopes[:, :shared] = ((disorder[1 : shared + 1] - disorder[0]) / NUDGE).T
+        return np.vstack([block.reshape(-1, v.size), order_slopes, np.eye(v.size)])
+
+
+def _own_sd(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior]) -> Array:
+    """The prior sds [records, 3] of what each record has of its own."""
+    given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
+    pairs = zip(given, stack.rested, strict=True)
+    return np.array(
+        [(p.rested_soc if at_rest else p.loaded_soc, p.log_resistance, p.log_capacity) for p, at_rest in pairs]
+    )
+
+
 def fit_battery(
     stack: Stack,
     effects: tuple[str, ...] = prior.BASE_EFFECTS,
@@ -103,63 +159,36 @@ def fit_battery(
     own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots]; progress : is
     called with 1 at each Jacobian; evaluations : of the residuals, at most.
     """
-    slots = prior.cell_slots(effects, fullest_V(stack))
-    given = [own_prior] * len(stack.names) if isinstance(own_prior, OwnPrior) else own_prior
     own_mean = np.column_stack([start_guess(stack), np.zeros((len(stack.names), 2))])
-    own_sd = np.array(
-        [
-            (p.rested_soc if rested else p.loaded_soc, p.log_resistance, p.log_capacity)
-            for p, rested in zip(given, stack.rested, strict=True)
-        ]
-    )
-    shared, records = len(slots), len(stack.names)
-
-    def evaluate(v: Array) -> Array:
-        """Residuals [variants, rows·2, records] of vectors v [variants, shared + 3·records]."""
-        x = prior.values(slots, v[:, :shared])
-        own = own_mean + own_sd * v[:, shared:].reshape(-1, records, len(OWN))
-        return residuals(stack, run(stack, slots, effects, x, own), v.shape[0])
-
-    def objective(v: Array) -> Array:
-        return np.concatenate([evaluate(v[None])[0].ravel(), disordered(v[None])[0], v])
-
-    def disordered(v: Array) -> Array:
-        return prior.monotonicity_penalty(slots, prior.values(slots, v[:, :shared]))
+    slots = prior.cell_slots(effects, fullest_V(stack))
+    unknowns = _Unknowns(stack, slots, effects, own_mean, _own_sd(stack, own_prior))
 
     def jacobian(v: Array) -> Array:
-        nudges = np.zeros((shared + len(OWN), v.size))
-        nudges[:shared, :shared] = np.eye(shared) * NUDGE
-        for k in range(len(OWN)):  # every record's k-th own unknown at once
-            nudges[shared + k, shared + k :: len(OWN)] = NUDGE
-        values = evaluate(np.vstack([v, v + nudges]))
-        slopes = (values[1:] - values[0]) / NUDGE
-        block = np.zeros((slopes.shape[1], records, v.size))
-        block[:, :, :shared] = np.moveaxis(slopes[:shared], 0, -1)
-        for r in range(records):
-            for k in range(len(OWN)):
-                block[:, r, shared + r * len(OWN) + k] = slopes[shared + k, :, r]
+        slopes = unknowns.jacobian(v)
         if progress is not None:
             progress(1)
-        order = disordered(np.vstack([v, v + nudges]))
-        order_slopes = np.zeros((order.shape[1], v.size))
-        order_slopes[:, :shared] = ((order[1 : shared + 1] - order[0]) / NUDGE).T
-        return np.vstack([block.reshape(-1, v.size), order_slopes, np.eye(v.size)])
+        return slopes
 
-    start = np.zeros(shared + records * len(OWN))
+    start = np.zeros(unknowns.shared + own_mean.size)
     if start_u is not None:
-        start[:shared] = start_u
+        start[: unknowns.shared] = start_u
     found = least_squares(
-        objective, start, jacobian, loss="soft_l1", f_scale=ROBUST_SCALE, max_nfev=evaluations, xtol=1e-4, ftol=1e-4
+        unknowns.objective,
+        *(start, jacobian),
+        loss="soft_l1",
+        f_scale=ROBUST_SCALE,
+        max_nfev=evaluations,
+        xtol=1e-4,
+        ftol=1e-4,
     )
     slopes = np.asarray(found.jac, dtype=float)
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    own = own_mean + own_sd * found.x[shared:].reshape(records, len(OWN))
+    known = slice(unknowns.shared)
     return BatteryFit(
         slots=slots,
         effects=effects,
-        u=found.x[:shared],
-        covariance_u=covariance[:shared, :shared],
-        own=own,
+        u=found.x[known],
+        covariance_u=np.linalg.inv(slopes.T @ slopes)[known, known],
+        own=unknowns.values(found.x[None])[1][0],
         cost=float(found.cost),
     )
 

@@ -1,0 +1,46 @@
+"""What there is to say about the size of a pack: what is odd, and what the battery file does not cover."""
+
+from __future__ import annotations
+
+from uavbatt.battery.battery_file import Battery, BatteryFile
+from uavbatt.battery.high_voltage import ORDINARY_FULL_V
+from uavbatt.limits import Doubt
+
+SCALED_FAR = 1.5  # a capacity so many times the battery file's is another pack's
+
+
+def likely(doubts: list[Doubt | None]) -> tuple[str, ...]:
+    """Return the words of the doubts that are likely but not certain."""
+    return tuple(doubt.words for doubt in doubts if doubt is not None and not doubt.is_certain)
+
+
+def scaled_far(battery: BatteryFile, cells: int, capacity_Ah: float) -> tuple[str, ...]:
+    """Return a remark where a file fitted to one pack is used for a very different one; other files have others."""
+    typed = battery.battery
+    if battery.status != "fitted":
+        return ()
+    ratio = capacity_Ah / typed.capacity_Ah if typed.capacity_Ah else 1.0
+    if cells == typed.cells_series and 1.0 / SCALED_FAR <= ratio <= SCALED_FAR:
+        return ()
+    size = _size(typed)
+    return (f"the battery file is of a {size} pack, this one is {cells}S {capacity_Ah:g} Ah: is it the right file?",)
+
+
+def fuller(battery: BatteryFile, fullest_V: float) -> tuple[str, ...]:
+    """Return a remark where the cells are taken for ones that charge higher than others; fullest_V of a cell [V]."""
+    is_fuller = battery.status == "generic" and fullest_V > ORDINARY_FULL_V
+    return (f"a cell has rested at {fullest_V:g} V: taken for LiHV, which charges to 4.35 V",) if is_fuller else ()
+
+
+def uncertified(battery: BatteryFile, cells: int, capacity_Ah: float) -> str:
+    """Return in words how a pack of this size goes beyond the certificate; empty when it does not."""
+    typed = battery.battery
+    if battery.caveat:
+        return battery.caveat
+    if (cells, capacity_Ah) == (typed.cells_series, typed.capacity_Ah):
+        return ""
+    return f"the certificate is for a {_size(typed)} pack; this one is scaled from it"
+
+
+def _size(typed: Battery) -> str:
+    return f"{typed.cells_series}S" + (f" {typed.capacity_Ah:g} Ah" if typed.capacity_Ah else "")
