@@ -75,25 +75,20 @@ class Batteries:
     def step(self, row: LiveRow, now_s: float) -> Report:
         """Take one row through the estimator of its battery; return the report. `now_s` is monotonic [s]."""
         instance = row.instance
-        if not self.tracked:
-            self._reader.resume(self._resumption.meet(self._vehicle))
-        if instance not in self.tracked:
-            saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
-            self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
-            self._note_until_s = now_s + NOTE_S
+        tracked = self._tracked(instance, now_s)
         if self._keeper is not None:
             self._remember(self._keeper, row, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
         facts, navigation = self._facts_of(instance), self._reader.navigation
-        estimate, remaining = self.tracked[instance].step(row.sample, facts, gap_s, navigation)
+        estimate, remaining = tracked.step(row.sample, facts, gap_s, navigation)
         if conflict := self._reader.conflict(instance):
             estimate, remaining = _refused(estimate, remaining, f"two senders speak for this battery: {conflict}")
-        before, resolved = self.reports.get(instance), self.tracked[instance].estimator.pack_size
+        before, resolved = self.reports.get(instance), tracked.estimator.pack_size
         if resolved is not None and (before is None or before.cells != resolved.cells):
             tell(f"battery {instance}: {resolved.words}")
         elif resolved is None and before is None:
             tell(f"battery {instance}: no estimate yet: {remaining.reason}")
-        flying_s = row.sample.time_s - self.tracked[instance].estimator.flying_since_s
+        flying_s = row.sample.time_s - tracked.estimator.flying_since_s
         report = Report(
             instance=instance,
             system=self._vehicle.system,
@@ -108,9 +103,19 @@ class Batteries:
             flying_since_s=now_s - flying_s,
         )
         if report.is_waiting:
-            report = replace(report, endurance=self.tracked[instance].endurance(row.sample.time_s))
+            report = replace(report, endurance=tracked.endurance(row.sample.time_s))
         self.reports[instance] = report
         return report
+
+    def _tracked(self, instance: int, now_s: float) -> TrackedBattery:
+        """The battery of this instance; one that is heard for the first time goes on from what was saved of it."""
+        if not self.tracked:
+            self._reader.resume(self._resumption.meet(self._vehicle))
+        if instance not in self.tracked:
+            saved, limit_s = self._resumption.of(instance), self._config.state.max_age_s
+            self.tracked[instance] = TrackedBattery(self._battery, self._options, self._settings, saved, limit_s)
+            self._note_until_s = now_s + NOTE_S
+        return self.tracked[instance]
 
     def notes(self, now_s: float) -> list[str]:
         """Return notes for the operator about the saved state and the pack ledger."""
