@@ -24,7 +24,7 @@ from uavbatt.diagnosis.classes import COVERAGE
 from uavbatt.diagnosis.diagnosis import options_of, problem_of
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import RIVAL_SHARE
-from uavbatt.diagnosis.search import FIRST_TURNS, Trial, trial
+from uavbatt.diagnosis.trial import FIRST_TURNS, Trial, trial
 from uavbatt.diagnosis.worth import Worth, at_bound
 from uavbatt.fitting.observed import Observed
 

@@ -26,7 +26,8 @@ from uavbatt.diagnosis.diagnosis import (
     problem_of,
 )
 from uavbatt.diagnosis.rivals import FAMILIES, members_of_class
-from uavbatt.diagnosis.search import SUSPECT, Trial, no_chance
+from uavbatt.diagnosis.search import SUSPECT, no_chance
+from uavbatt.diagnosis.trial import Trial
 from uavbatt.diagnosis.worth import Worth
 from uavbatt.fitting.observed import Observed
 from uavbatt.log_replay.run import engine_for

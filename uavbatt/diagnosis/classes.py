@@ -10,7 +10,8 @@ import numpy as np
 from uavbatt.diagnosis.candidates import QUANTITIES, UNITS
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.rivals import LARGEST_CLASS
-from uavbatt.diagnosis.search import FoundEffect, Trial
+from uavbatt.diagnosis.search import FoundEffect
+from uavbatt.diagnosis.trial import Trial
 from uavbatt.diagnosis.words import separating
 
 COVERAGE = 2.2  # standard errors either side: 95 % with few independent stretches

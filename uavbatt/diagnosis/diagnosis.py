@@ -30,7 +30,8 @@ from uavbatt.diagnosis.evidence import IDLE_NOISE_A, idle_A, prepare
 from uavbatt.diagnosis.problem import Problem, Refit, TableErrors
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.residual import Residual, Shape
-from uavbatt.diagnosis.search import SUSPECT, FoundEffect, Trial, search, small
+from uavbatt.diagnosis.search import SUSPECT, FoundEffect, search, small
+from uavbatt.diagnosis.trial import Trial
 from uavbatt.estimator import PLAIN, Engine
 from uavbatt.fitting.observed import Observed
 

@@ -20,7 +20,8 @@ from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, floor_V, left
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import related
-from uavbatt.diagnosis.search import FIRST_TURNS, FURTHER_TURNS, FoundEffect, finding, trial
+from uavbatt.diagnosis.search import FoundEffect, finding
+from uavbatt.diagnosis.trial import FIRST_TURNS, FURTHER_TURNS, trial
 from uavbatt.diagnosis.worth import at_bound, worth
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import PLAIN, Engine

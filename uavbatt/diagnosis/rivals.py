@@ -34,10 +34,14 @@ FAMILIES = (
 )
 
 
+def family(name: str) -> frozenset[str]:
+    """Return the effects that are hardly told from one, itself among them."""
+    return frozenset({name}).union(*(kin for kin in FAMILIES if name in kin))
+
+
 def related(new: Sequence[str], old: Sequence[str]) -> bool:
     """Return True if one of the `new` effects is among the `old`, or one of its family, hardly told from it."""
-    own = set(new).union(*(family for family in FAMILIES if family & set(new)))
-    return bool(own & set(old))
+    return any(family(name) & set(old) for name in new)
 
 
 def weights(problem: Problem, fits: list[Refit], first: int = 0) -> Array:

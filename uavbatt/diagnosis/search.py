@@ -11,28 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uavbatt.battery.model import Array
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.drift import WARMS, drifting, saved
+from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, best_pair, earned_beside
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
-from uavbatt.diagnosis.rivals import FARTHEST, RIVAL_SHARE, members_of_class, related, same, weights
-from uavbatt.diagnosis.worth import Constancy, Worth, at_bound, left_out_chi2, worth
+from uavbatt.diagnosis.rivals import FARTHEST, members_of_class, same
+from uavbatt.diagnosis.trial import EARNED_EACH, FIRST_TURNS, FURTHER_TURNS, Trial, likeliness, trial
+from uavbatt.diagnosis.worth import UNSTEADY, Worth, is_steady, left_out_chi2, worth
 
 EARNED = 3.0  # more than chance gave in 140 effect-free sets, 2.84: docs/diagnosis.md
-EARNED_EACH = 3.5  # each of two where no single effect explains the flights; half of it: a rival, not a chance
 SMALL = 1.5  # what may hide where nothing is told: one healthy set in twenty shows more
 EVEN = 6.0  # what is worth no more than that is as likely as not a chance, and told as a suspect
 SUSPECT = 0.4  # the most that is said of what is worth less than that, and of a model that is doubted
-EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
-EARNED_IN_PART = 24.0  # beside a start in part
-EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
-UNSTEADY = 0.35  # spread between records, relative to the value: an sd, and the most that is called steady
 SEATED = 0.95  # of the rivals' probability: a class has room for so much of it before it leaves one out
-RESIZED = 0.25  # how likely another size of what the file has is, against something that it lacks
-SEEDS, SEED_SHARE = 4, 0.3  # singles that pairs are built on: how many at most, with which share of the best's gain
-TRIED = 6  # pairs that are weighed against each other
-FIRST_TURNS, FURTHER_TURNS = 14, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,45 +45,7 @@ class FoundEffect:
     @property
     def steady(self) -> bool:
         """Return True if the records agree on its value, and each of them from its beginning to its end."""
-        return _steady(self.worth.constancy) and self.drift is None
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """Trial tells what each single effect is worth beside what the model has."""
-
-    before: Refit
-    fits: tuple[Refit, ...]  # by chi-square
-    worths: tuple[Worth, ...]
-    least: float = 0.5 * EARNED_EACH  # that a rival is worth
-
-    @property
-    def largest_worth(self) -> float:
-        """Return the largest worth of all that do not stand at a bound; 0 if all do."""
-        return max((w.value for f, w in zip(self.fits, self.worths, strict=True) if not at_bound(f)), default=0.0)
-
-    @property
-    def rivals(self) -> list[int]:
-        """Return the places of those that could be the cause if there is one, by chi-square.
-
-        They need not earn their place alone.
-        """
-        places, least = range(len(self.fits)), max(self.least, RIVAL_SHARE * self.largest_worth)
-        possible = [i for i in places if not at_bound(self.fits[i])]
-        worthy = [i for i in possible if self.worths[i].value > least]
-        # What explains more than they do is a rival too, and what leaves the same as the best of them by another name,
-        # if that is not the same as nothing.
-        first = worthy[0] if worthy else -1
-        return [
-            i
-            for i in possible
-            if i in worthy
-            or (i < first and self.worths[i].value > EARNED_EACH)
-            or (worthy and same(self.fits[i], self.fits[first]) and self._is_something(i))
-        ]
-
-    def _is_something(self, i: int) -> bool:
-        return self.worths[i].value > 0.5 * EARNED_EACH or not same(self.fits[i], self.before)
+        return is_steady(self.worth.constancy) and self.drift is None
 
 
 def search(
@@ -121,21 +75,27 @@ def search(
     if drift is None and is_explained and singles.largest_worth < EVEN:
         return best, found, singles
     tell("pairs of effects")
-    pair = _best_pair(problem, options, singles, drift or best, is_explained)
-    if pair is None:
+    pair = best_pair(problem, options, singles, drift or best, is_explained)
+    two = _two(problem, options, singles, pair) if pair is not None else []
+    if not two:
         return best, found, singles
-    trials = []
-    for known in (pair.with_effects_swapped, pair):
+    return min((f.members[0] for f in two), key=lambda f: f.total), two, singles
+
+
+def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair) -> list[FoundEffect]:
+    """Return the two effects of a pair, each with its rivals beside the other; none if one of them falls there."""
+    both = []
+    for known in (pair.fit.with_effects_swapped, pair.fit):
         alone = next(f for f in singles.fits if f.candidate.name == known.candidate.names[0])
         alone = refit(problem, [alone.candidate], start=[alone], iterations=SETTLED)[0]  # else all get the credit
-        trials.append(trial(problem, alone, options, FURTHER_TURNS, known))
-    if not all(t.rivals for t in trials):  # refitted beside the other, it stands at a bound or is worth nothing
-        return best, found, singles
-    both = [finding(problem, t, earned_beside(problem, pair.candidate, is_explained=True)) for t in trials]
+        beside = trial(problem, alone, options, FURTHER_TURNS, known)
+        if not beside.rivals:  # refitted beside the other, it stands at a bound or is worth nothing
+            return []
+        found = finding(problem, beside, earned_beside(problem, pair.fit.candidate, is_explained=True))
+        both.append(replace(found, probability=min(found.probability, pair.share(found.name))))
     if any(f.worth.value < EARNED_EACH for f in both):
-        return best, found, singles
-    best = min((f.members[0] for f in both), key=lambda f: f.total)
-    return best, sorted(both, key=lambda f: -f.worth.value), singles
+        return []
+    return sorted(both, key=lambda f: -f.worth.value)
 
 
 def small(problem: Problem, singles: Trial) -> FoundEffect | None:
@@ -178,19 +138,6 @@ def _warms(problem: Problem, singles: Trial) -> list[FoundEffect]:
     return []
 
 
-def trial(problem: Problem, before: Refit, options: list[Candidate], turns: int, known: Refit | None = None) -> Trial:
-    """Try every option beside what `before` has.
-
-    turns : iterations of the refits; known : the refit that one of them is known to end in, where that one starts.
-    """
-    free = [o for o in options if not related(o.names, before.candidate.names)]
-    tried = [before.candidate.plus(o) for o in free]
-    starts = [known if known is not None and c.names == known.candidate.names else before for c in tried]
-    fits = refit(problem, tried, start=starts, iterations=turns)
-    fits.sort(key=lambda f: f.total)
-    return Trial(before, tuple(fits), tuple(worth(f, before) for f in fits))
-
-
 def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     """Return the class of the rivals that cannot be told from the best, which had to be worth more than `earned`.
 
@@ -201,7 +148,7 @@ def finding(problem: Problem, tried: Trial, earned: float) -> FoundEffect:
     """
     fits = [tried.fits[i] for i in tried.rivals]
     spread = np.array([c.spread if (c := tried.worths[i].constancy) else 0.0 for i in tried.rivals])
-    likely = _likely(problem, fits) * np.exp(-0.5 * np.minimum(spread / UNSTEADY, FARTHEST) ** 2)
+    likely = likeliness(problem, fits) * np.exp(-0.5 * np.minimum(spread / UNSTEADY, FARTHEST) ** 2)
     likely = likely / np.sum(likely)
     order = np.argsort(-likely, kind="stable")
     order = order[: 1 + np.searchsorted(np.cumsum(likely[order]), SEATED)]
@@ -229,63 +176,3 @@ def no_chance(problem: Problem, fit: Refit, before: Refit, its: Worth, earned: f
     share = float(np.mean([view / (view + earned) for view in views]))
     known_there = min(its.value, its.on(problem.evidence.familiar))
     return share if known_there >= earned else min(share, SUSPECT)
-
-
-def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:
-    """Return what each of two effects must be worth.
-
-    It is more beside a start in part, which the file has never seen, and less where no single effect explains the
-    flights.
-    """
-    if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
-        return EARNED_IN_PART
-    return EARNED_BESIDE if is_explained else EARNED_EACH
-
-
-def _steady(found: Constancy | None) -> bool:
-    return found is None or found.spread <= UNSTEADY
-
-
-def _best_pair(
-    problem: Problem, options: list[Candidate], singles: Trial, best: Refit, is_explained: bool
-) -> Refit | None:
-    """The two effects that explain most, each of which earns its place beside the other; None if no two do."""
-    most = singles.before.total - singles.fits[0].total
-    gains = [singles.before.total - f.total for f in singles.fits]
-    seeds = [f for f, g in zip(singles.fits, gains, strict=True) if g > SEED_SHARE * most][:SEEDS]
-    tried: list[Candidate] = []
-    starts: list[Refit] = []
-    for seed in seeds:
-        for option in options:
-            names = {*seed.candidate.names, option.name}
-            if not related(option.names, seed.candidate.names) and names not in [set(c.names) for c in tried]:
-                tried.append(seed.candidate.plus(option))
-                starts.append(seed)
-    fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
-    alone = {f.candidate.name: f for f in singles.fits}
-    one_leaves, together = float(np.sum(left_out_chi2(best))), EARNED_TOGETHER if is_explained else EARNED_BESIDE
-    earned = []
-    for fit in fits:
-        one, other = fit.candidate.names
-        if at_bound(fit) or one_leaves - float(np.sum(left_out_chi2(fit))) < together:
-            continue
-        least = earned_beside(problem, fit.candidate, is_explained=is_explained)
-        beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
-        if all(w.value > least and _steady(w.constancy) for w in beside):
-            earned.append(fit)
-    if not earned:
-        return None
-    return earned[int(np.argmax(_likely(problem, earned[:TRIED])))]
-
-
-def _likely(problem: Problem, fits: list[Refit]) -> Array:
-    """Return how likely each of `fits` is, which come by chi-square.
-
-    Another size of what the file has leaves least by its ease of bending; where it is not the likeliest all the same,
-    the others are held against the best of themselves and not against it.
-    """
-    usual = np.array([RESIZED ** len(f.candidate.resized) for f in fits])
-    likely: Array = weights(problem, fits) * usual
-    if np.argmax(likely) and usual[0] < 1.0:
-        likely = weights(problem, fits, int(np.argmax(usual))) * usual
-    return likely

@@ -24,6 +24,7 @@ from uavbatt.diagnosis.evidence import Rows
 from uavbatt.diagnosis.problem import Problem, Refit
 
 DOUBTS = 6.0  # standard errors, those of the file considered: a spread of two of them is no inconstancy
+UNSTEADY = 0.35  # spread between records, relative to the value: an sd, and the most that is called steady
 WEAK = 0.05  # information that stands for the prior where the other records tell nothing of a quantity
 
 
@@ -143,3 +144,8 @@ def constancy(fit: Refit, name: str) -> Constancy | None:
     change = abs(common if freed.log else common - freed.start)
     doubt = fit.errors()[fit.candidate.slice_of(name)][0]
     return Constancy(freed.value(own_u), float(abs(apart - common) / max(change, DOUBTS * doubt)))
+
+
+def is_steady(found: Constancy | None) -> bool:
+    """Return True if the records agree on the value, or each has its own anyway."""
+    return found is None or found.spread <= UNSTEADY
