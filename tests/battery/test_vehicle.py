@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -89,6 +90,20 @@ def test_the_landing_is_not_flight() -> None:
     )
     assert longer is not None
     assert longer.time_s[-1] == pytest.approx(learned().traces[0].time_s[-1], abs=GRID_S)
+
+
+def test_the_ground_between_two_flights_of_a_log_is_not_flight() -> None:
+    """Its minutes without power stood in the trace as load to come, and the time left jumped from 644 s to 21 s."""
+    half = len(flight().samples) // 2
+    first, second = flight().samples[:half], flight().samples[half:]
+    landed_s = first[-1].time_s
+    ground = tuple(Sample(landed_s + t, 15.5, 0.3, armed=False) for t in range(1, 200))
+    later = tuple(replace(s, time_s=s.time_s + 199.0) for s in second)
+    hops = trace(Flight("hops", "csv", first + ground + later), battery_file.read_battery("lipo-generic"), OPTIONS)
+    whole = learned().traces[0]
+    assert hops is not None
+    assert len(hops.time_s) == pytest.approx(len(whole.time_s), abs=1)
+    assert min(hops.power_W[1:-1]) > 0.7 * min(whole.power_W[1:-1])
 
 
 def test_too_short_to_learn_from() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from uavbatt.battery.model import Array
 from uavbatt.errors import NotEnoughData
-from uavbatt.fitting.observed import Observed, from_flight, stack
+from uavbatt.fitting.observed import HELD_WINDOW_S, Observed, from_flight, held_load, stack
 from uavbatt.telemetry import read_log
 
 ROWS = 60
@@ -52,3 +52,15 @@ def test_slow_rows_of_one_time_are_their_mean(tmp_path: Path) -> None:
     assert record.time_s.size == 20
     assert (record.voltage_V[9], record.current_A[9]) == (pytest.approx(16.41), pytest.approx(16.0))
     assert np.isfinite(stack([record]).slope_Vps).all()
+
+
+def test_a_held_load_is_the_mean_of_what_is_near_in_time_and_value() -> None:
+    """Two roads: the rule as it stands in the docstring, row against row."""
+    dice = np.random.default_rng(1)
+    time_s = np.cumsum(dice.uniform(0.1, 4.0, 300))
+    current_A = np.round(5.0 + 3.0 * (time_s % 100.0 > 50.0) + 0.05 * dice.standard_normal(300), 2)
+    scatter = 1.4826 * np.median(np.abs(np.diff(current_A))) / np.sqrt(2.0)
+    near = np.abs(time_s[:, None] - time_s) <= HELD_WINDOW_S
+    alike = np.abs(current_A[:, None] - current_A) <= 5.0 * scatter
+    expected_A = [np.mean(current_A[those]) for those in near & alike]
+    assert held_load(time_s, current_A) == pytest.approx(expected_A, abs=1e-12)

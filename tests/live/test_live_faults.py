@@ -249,6 +249,26 @@ def test_one_frame_that_slipped_through_the_checksum_forges_nothing() -> None:
     agrees(bench, undisturbed())
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [
+        dialect.MAVLink_mission_clear_all_message(1, 1, 0),
+        dialect.MAVLink_mission_write_partial_list_message(1, 1, 0, 3),
+        dialect.MAVLink_wind_message(math.inf, 3.0, 0.0),
+    ],
+    ids=["clear all", "write partial list", "wind"],
+)
+def test_a_frame_that_no_autopilot_sends_does_not_end_the_process(odd: dialect.MAVLink_message) -> None:
+    """Each of them, under the autopilot's own address, was the last that the process took."""
+    bench = Bench(OPTIONS, settings=SELDOM)
+    bench.play(flight()[:200])
+    bench.send(odd)
+    bench.daemon.turn()
+    bench.now_s += 0.5
+    bench.play(flight()[200:])
+    agrees(bench, undisturbed())
+
+
 def test_a_hundred_thousand_damaged_frames_forge_nothing() -> None:
     """A tenth of what scripts/fuzz_live.py sends when it is run alone."""
     command = [sys.executable, str(ROOT / "scripts/fuzz_live.py"), "--frames", "100000", "--seed", "5"]

@@ -117,3 +117,8 @@ def test_a_headwind_home_brings_the_turning_point_nearer() -> None:
 def test_a_mission_without_end_is_refused_with_its_name() -> None:
     with pytest.raises(UsageError, match="loiters without end"):
         planned(MissionItem(1, Action.LOITER_UNLIMITED))
+
+
+def test_a_mission_that_only_lands_is_refused_with_its_name() -> None:
+    with pytest.raises(UsageError, match="test: the mission flies nowhere"):
+        planned(MissionItem(1, Action.LAND))

@@ -217,3 +217,14 @@ def forecast(load: Load, recent: RecentLoad = CALM) -> Forecast:
     found = forecaster.forecast(Belief.gaussian(0.0, mean, np.diag(sd**2), 25.0), 0.0)
     assert found is not None and math.isfinite(found.median_s)
     return found
+
+
+def test_a_minute_without_power_in_a_past_flight_scales_nothing() -> None:
+    """A glide or a dropout: ln 0 made the power NaN, and with it the forecast, shown as `ok`."""
+    level, glides = [300.0] * 91, [300.0] * 40 + [0.0] * 12 + [300.0] * 39
+    for since_s in (100.0, 420.0, 500.0):
+        at = now(since_s, 1.0 - 0.001 * since_s)
+        plain = library(*[past(level)] * 3).scenarios(at, STEP_S, 60)
+        odd = library(past(level), past(level), past(glides)).scenarios(at, STEP_S, 60)
+        assert np.isfinite(odd.power_W).all()
+        assert middle_W(odd)[:, :2] == pytest.approx(middle_W(plain)[:, :2], rel=0.15)

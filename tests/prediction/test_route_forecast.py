@@ -8,8 +8,10 @@ from functools import cache
 
 import pytest
 from factories import generic_pack
-from route_rig import HOME, SETTINGS, mission, to
+from route_rig import HOME, POWERS, SETTINGS, mission, to
 
+from uavbatt.battery import battery_file
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimation.filter import SocFilter
 from uavbatt.estimator import Estimator, Past
 from uavbatt.navigation import Action, Frame, Mission, MissionItem, Mode, Navigation, Position, Wind
@@ -17,6 +19,7 @@ from uavbatt.output import COLUMNS, ROUTE_COLUMNS, line
 from uavbatt.prediction.batch import end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.forecaster import Forecaster, ForecastSettings
+from uavbatt.prediction.load import ConstantLoad
 from uavbatt.prediction.route_path import METRES_PER_DEGREE
 from uavbatt.records import Estimate, PackFacts, Remaining, Route, Sample
 
@@ -268,3 +271,26 @@ def turn_back_s(one: Estimator, now: Navigation) -> float:
     """Seconds until the turn-back at the next row; ∞ where the forecast knows none."""
     found = one.step(*row(ROWS, now))[1].route
     return found.turn_back_s if found is not None and math.isfinite(found.turn_back_s) else math.inf
+
+
+def test_an_aircraft_that_stands_at_home_has_no_way_home_left() -> None:
+    """With a cone it does not climb there, and a way home without any leg ended the replay."""
+    load = ForecastSettings(ConstantLoad(180.0, 0.04))
+    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimator = Estimator(battery_file.read_battery("lipo-generic"), options, load)
+    above = replace(known(), mode=Mode.MANUAL, settings=replace(SETTINGS, return_cone_slope=3.0))
+    told = [row(k, replace(above, position=at(0.0, 20.0 if k < ROWS else 0.0))) for k in range(ROWS + 20)]
+    landed = [
+        (replace(s, current_A=0.3, voltage_V=15.6, armed=False) if k >= ROWS else s, n) for k, (s, n) in enumerate(told)
+    ]
+    estimate, remaining = run(estimator, landed)[-1]
+    assert remaining.route is None or not remaining.route.home_soc < estimate.soc - 0.05
+
+
+def test_what_was_flown_before_a_payload_was_taken_up_counts_less() -> None:
+    """Half a flight of 1.0 and half of 1.2: the level is nearer to the later one, for all that is expected of 1.0."""
+    level = FlightLessons()
+    for ratio in (1.0, 1.2):
+        for _ in range(900):
+            level = level.with_power_ratio(ratio, 1.0)
+    assert 1.12 < level.level(POWERS)[0] < 1.2

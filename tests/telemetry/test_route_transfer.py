@@ -271,3 +271,10 @@ def test_positions_faster_than_they_can_matter_are_passed_over() -> None:
         passing.said(dialect.MAVLink_global_position_int_message(0, 470000000 + k, 80000000, 0, 0, 0, 0, 0, 0),
                      after_s=0.05)  # fmt: skip
     assert len({n.position.time_s for n in passing.listener.builder.timeline() if n.position is not None}) == 5
+
+
+@pytest.mark.parametrize("direction", [math.inf, -math.inf, math.nan])
+def test_a_wind_without_a_direction_is_no_wind(direction: float) -> None:
+    """One such frame ended the live process."""
+    passing = Passing().said(dialect.MAVLink_wind_message(direction, 3.0, 0.0))
+    assert passing.listener.now.wind is None

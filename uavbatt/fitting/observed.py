@@ -94,10 +94,13 @@ def held_load(time_s: Array, current_A: Array) -> Array:
     Rows within HELD_WINDOW_S that differ by less than 5 robust sd of the scatter are averaged; steps stay.
     """
     scatter = 1.4826 * float(np.median(np.abs(np.diff(current_A)))) / np.sqrt(2.0)
-    near = np.abs(time_s[:, None] - time_s[None, :]) <= HELD_WINDOW_S
-    alike = np.abs(current_A[:, None] - current_A[None, :]) <= 5.0 * scatter
-    weight = (near & alike) | np.eye(time_s.size, dtype=bool)
-    return np.asarray(weight @ current_A / weight.sum(axis=1))
+    firsts = np.searchsorted(time_s, time_s - HELD_WINDOW_S)
+    behind = np.searchsorted(time_s, time_s + HELD_WINDOW_S, side="right")
+    held_A = np.empty_like(current_A)
+    for row, (first, last) in enumerate(zip(firsts, behind, strict=True)):
+        near_A = current_A[first:last]
+        held_A[row] = np.mean(near_A[np.abs(near_A - current_A[row]) <= 5.0 * scatter])
+    return held_A
 
 
 def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:

@@ -71,13 +71,16 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
     """Return one flight on a grid of GRID_S from take-off; None when it is too short or drew no current."""
     sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
-    rows = []
+    rows, ground_s, before_s = [], 0.0, math.inf
     for sample in flight.samples:
         estimator.update_facts(flight.facts_at(sample.time_s))
         estimate, _ = estimator.step(sample)
-        if math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
+        if sample.armed is False:  # between two flights of a log: no forecast counts that time
+            ground_s += max(estimate.time_s - before_s, 0.0)
+        elif math.isfinite(estimate.power_W) and math.isfinite(estimate.soc):
             power_W = float(true_power(sensors, estimate.voltage_V, estimate.current_A))
-            rows.append((estimate.time_s, max(power_W, 0.0), estimate.soc))
+            rows.append((estimate.time_s - ground_s, max(power_W, 0.0), estimate.soc))
+        before_s = estimate.time_s
     table = np.array(rows)
     if len(table) < 5 or not table[:, 1].any():
         return None
@@ -85,10 +88,11 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
     first, last = _airborne(watts)
     if time_s[last] - time_s[first] < SHORTEST_S:
         return None
-    grid_s = np.arange(0.0, time_s[last] - time_s[first], GRID_S)
+    end_s = float(time_s[last] - time_s[first])
+    grid_s = np.arange(0.0, end_s, GRID_S)
     return Trace(
         time_s=[float(t) for t in grid_s],
-        power_W=[_rounded(w) for w in _means(time_s - time_s[first], watts, grid_s)],
+        power_W=[_rounded(w) for w in _means(time_s - time_s[first], watts, grid_s, end_s)],
         soc=[round(float(z), 4) for z in np.interp(grid_s, time_s - time_s[first], soc)],
     )
 
@@ -100,11 +104,11 @@ def _airborne(watts: Array) -> tuple[int, int]:
     return int(high[0]), int(high[-1])
 
 
-def _means(time_s: Array, watts: Array, grid_s: Array) -> Array:
-    """Return the mean power [W] over GRID_S from each grid point on, by the energy between the rows."""
+def _means(time_s: Array, watts: Array, grid_s: Array, end_s: float) -> Array:
+    """Return the mean power [W] from each grid point to the next and at last to `end_s`, by the energy of the rows."""
     energy_J = np.concatenate([[0.0], np.cumsum(0.5 * (watts[1:] + watts[:-1]) * np.diff(time_s))])
-    edges_s = np.concatenate([grid_s, grid_s[-1:] + GRID_S])
-    return np.asarray(np.diff(np.interp(edges_s, time_s, energy_J)) / GRID_S).clip(min=0.0)
+    edges_s = np.append(grid_s, end_s)  # the last block lasts to the landing
+    return np.asarray(np.diff(np.interp(edges_s, time_s, energy_J)) / np.diff(edges_s)).clip(min=0.0)
 
 
 def _rounded(value: float) -> float:

@@ -60,7 +60,10 @@ class Planned:
                 f"{self.mission.source}: {found.reason or 'it loiters without end: nothing says when it lands'}"
             )
         way = Way(wind=(self.wind.north_ms, self.wind.east_ms))
-        return Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table)), way
+        flown = Ahead(Point(0.0, 0.0, 0.0), way.pieces(found.table))
+        if not flown.touchdown_s > 0.0:
+            raise UsageError(f"{self.mission.source}: the mission flies nowhere: expected a take-off or a waypoint")
+        return flown, way
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ UNUSUAL, UNUSUAL_S = 0.4, 8.0
 LEG_NOISE_S, LEG_NOISE = 2.0, 0.08
 WIND_TAU_S = 60.0
 POWER_MEMORY_S, MODEL_SD = 8.0, 0.02
-LEAST_FLOWN_S = 20.0
+LEAST_FLOWN_S, LEVEL_TAU_S = 20.0, 600.0
 
 
 class Timing(NamedTuple):
@@ -76,7 +76,7 @@ class FlightLessons(NamedTuple):
     long: Timing = Timing()
     wind_north_ms: float = NAN
     wind_east_ms: float = NAN
-    level_s: float = 0.0  # seconds of flight that told the level
+    level_s: float = 0.0  # seconds of flight that told the level, older ones counted less
     level_sum_s: float = 0.0  # flown over modelled power, summed over them
 
     @property
@@ -118,8 +118,12 @@ class FlightLessons(NamedTuple):
         )
 
     def with_power_ratio(self, ratio: float, told_s: float) -> FlightLessons:
-        """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power."""
-        return self._replace(level_s=self.level_s + told_s, level_sum_s=self.level_sum_s + told_s * ratio)
+        """Return the lessons after `told_s` [s] in which the flown power was `ratio` times the modelled power.
+
+        What was flown long ago counts less: a payload that is taken up is not the flight's from its beginning.
+        """
+        kept = math.exp(-told_s / LEVEL_TAU_S)
+        return self._replace(level_s=kept * self.level_s + told_s, level_sum_s=kept * self.level_sum_s + told_s * ratio)
 
     def timing(self, leg: Leg) -> Timing:
         """Return the belief about the timing of such a leg: short and long legs have one each."""

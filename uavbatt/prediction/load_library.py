@@ -28,6 +28,7 @@ STITCHES = 3
 SHORTEST_REST_S = 60.0
 OWN_SCALING = 0.5
 LEAST_USUAL, USUAL_SDS = 0.1, 2.5  # nine of ten Matrice 100 flights are within 0.1 of the median of the others
+LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: a dropout or a glide asks nothing, and scales nothing
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
@@ -61,7 +62,7 @@ class LearnedLoad:
             by_time_s = min(now.since_take_off_s, self.landed_s[i] + 300.0)
             by_soc_s = float(np.interp(-now.soc, -self.soc[i], grid_s))
             start_s = 0.5 * by_time_s + 0.5 * by_soc_s
-            mean_W[i] = np.interp(start_s, grid_s, self.mean_W[i])
+            mean_W[i] = max(np.interp(start_s, grid_s, self.mean_W[i]), LEAST_MEAN * self.mean_W[i, -1])
             traces_W[:, i] = np.interp(start_s + ahead_s, grid_s, self.power_W[i])
             minute_W[i] = np.mean(np.interp(start_s - np.arange(0.0, MEAN_TAU_S, GRID_S), grid_s, self.power_W[i]))
         traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
@@ -92,6 +93,7 @@ def late_scale(now: Now, shown: Array) -> float:
     """
     if now.since_take_off_s < 2.0 * MEAN_TAU_S:
         return 1.0
+    shown = np.maximum(shown, LEAST_SHOWN)
     away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W) - float(np.median(np.log(shown)))
     return math.exp(_real_share(away, _usual_difference(shown)) * away) if away > 0.0 else 1.0
 

@@ -15,7 +15,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.navigation import Mode, Navigation
 from uavbatt.prediction.route_legs import Leg, Point, legs_table
-from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, way_home
+from uavbatt.prediction.route_path import ENDLESS_S, landing, return_reason, returned, way_home
 from uavbatt.prediction.route_pieces import Pieces, Way, joined
 from uavbatt.prediction.route_progress import OVER_HOME_M, Progress, here_at, overdue
 from uavbatt.records import NAN
@@ -23,6 +23,8 @@ from uavbatt.records import NAN
 STRAIGHT = 0.9  # of the speed: within 26 degrees of the way home
 LEAST_TIMING_SD = 0.02
 FARTHEST_HOVER_MS = 2.0  # moving faster than this, a return is past its climb
+LEAST_SINKING_MS = 0.2
+RETURNS = (Mode.RETURN, Mode.RETURN_BY_TRACK)
 
 
 class Ahead(NamedTuple):
@@ -53,8 +55,8 @@ class Ahead(NamedTuple):
 
 def ahead(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
     """Return the way that the autopilot will fly from here, or the reason why nobody knows it."""
-    if navigation.mode in (Mode.RETURN, Mode.RETURN_BY_TRACK):
-        return home_now(progress, navigation, time_s)
+    if navigation.mode in RETURNS:
+        return _return_now(progress, navigation, time_s)
     if navigation.mode is not Mode.MISSION:
         return f"the mode is {navigation.mode.value}: the route says nothing"
     if navigation.transferring:
@@ -95,10 +97,20 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
         return elsewhere
     if navigation.mode is Mode.RETURN_BY_TRACK and not _heads_home(here, navigation):
         return "the aircraft returns along its own track, which is not known"
-    legs = way_home(here, navigation.settings)
-    if navigation.mode in (Mode.RETURN, Mode.RETURN_BY_TRACK):
-        legs = _begun(here, navigation)
-    return Ahead(here, way_of(progress).pieces(legs_table(legs)))
+    return Ahead(here, way_of(progress).pieces(legs_table(_legs_home(here, navigation))))
+
+
+def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
+    """The rest of a return that is flown: one that ends in the air has no touchdown."""
+    home = home_now(progress, navigation, time_s)
+    if isinstance(home, str):
+        return home
+    flown = returned(list(_legs_home(home.begin, navigation)), navigation.settings)
+    return Ahead(home.begin, way_of(progress).pieces(flown.table), flown.lands) if flown.legs else home
+
+
+def _legs_home(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
+    return _begun(here, navigation) if navigation.mode in RETURNS else way_home(here, navigation.settings)
 
 
 def _heads_home(here: Point, navigation: Navigation) -> bool:
@@ -112,11 +124,16 @@ def _heads_home(here: Point, navigation: Navigation) -> bool:
 
 
 def _begun(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
-    """The rest of a return that is being flown: its climb is behind it when it moves on."""
+    """The rest of a return that is being flown: its climb is behind it when it moves on or is over home.
+
+    Over home it waits, nobody says since when, until it sinks.
+    """
     position, settings = navigation.position, navigation.settings
-    if math.hypot(here.north_m, here.east_m) < OVER_HOME_M:
+    is_over_home = math.hypot(here.north_m, here.east_m) < OVER_HOME_M
+    if is_over_home and (position is None or not position.up_ms > -LEAST_SINKING_MS):
         return landing(here, settings, -1)
     moves = position is not None and math.hypot(position.north_ms, position.east_ms) > FARTHEST_HOVER_MS
+    moves = moves or is_over_home
     climbed = replace(settings, return_height_m=0.0) if moves else settings
     return way_home(here, replace(climbed, return_climb_min_m=NAN))
 

@@ -137,7 +137,7 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         if item.action is Action.RETURN and elsewhere:
             return Path(reason=elsewhere)
         if item.action is Action.RETURN:
-            return _returned(legs, settings)
+            return returned(legs, settings)
         if item.action is Action.LAND:
             return Path(tuple(legs))
         if item.action is Action.LOITER_UNLIMITED:
@@ -146,11 +146,11 @@ def path(mission: Mission, home: Home, settings: ReturnSettings) -> Path:
         return Path(reason="the mission goes nowhere")
     if elsewhere:
         return Path(reason=f"{elsewhere}, and the mission does not end with a landing")
-    return _returned([*legs, *way_home(at, settings)], settings)
+    return returned([*legs, *way_home(at, settings)], settings)
 
 
-def _returned(legs: list[Leg], settings: ReturnSettings) -> Path:
-    """The whole way with the return at its end: a return that ends in the air waits there for somebody to land it."""
+def returned(legs: list[Leg], settings: ReturnSettings) -> Path:
+    """Return the whole way with the return at its end: one that ends in the air waits there for somebody to land it."""
     if not settings.return_final_m > 0.0:
         return Path(tuple(legs))
     aloft = [leg for leg in legs if leg.phase is not Phase.LANDING]

@@ -18,6 +18,7 @@ STALE_POSITION_S = 10.0
 OVERDUE_LEGS, OVERDUE_S = 1.5, 45.0
 SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
+ASTRAY, ASTRAY_S = 0.1, 4.0  # the autopilot's word of a new item may be some seconds old
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
 
 
@@ -37,6 +38,7 @@ class Progress(NamedTuple):
     path: Path = Path()
     at: int = -1  # the first leg of the item that is flown to
     leg_since_s: float = NAN
+    is_timed: bool = False  # that leg, from its planned begin on: its time says how long planned legs last
     behind: int = 0  # legs of that item that are over, by the place
     behind_s: float = NAN  # since when the leg after them is flown
     arrived_s: float = NAN  # since when the aircraft waits at that leg's end
@@ -49,10 +51,9 @@ class Progress(NamedTuple):
     ) -> Progress:
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
-        moved = self._on_path(navigation)
+        moved = self._on_path(time_s, navigation)
         moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
-        if navigation.mode is Mode.MISSION:
-            moved = moved._followed(time_s, navigation)
+        moved = moved._followed(time_s, navigation) if navigation.mode is Mode.MISSION else moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
@@ -62,24 +63,38 @@ class Progress(NamedTuple):
         ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
-    def _on_path(self, navigation: Navigation) -> Progress:
+    def _on_path(self, time_s: float, navigation: Navigation) -> Progress:
         """The leg by what the autopilot says that it flies to, and the timing of those behind."""
         if navigation.mission is None or navigation.home is None:
             return self
         moved, known_by = self, (navigation.mission, navigation.home, navigation.settings)
         if self.known_by is None or any(a is not b for a, b in zip(known_by, self.known_by, strict=True)):
-            found = path(*known_by)
-            moved = self._replace(known_by=known_by)
-            if found != self.path:  # the same mission uploaded twice changes nothing
-                moved = moved._replace(path=found, at=-1, leg_since_s=NAN, behind=0, behind_s=NAN)
+            is_same_mission = self.known_by is not None and self.known_by[0] == navigation.mission
+            moved = self._replanned(path(*known_by), is_same_mission)._replace(known_by=known_by)
         found = moved.path
         at = _leg_of(found, navigation.current, moved.at)
         if at is None or at == moved.at:
             return moved
         since_s, began_s = navigation.current_since_s, moved.leg_since_s
-        if navigation.mode is Mode.MISSION and 0 <= moved.at < at and math.isfinite(began_s):
+        if navigation.mode is Mode.MISSION and 0 <= moved.at < at and moved.is_timed and math.isfinite(began_s):
             moved = moved._replace(lessons=moved.lessons.with_timing(found.legs[moved.at : at], since_s - began_s))
-        return moved._replace(at=at, leg_since_s=since_s, behind=0, behind_s=since_s, arrived_s=NAN)
+        is_timed = moved.path is self.path and _begins_as_planned(found.legs[at], here_at(time_s, navigation))
+        return moved._replace(at=at, leg_since_s=since_s, is_timed=is_timed, behind=0, behind_s=since_s, arrived_s=NAN)
+
+    def _replanned(self, found: Path, is_same_mission: bool) -> Progress:
+        """On another path. Where home or a speed has changed, not the mission, the progress on its items stays."""
+        if found == self.path:  # the same mission uploaded twice changes nothing
+            return self
+        changed = self._replace(path=found, is_timed=False)  # the running leg began on the other path
+        fresh = changed._replace(behind=0, behind_s=NAN, arrived_s=NAN)
+        if not (is_same_mission and self.is_on_path and self._is_alike(found)):
+            return fresh._replace(at=-1, leg_since_s=NAN)
+        return fresh if found.legs[self.at].phase is Phase.HOME else changed  # a return flies to the new home
+
+    def _is_alike(self, found: Path) -> bool:
+        """True if the other path has the same items as far as the one that is flown, in as many legs."""
+        last = self.item.stop + 1
+        return [leg.seq for leg in found.legs[:last]] == [leg.seq for leg in self.path.legs[:last]]
 
     @property
     def is_on_path(self) -> bool:
@@ -105,6 +120,12 @@ class Progress(NamedTuple):
         while moved.behind + 1 < len(legs) and moved._is_over(legs[moved.behind + 1], here, time_s, navigation):
             moved = moved._replace(behind=moved.behind + 1, behind_s=time_s, arrived_s=NAN)._arrived(time_s, here)
         return moved
+
+    def _paused(self, row_s: float) -> Progress:
+        """Another mode than the mission's for `row_s` [s]: the clock of the leg stands still and tells nothing."""
+        return self._replace(
+            leg_since_s=self.leg_since_s + row_s, behind_s=self.behind_s + row_s, arrived_s=NAN, is_timed=False
+        )
 
     def _arrived(self, time_s: float, here: Point) -> Progress:
         """Since when the aircraft waits at the end of its leg."""
@@ -167,6 +188,15 @@ def _leg_of(way: Path, current: int | None, at: int) -> int | None:
         return at
     same = [index for index, leg in enumerate(way.legs) if leg.seq == current]
     return next((index for index in same if index > at), same[0] if same else None)
+
+
+def _begins_as_planned(leg: Leg, here: Point | None) -> bool:
+    """True unless the place says that the leg is flown from elsewhere: its time would be held against another way."""
+    if here is None:
+        return True
+    from_here_s = leg._replace(begin=here, run_m=math.dist(here[:2], leg.end[:2])).moving_s
+    straight_s = leg._replace(run_m=math.dist(leg.begin[:2], leg.end[:2])).moving_s
+    return abs(from_here_s - straight_s) <= ASTRAY * straight_s + ASTRAY_S
 
 
 def here_at(time_s: float, navigation: Navigation) -> Point | None:

@@ -23,7 +23,7 @@ from uavbatt.prediction.route_ahead import Ahead
 from uavbatt.prediction.route_legs import Leg, legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
 from uavbatt.prediction.route_path import way_home
-from uavbatt.prediction.route_pieces import Column, Pieces, Way
+from uavbatt.prediction.route_pieces import Column, Pieces, Way, waiting
 from uavbatt.prediction.route_progress import OVER_HOME_M
 from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
@@ -153,6 +153,8 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
     legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
     pieces, leg_of = way.pieces_with_leg(legs_table([leg for those in legs for leg in those]))
     turn_of = np.repeat(np.arange(turn_at_s.size), [len(those) for those in legs])[leg_of]
+    if not pieces.length_s.size:  # down at home already: nothing is left to fly
+        pieces, turn_of = waiting(flown.begin, 0.0), np.zeros(1, int)
     pieces, turn_of = _in_steps(pieces, turn_of)
     there = replace(load, ahead=Ahead(flown.begin, pieces))
     told = np.stack([pieces.length_s, there.piece_W, fast_shares(pieces), roughness(there, math.hypot(*way.wind))])

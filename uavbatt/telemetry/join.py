@@ -81,7 +81,7 @@ def joined(flights: Sequence[Flight], wiring: Wiring) -> Flight:
 
 
 def _row(rows: Sequence[Sample], wiring: Wiring) -> Sample:
-    """Return one row of the joined pack; a value that one battery lacks is NaN, but for the voltage in parallel."""
+    """Return one row of the joined pack; where one battery lacks a value, a mean is of the others and a sum is NaN."""
     volts, amps = [r.voltage_V for r in rows], [r.current_A for r in rows]
     cells = [r.cell_voltages_V for r in rows]
     if wiring is Wiring.PARALLEL:

@@ -165,6 +165,8 @@ class NavigationListener:
         self.builder.airspeed(time_s, message.airspeed)
 
     def _wind(self, time_s: float, message: Any) -> None:
+        if not math.isfinite(message.direction):
+            return
         from_rad = math.radians(message.direction)
         north_ms, east_ms = -message.speed * math.cos(from_rad), -message.speed * math.sin(from_rad)
         self.builder.wind(time_s, round(north_ms, 6), round(east_ms, 6))

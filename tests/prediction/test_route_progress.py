@@ -1,0 +1,109 @@
+"""Where an aircraft is on its route, and what its legs teach: only what was flown as planned tells of the plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from route_rig import HOME, SETTINGS, mission, to
+
+from uavbatt.navigation import Action, Home, MissionItem, Mode, Navigation, Position, ReturnSettings
+from uavbatt.prediction.route_ahead import Ahead, ahead
+from uavbatt.prediction.route_path import METRES_PER_DEGREE
+from uavbatt.prediction.route_progress import Progress
+
+LEG_M, SPEED_MS, HEIGHT_M = 500.0, 5.0, 30.0
+LINE = mission(*(to(k, LEG_M * k, 0.0, HEIGHT_M) for k in range(1, 5)))
+MOVED = Home(HOME.lat_deg - 300.0 / METRES_PER_DEGREE, HOME.lon_deg, HOME.alt_m)
+
+
+def seen(time_s: float, north_m: float, north_ms: float, **other: object) -> Navigation:
+    """What is known of an aircraft so far north of home."""
+    position = Position(time_s, HOME.lat_deg + north_m / METRES_PER_DEGREE, HOME.lon_deg, HEIGHT_M, north_ms, 0.0, 0.0)
+    known = Navigation(
+        mode=Mode.MISSION,
+        mission=LINE,
+        current=1,
+        current_since_s=0.0,
+        current_heard_s=time_s,
+        home=HOME,
+        settings=SETTINGS,
+        position=position,
+    )
+    return replace(known, **other)  # type: ignore[arg-type]
+
+
+def flown(pause_s: float = 0.0, moved_at_s: float = math.inf) -> Iterator[tuple[float, Navigation]]:
+    """An aircraft on the LINE; 700 m north a pilot holds it for a while, and at some time somebody moves its home."""
+    north_m, time_s, item, since_s, left_s = 0.0, 0.0, 1, 0.0, pause_s
+    while item < 4:
+        holds = north_m >= 700.0 and left_s > 0.0
+        left_s, north_m = (left_s - 1.0, north_m) if holds else (left_s, north_m + SPEED_MS)
+        if north_m >= LEG_M * item:
+            item, since_s = item + 1, time_s
+        known = seen(time_s, north_m, 0.0 if holds else SPEED_MS, current=item, current_since_s=since_s)
+        home = MOVED if time_s >= moved_at_s else HOME
+        yield time_s, replace(known, mode=Mode.HOLD if holds else Mode.MISSION, home=home)
+        time_s += 1.0
+
+
+def stretch(pause_s: float = 0.0, moved_at_s: float = math.inf) -> float:
+    progress = Progress()
+    for time_s, known in flown(pause_s, moved_at_s):
+        progress = progress.after(time_s, known)
+    return progress.lessons.long.factors[0]
+
+
+def test_legs_that_are_flown_as_planned_stretch_nothing() -> None:
+    assert stretch() == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("pause_s", [25.0, 40.0, 260.0])
+def test_a_pause_of_the_pilot_teaches_nothing_of_the_speed(pause_s: float) -> None:
+    """25 s in a hold were taken for legs that last 9 % longer; after 260 s the route was overdue to its next item."""
+    assert stretch(pause_s) == pytest.approx(stretch(), abs=0.02)
+
+
+@pytest.mark.parametrize("moved_at_s", [30.0, 97.0, 150.0, 195.0])
+def test_a_home_that_is_moved_in_flight_teaches_nothing_of_the_speed(moved_at_s: float) -> None:
+    """A leg's time was held against a plan from elsewhere: 0.75 to 1.27 of it, and home was nearer than it is."""
+    assert stretch(moved_at_s=moved_at_s) == pytest.approx(stretch(), abs=0.02)
+
+
+def test_a_link_that_joins_within_a_leg_teaches_nothing_of_the_speed() -> None:
+    progress = Progress()
+    for time_s, known in flown():
+        if time_s >= 40.0:
+            heard = known if known.current != 1 else replace(known, current_since_s=40.0)
+            progress = progress.after(time_s, heard)
+        if known.current == 2:
+            break
+    assert progress.lessons.long.factors == Progress().lessons.long.factors
+
+
+def return_from(north_m: float, up_ms: float, settings: ReturnSettings) -> Ahead:
+    now = seen(10.0, north_m, 0.0, mode=Mode.RETURN, settings=settings)
+    assert now.position is not None
+    now = replace(now, position=replace(now.position, up_ms=up_ms))
+    found = ahead(Progress().after(10.0, now), now, 10.0)
+    assert isinstance(found, Ahead)
+    return found
+
+
+def test_the_wait_over_home_counts_until_the_aircraft_sinks() -> None:
+    waits = replace(SETTINGS, return_hold_s=60.0)
+    over_home_s = return_from(5.0, 0.0, waits).touchdown_s
+    assert over_home_s == pytest.approx(return_from(7.0, 0.0, waits).touchdown_s, abs=3.0)
+    assert return_from(5.0, -1.5, waits).touchdown_s == pytest.approx(over_home_s - 60.0, abs=5.0)
+
+
+@pytest.mark.parametrize("mode", [Mode.MISSION, Mode.RETURN])
+def test_a_return_that_ends_in_the_air_has_no_touchdown_in_any_mode(mode: Mode) -> None:
+    settings = replace(SETTINGS, return_final_m=10.0)
+    there = mission(to(1, LEG_M, 0.0, HEIGHT_M), MissionItem(2, Action.RETURN))
+    now = seen(10.0, 300.0, -8.0, mode=mode, mission=there, current=2, settings=settings)
+    found = ahead(Progress().after(10.0, now), now, 10.0)
+    assert isinstance(found, Ahead)
+    assert not found.lands and math.isnan(found.touchdown_s)
