@@ -70,6 +70,51 @@ def test_a_flight_without_a_clock_is_none_of_those_that_have_one(tmp_path):
             assert [found.flight.key for found in ledger.flights("A")] == [FLIGHTS[1].key, "clockless"]
 
 
+def test_flights_whose_logs_begin_alike_are_two_where_both_have_a_clock(tmp_path):
+    """Two full packs at rest give the same first rows."""
+    later = replace(FLIGHTS[1], key=FLIGHTS[0].key)
+    for number, order in enumerate(([FLIGHTS[0], later, later], [later, FLIGHTS[0], FLIGHTS[0]])):
+        with Ledger(tmp_path / f"{number}.sqlite") as ledger:
+            for one in order:
+                ledger.save("A", one)
+            found = [after.flight for after in ledger.flights("A")]
+            assert [one.start_utc_s for one in found] == [FLIGHTS[0].start_utc_s, later.start_utc_s]
+            assert [one.is_of(later.key, later.start_utc_s) for one in found] == [False, True]
+            assert ledger.before("A", later.start_utc_s, later.key).flight.told == FLIGHTS[0].told
+
+
+def test_a_log_that_begins_like_another_is_replaced_by_itself_alone(tmp_path):
+    later = replace(FLIGHTS[1], key=FLIGHTS[0].key)
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save_all("A", [FLIGHTS[0], later])
+        after = ledger.save("A", replace(later, charge_Ah=4.2))
+        assert len(ledger.flights("A")) == 2
+    assert after.flight.start_utc_s == later.start_utc_s
+    assert after.flight.charge_Ah == 4.2
+
+
+def test_the_same_log_with_and_without_a_clock_is_one_flight(tmp_path):
+    clockless = replace(FLIGHTS[0], start_utc_s=math.nan)
+    for number, order in enumerate(([FLIGHTS[0], clockless], [clockless, FLIGHTS[0]])):
+        with Ledger(tmp_path / f"{number}.sqlite") as ledger:
+            for one in order:
+                ledger.save("A", one)
+            (found,) = ledger.flights("A")
+            assert found.flight.start_utc_s == FLIGHTS[0].start_utc_s
+
+
+def test_a_log_that_is_dropped_for_a_longer_one_takes_no_other_flight_with_it(tmp_path):
+    """The middle one holds all of the first and half of the last: neither of these is of the other's time."""
+    start_s = FLIGHTS[0].start_utc_s
+    first = replace(FLIGHTS[0], duration_s=40.0)
+    last = replace(FLIGHTS[1], start_utc_s=start_s + 45.0, duration_s=155.0)
+    middle = replace(FLIGHTS[2], start_utc_s=start_s, duration_s=100.0)
+    with Ledger(tmp_path / "packs.sqlite") as ledger:
+        ledger.save_all("A", [first, last])
+        assert ledger.save("A", middle).flight.key == last.key
+        assert [found.flight.key for found in ledger.flights("A")] == [first.key, last.key]
+
+
 def test_a_flight_comes_back_as_it_was_saved(tmp_path):
     stated = replace(FLIGHTS[0], soc_start=0.97, cycles=12, weak_cell=2, weak_cell_V=0.05, temp_max_C=41.0)
     with Ledger(tmp_path / "packs.sqlite") as ledger:

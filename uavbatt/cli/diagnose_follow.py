@@ -91,14 +91,15 @@ def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight
     if not pack:
         raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
     with Ledger(packs, only_read=True) as ledger:
-        places = {after.flight.key: place for place, after in enumerate(ledger.flights(pack))}
-    if not places:
+        every = [after.flight for after in ledger.flights(pack)]
+    if not every:
         raise UsageError(f"--pack {pack}: expected a pack of {packs}, found none of that name")
-    known = {key_of(f.samples): f for f in flights}
-    its = sorted((key for key in known if key in places), key=lambda key: places[key])
+    keyed = [(key_of(f.samples), f) for f in flights]
+    logs = [[f for key, f in keyed if was.is_of(key, f.identity.start_utc_s)] for was in every]
+    its = [same[-1] for same in logs if same]
     if len(its) < len(flights):
         remark(f"{len(flights) - len(its)} of {len(flights)} logs are not flights that the ledger knows of {pack}")
-    return [known[key] for key in its]
+    return its
 
 
 def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, without: tuple[str, ...]) -> Follow:

@@ -47,11 +47,12 @@ def packs_met(
     """Return the pack of each of so many logs as the flights before it left it, once the ledger is filled."""
     found = [NOT_MET] * logs
     for name, flights in _by_pack(lessons).items():
-        findings = {after.flight.key: after.findings for after in ledger.flights(name)}
+        every = ledger.flights(name)
         for number, lesson in flights:
             last = ledger.before(name, lesson.start_utc_s, lesson.key)
             health = prior(last, lesson.start_utc_s, battery_sha256) if last is not None else None
-            words = [finding.words for finding in findings.get(lesson.key, ())]
+            own = (after for after in every if after.flight.is_of(lesson.key, lesson.start_utc_s))
+            words = [finding.words for after in own for finding in after.findings]
             words += [filled.left_out[number]] if number in filled.left_out else []
             found[number] = PackMet(health, tuple(f"pack {name}: {one}" for one in words))
     return found

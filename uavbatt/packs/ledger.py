@@ -28,9 +28,9 @@ OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack W
 LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
 # A log of the same flight that began earlier is not before it; without a clock, all are but those saved after it.
 BEFORE = f"""
-{OF_PACK} AND key != :key AND CASE WHEN :start IS NOT NULL THEN start_utc_s + 0.9 * duration_s < :start
-    ELSE start_utc_s IS NOT NULL OR flights.id < ifnull(
-        (SELECT own.id FROM flights AS own WHERE own.pack = packs.id AND own.key = :key), flights.id + 1) END
+{OF_PACK} AND CASE WHEN :start IS NOT NULL THEN start_utc_s + 0.9 * duration_s < :start
+    ELSE key != :key AND (start_utc_s IS NOT NULL OR flights.id < ifnull(
+        (SELECT own.id FROM flights AS own WHERE own.pack = packs.id AND own.key = :key), flights.id + 1)) END
 {LATEST}
 """
 
@@ -234,18 +234,22 @@ def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> st
 
     A record that is replaced hands its number on, which is the order of flights without a clock.
     """
-    numbers = []
-    for row in connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall():
-        other = rows.flight_of(row)
-        if not other.is_same_as(flight):
-            continue
-        if other.key != flight.key and (other.duration_s, other.key) > (flight.duration_s, flight.key):
-            return other.key
+    found = connection.execute("SELECT * FROM flights WHERE pack = ?", (pack,)).fetchall()
+    every = {int(row["id"]): rows.flight_of(row) for row in found}
+    same = {number: other for number, other in every.items() if other.is_same_as(flight)}
+    own = {number for number, other in same.items() if other.is_of(flight.key, flight.start_utc_s)}
+    others = [other for number, other in same.items() if number not in own]
+    longest = max([flight, *others], key=lambda one: (one.duration_s, one.key))
+    gone = own if longest is not flight else set(same)
+    connection.executemany("DELETE FROM flights WHERE id = ?", [(number,) for number in gone])
+    if longest is not flight:
+        return longest.key
+    for other in same.values():
         flight = replace(flight, start_utc_s=_known(flight.start_utc_s, other.start_utc_s))
-        connection.execute("DELETE FROM flights WHERE id = ?", (row["id"],))
-        numbers.append(int(row["id"]))
-    number = min(numbers, default=None)
-    connection.execute(*inserted("flights", {**rows.flight_row(flight), "id": number, "pack": pack, "findings": ""}))
+    if any(other.key == flight.key for number, other in every.items() if number not in gone):
+        flight = flight.with_own_key()
+    values = {**rows.flight_row(flight), "id": min(gone, default=None), "pack": pack, "findings": ""}
+    connection.execute(*inserted("flights", values))
     return flight.key
 
 

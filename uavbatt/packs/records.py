@@ -7,7 +7,7 @@ depends on the battery file that a flight was read with, so that a new file does
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,8 @@ import numpy as np
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.records import NAN
+
+OWN = "@"  # between the hash of a log's first rows and the start of the flight, where two flights have the same rows
 
 
 class Told(NamedTuple):
@@ -41,7 +43,7 @@ class Told(NamedTuple):
 class FlightRecord:
     """A FlightRecord holds one flight of one pack, whatever the flights before it were."""
 
-    key: str  # made of the log's first rows: the same log again has it again
+    key: str  # made of the log's first rows: the same log again has it again; the ledger's own of two that are alike
     told: Told
     cells: int
     rated_Ah: float
@@ -63,14 +65,26 @@ class FlightRecord:
     fullest_cell_V: float = NAN  # at which a full cell has rested; ORDINARY_FULL_V where it is no more than that
 
     def is_same_as(self, other: FlightRecord) -> bool:
-        """Return True if two records are of one flight: the same log, or logs of the same time."""
-        return self.key == other.key or _overlap(self, other)
+        """Return True if two records are of one flight: logs of the same time, or without a clock the same log."""
+        if math.isnan(self.start_utc_s + other.start_utc_s):
+            return self.key == other.key
+        return _overlap(self, other)  # the first rows of two flights may be alike: a full pack at rest
+
+    def is_of(self, key: str, start_utc_s: float) -> bool:
+        """Return True if this is the flight of the log with that key that began then [s since 1970], NaN if unknown."""
+        if self.start_utc_s == start_utc_s:
+            return self.key.partition(OWN)[0] == key.partition(OWN)[0]
+        return math.isnan(self.start_utc_s + start_utc_s) and self.key == key
+
+    def with_own_key(self) -> FlightRecord:
+        """Return the record under a key of its own, as another flight's log has the same first rows."""
+        return replace(self, key=f"{self.key}{OWN}{self.start_utc_s:.3f}")
 
 
 def _overlap(a: FlightRecord, b: FlightRecord) -> bool:
-    """Return True if the flights share more than half of the shorter one's time; False where a start is unknown."""
-    if math.isnan(a.start_utc_s + b.start_utc_s):  # `min` and `max` would skip the NaN and find the other flight whole
-        return False
+    """Return True if the flights, whose starts are known, share more than half of the shorter one's time."""
+    if a.start_utc_s == b.start_utc_s:
+        return True
     shared_s = min(a.start_utc_s + a.duration_s, b.start_utc_s + b.duration_s) - max(a.start_utc_s, b.start_utc_s)
     return shared_s > 0.5 * min(a.duration_s, b.duration_s)
 
