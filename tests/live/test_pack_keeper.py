@@ -136,6 +136,21 @@ def test_a_flight_whose_process_never_came_back_is_saved_by_the_next_one(tmp_pat
         assert len(ledger.flights("A")) == 1
 
 
+def test_every_flight_of_a_pack_that_never_landed_is_saved_by_the_next_process(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    begun = (UTC_S, UTC_S + 20_000.0)
+    with Ledger(path) as ledger:
+        for utc_s in begun:
+            number = airborne.store_flight(ledger, airborne.Airborne("A", utc_s, 3, 5.0))
+            airborne.store_rows(ledger, number, rows)
+    later = keeper(path, utc=UTC_S + 86_400.0)
+    later.look_after(0.0)
+    later.close(0.0)
+    with Ledger(path) as ledger:
+        assert [found.flight.start_utc_s for found in ledger.flights("A")] == list(begun)
+        assert airborne.left_over(ledger) == []
+
+
 def test_what_a_flight_taught_is_known_when_the_pack_is_met_again(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     first = keeper(path)

@@ -67,12 +67,10 @@ class PackKeeper:
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
         self._kept: dict[int, Kept] = {}
-        self._left_over: dict[str, LeftOver] = {}
-        self._ask_s: dict[str, float] = {}  # when to ask whether it has grown, monotonic
         self.note = ""
         self._ledger = Ledger(path)
-        for left in airborne.left_over(self._ledger):
-            self._left_over[left.flight.name] = left
+        self._left_over = {left.number: left for left in airborne.left_over(self._ledger)}
+        self._ask_s: dict[int, float] = {}  # when to ask whether it has grown, monotonic
 
     def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
         """Return what is remembered of the pack of a battery, once it has a name; None while it has none.
@@ -122,12 +120,12 @@ class PackKeeper:
                 self._land(kept)
             elif now_s - kept.flushed_s >= FLUSH_S:
                 self._flush(kept, now_s)
-        for name, left in list(self._left_over.items()):
+        for number, left in list(self._left_over.items()):
             if self._is_resumable(left, now_s):
                 continue
             wait_s = 0.0 if self._utc_s(now_s) - left.last_utc_s > RESUMED_WITHIN_S else FLIGHT_SILENT_S + FLUSH_S
-            if now_s >= self._ask_s.setdefault(name, now_s + wait_s):
-                del self._left_over[name], self._ask_s[name]
+            if now_s >= self._ask_s.setdefault(number, now_s + wait_s):
+                del self._left_over[number], self._ask_s[number]
                 self._worker.submit(self._noting_errors, self._learned_unless_grown, left)
 
     def close(self, now_s: float) -> None:
@@ -140,10 +138,11 @@ class PackKeeper:
 
     def _take_off(self, kept: Kept, now_s: float, cells: int, capacity_Ah: float) -> None:
         """The pack is armed: its rows go into the ledger from now on, on top of those of a process that died."""
-        left = self._left_over.get(kept.name)
-        if left is not None and self._is_resumable(left, now_s):  # what is not, `look_after` lands
-            del self._left_over[kept.name]
-            self._ask_s.pop(kept.name, None)
+        every = [left for left in list(self._left_over.values()) if left.flight.name == kept.name]
+        left = next((left for left in reversed(every) if self._is_resumable(left, now_s)), None)
+        if left is not None:  # the last one; what cannot be resumed `look_after` lands
+            del self._left_over[left.number]
+            self._ask_s.pop(left.number, None)
             kept.number = Future()
             kept.number.set_result(left.number)
             kept.start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
@@ -194,7 +193,7 @@ class PackKeeper:
         """Land a flight of another process, or wait on if it flies still, or if its number is another flight's now."""
         now = self._airborne(was.number)
         if now is not None and (now.flight != was.flight or len(now.rows) > len(was.rows)):
-            self._left_over[now.flight.name] = now
+            self._left_over[now.number] = now
         else:
             self._learned(was.number)
 
