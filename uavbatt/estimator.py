@@ -86,7 +86,7 @@ class Estimator:
     options : the size of the pack (cells, capacity [Ah], cut-off [V]) as far as the caller states it.
     settings : load to come, reserve and period of the forecasts.
     engine : the functions by which `run` works many rows at once; `step` always updates by filterpy.
-    remembered : the health of a pack that earlier flights have shown, from the pack ledger.
+    remembered : the health of the pack by earlier flights, from the pack ledger; `remembered_next`, of a pack after it.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Estimator:
         engine: Engine = PLAIN,
         remembered: PackHealth | None = None,
     ) -> None:
-        self.battery, self.remembered = battery, remembered
+        self.battery, self.remembered, self.remembered_next = battery, remembered, remembered
         self.options = of_known_cells(options or PackOptions(), remembered)
         self.settings = settings or ForecastSettings()
         self._followed: Followed | None = None
@@ -229,7 +229,7 @@ class Estimator:
             row = rows[k - since]
             swap = followed.swap.after(sample, row.innovation, row.belief, followed.filter.pack)
             if swap.is_another:  # enough rows by now have shown another pack than the one believed in
-                self._known = self._known.anew()
+                self._known, self.remembered = self._known.anew(), self.remembered_next
                 followed = self._begun()
                 rows, since = followed.filter.run(clean[k:], filter_window), k
                 row, swap = rows[0], followed.swap

@@ -185,8 +185,8 @@ class Batteries:
         """On the ground the estimate begins with what is remembered of the pack; in the air its rows are kept."""
         tracked, said = self.tracked[row.instance], self._reader.pack(row.instance)
         known = keeper.meet(row.instance, said.serial, said.cycles, now_s)
-        if known is not None and known.done() and not row.sample.armed:
-            tracked.remember(known.result())
+        if known is not None and known.done() and tracked.is_open_to_memory(row.sample.armed):
+            tracked.remember(self._config.packs.name or said.serial, known.result())
         resolved = tracked.estimator.pack_size
         if resolved is not None:
             keeper.step(row.instance, row.sample, now_s, resolved.cells, resolved.capacity_Ah)

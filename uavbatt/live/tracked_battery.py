@@ -28,6 +28,7 @@ from uavbatt.telemetry.builder import MAX_CURRENT_A
 
 COUNTER_SLACK_AH = 0.02
 ENDURANCE_PERIOD_S = 10.0
+RESUMED = "resumed from a state"
 
 
 class TrackedBattery:
@@ -42,17 +43,35 @@ class TrackedBattery:
         max_age_s: float = math.inf,
     ) -> None:
         self._battery, self._options, self._settings = battery, options, settings
+        self._pack = ""  # by its name, once that is known
         self._remembered: PackHealth | None = None
+        self._has_flown = False
         self.estimator = self._anew()
         self._saved, self._max_age_s = saved, max_age_s
         self._last: Sample | None = None
         self._endurance, self._endurance_s = UNKNOWN, math.nan
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
 
-    def remember(self, health: PackHealth | None) -> None:
-        """Begin anew with what is remembered of the pack, if that is not what the estimate began with."""
-        if health is not None and health is not self._remembered:
-            self._remembered, self._saved = health, None
+    def is_open_to_memory(self, armed: bool | None) -> bool:
+        """Return True on the ground, and while nobody has said whether it flies and no saved state is believed."""
+        return armed is False or (armed is None and self._saved is None and not self.resumed.startswith(RESUMED))
+
+    def remember(self, name: str, health: PackHealth | None) -> None:
+        """Take in what is remembered of a pack, by its name.
+
+        The estimate begins anew with it for another pack, and for one that has not flown. One that has flown knows more
+        of its charge: the memory waits until the voltage shows another pack, or the same one charged.
+        """
+        is_another = self._pack not in ("", name)
+        is_news = health is not self._remembered and (health is not None or is_another)
+        self._pack = name
+        if not is_news:
+            return
+        self._remembered = health
+        if self._has_flown and not is_another:
+            self.estimator.remembered_next = health
+        else:
+            self._saved, self.resumed, self._has_flown = None, "", False
             self.estimator = self._anew()
 
     def _anew(self) -> Estimator:
@@ -68,17 +87,19 @@ class TrackedBattery:
         was, self._saved = self._saved, None
         if was is not None:
             why_not = self._resume(was, sample, gap_s)
-            self.resumed = f"not resumed: {why_not}" if why_not else f"resumed from a state {gap_s:.0f} s old"
+            self.resumed = f"not resumed: {why_not}" if why_not else f"{RESUMED} {gap_s:.0f} s old"
         self._last = sample
         try:
             self.estimator.update_facts(facts)
-            return self.estimator.step(sample, navigation)
+            found = self.estimator.step(sample, navigation)
         except Exception as error:  # whatever the model makes of a row or of a file: in flight nothing ends the process
             self.estimator = self._anew()
             if was is not None:
                 self.resumed = f"not resumed: the saved state is damaged: {type(error).__name__}"
             where = "" if isinstance(error, UavbattError) else f"{type(error).__name__} in uavbatt itself: "
             return refused(sample, where + " ".join(str(error).split()))
+        self._has_flown = self._has_flown or math.isfinite(self.estimator.flying_since_s)
+        return found
 
     def endurance(self, time_s: float) -> EnduranceNow:
         """Return the time in the air if it took off now, unknown where that has no answer; renewed every 10 s."""

@@ -1,0 +1,101 @@
+"""What is remembered of a pack, and the estimate of it in flight: neither throws the other away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from daemon_bench import Bench
+from packs.made import flight as flight_of_a_pack
+from test_live_faults import OPTIONS, SELDOM, flight
+
+from uavbatt.battery import battery_file
+from uavbatt.battery.remembered import PackHealth
+from uavbatt.live.config import PacksSection, StateSection
+from uavbatt.live.pack_keeper import PackKeeper
+from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.packs.ledger import Ledger, prior
+from uavbatt.records import PackFacts, Sample
+from uavbatt.telemetry.formats.tlog_writer import battery_status
+
+FLOWN = 120  # rows before the crash
+
+
+@pytest.fixture
+def ledger(tmp_path: Path) -> Path:
+    """A ledger that has met pack A."""
+    with Ledger(tmp_path / "packs.sqlite") as opened:
+        opened.save("A", flight_of_a_pack(0))
+    return tmp_path / "packs.sqlite"
+
+
+@pytest.fixture
+def health(ledger: Path) -> PackHealth:
+    with Ledger(ledger) as opened:
+        last = opened.last("A")
+    assert last is not None
+    return prior(last, last.flight.start_utc_s, "0" * 64)
+
+
+def settle(bench: Bench) -> None:
+    """Wait until the ledger was asked and written."""
+    keeper = bench.daemon.batteries._keeper
+    assert isinstance(keeper, PackKeeper)
+    keeper._worker.submit(lambda: None).result()
+
+
+def test_a_flight_that_is_resumed_before_the_first_heartbeat_goes_on(ledger: Path, tmp_path: Path) -> None:
+    """Nobody has said yet that it flies, and the ledger remembers the pack."""
+    sections = {"state": StateSection(file=str(tmp_path / "state.json")), "packs": PacksSection(str(ledger), "A")}
+    first = Bench(OPTIONS, settings=SELDOM, **sections)
+    first.play(flight()[:FLOWN])
+    first.daemon.close()
+    bench = Bench(OPTIONS, first.now_s + 1.0, settings=SELDOM, **sections)
+    for sample in flight()[FLOWN + 2 : FLOWN + 8]:
+        bench.send(battery_status(sample, 0))
+        bench.daemon.turn()
+        settle(bench)
+        bench.now_s += 0.5
+    assert bench.daemon._reader.armed is None
+    assert "battery 0: resumed from a state 2 s old" in bench.daemon.board.notes
+    assert bench.daemon.board.reports[0].flying_since_s < first.now_s
+    bench.daemon.close()
+
+
+def tracked(samples: tuple[Sample, ...]) -> TrackedBattery:
+    """The estimate of pack A, which nobody has met, after some rows."""
+    battery = TrackedBattery(battery_file.read_battery("lipo-generic"), OPTIONS, SELDOM)
+    battery.remember("A", None)
+    for sample in samples:
+        battery.step(sample, PackFacts())
+    return battery
+
+
+def test_a_pack_that_has_flown_keeps_its_estimate_until_it_is_charged(health: PackHealth) -> None:
+    """What its flight has taught counts from the next charge on."""
+    flown = flight(0.5)
+    battery = tracked(flown)
+    before = battery.estimator.belief
+    battery.remember("A", health)
+    assert battery.estimator.belief is before and battery.estimator.remembered is None
+    shift_s = flown[-1].time_s + 60.0
+    for sample in flight()[:20]:
+        battery.step(replace(sample, time_s=sample.time_s + shift_s), PackFacts())
+    assert battery.estimator.remembered is health
+    assert battery.estimator.belief is not None and battery.estimator.belief.mean[0] > 0.9
+
+
+def test_a_pack_that_has_not_flown_begins_with_what_is_remembered(health: PackHealth) -> None:
+    battery = tracked(flight()[:20])
+    battery.remember("A", health)
+    assert battery.estimator.remembered is health and battery.estimator.belief is None
+
+
+def test_another_pack_begins_without_what_is_remembered_of_the_last(health: PackHealth) -> None:
+    battery = tracked(())
+    battery.remember("A", health)
+    for sample in flight()[:FLOWN]:
+        battery.step(sample, PackFacts())
+    battery.remember("B", None)
+    assert battery.estimator.remembered is None and battery.estimator.belief is None
