@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from daemon_bench import Bench
 from packs.made import flight as flight_of_a_pack
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from test_live_faults import OPTIONS, SELDOM, flight
 
 from uavbatt.battery import battery_file
@@ -15,6 +16,7 @@ from uavbatt.battery.remembered import PackHealth
 from uavbatt.live.config import PacksSection, StateSection
 from uavbatt.live.pack_keeper import PackKeeper
 from uavbatt.live.tracked_battery import TrackedBattery
+from uavbatt.packs import airborne
 from uavbatt.packs.ledger import Ledger, prior
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.formats.tlog_writer import battery_status
@@ -61,6 +63,22 @@ def test_a_flight_that_is_resumed_before_the_first_heartbeat_goes_on(ledger: Pat
     assert "battery 0: resumed from a state 2 s old" in bench.daemon.board.notes
     assert bench.daemon.board.reports[0].flying_since_s < first.now_s
     bench.daemon.close()
+
+
+def test_rows_of_the_vehicle_that_comes_next_are_in_no_flight_of_the_last_one(ledger: Path) -> None:
+    bench = Bench(OPTIONS, settings=SELDOM, packs=PacksSection(str(ledger)))
+    bench.send(dialect.MAVLink_param_value_message(b"BATT_SERIAL_NUM", 7.0, 9, 1, 0))
+    bench.fly(20.0)
+    bench.now_s += 11.0  # system 1 is silent, and system 42 tells no serial
+    for _ in range(100):
+        bench.send(dialect.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3), system=42)
+        bench.send(battery_status(Sample(0.0, 15.0, 40.0, 25.0, 0.1, armed=True), 0), system=42)
+        bench.daemon.turn()
+        bench.now_s += 0.2
+    bench.daemon.close()
+    assert bench.daemon.board.reports[0].system == 42
+    with Ledger(ledger) as opened:
+        assert airborne.left_over(opened) == []
 
 
 def tracked(samples: tuple[Sample, ...]) -> TrackedBattery:

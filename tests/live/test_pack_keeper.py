@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from dataclasses import replace
 
 import pytest
@@ -186,6 +187,78 @@ def test_a_pack_without_a_name_is_not_remembered(tmp_path, rows):
     flown(kept, rows, serial="").close(rows[-1].time_s)
     with Ledger(path) as ledger:
         assert ledger.packs() == []
+
+
+@pytest.mark.parametrize("is_vehicle", (True, False), ids=("vehicle", "pack"))
+def test_rows_of_another_battery_without_a_name_are_in_no_flight(tmp_path, rows, is_vehicle):
+    """The named pack is in the air until its vehicle falls silent, or until it is taken out."""
+    path, half = tmp_path / "packs.sqlite", len(rows) // 2
+    kept = flown(keeper(path), rows[:half])
+    if is_vehicle:
+        kept.begin_vehicle()
+    flown(kept, [replace(row, voltage_V=16.0) for row in rows[half:]], serial="").close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+        assert airborne.left_over(ledger) == []
+    assert found.flight.duration_s == pytest.approx(rows[half].time_s - 5.0, abs=10.0)
+
+
+def test_two_vehicles_one_after_the_other_may_fly_packs_of_one_stated_name(tmp_path):
+    kept = keeper(tmp_path / "packs.sqlite", stated="left")
+    kept.meet(0, "", None, 0.0)
+    kept.begin_vehicle()
+    assert kept.meet(1, "", None, 20.0) is not None
+    kept.close(20.0)
+    assert "both called" not in kept.note
+
+
+@pytest.fixture
+def locked(tmp_path, monkeypatch):
+    """The ledger while another program writes for longer than anybody waits; it ends when it is called."""
+    monkeypatch.setattr("uavbatt.packs.ledger.PATIENCE_S", 0.05)
+    Ledger(tmp_path / "packs.sqlite").close()
+    other = sqlite3.connect(tmp_path / "packs.sqlite", isolation_level=None)
+    yield lambda: other.execute("BEGIN IMMEDIATE"), lambda: other.execute("ROLLBACK")
+    other.close()
+
+
+@pytest.mark.parametrize("begun", (0.0, 0.5, 0.95), ids=("at_the_take_off", "in_the_air", "at_the_landing"))
+def test_a_flight_is_saved_whole_though_the_ledger_was_locked(tmp_path, rows, locked, begun):
+    path, lock, unlock = tmp_path / "packs.sqlite", *locked
+    kept, first = keeper(path), int(begun * len(rows))
+    settled(flown(kept, rows[:first]))
+    lock()
+    last = first + 60 if begun < 0.9 else len(rows)
+    settled(flown(kept, rows[first:last]))
+    assert "found it locked" in kept.note
+    unlock()
+    flown(kept, rows[last:]).look_after(rows[-1].time_s)
+    kept.close(rows[-1].time_s)
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+        assert airborne.left_over(ledger) == []
+    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+
+
+def test_a_pack_that_is_forgotten_in_the_air_is_not_tried_for_ever(tmp_path, rows):
+    path = tmp_path / "packs.sqlite"
+    kept = flown(keeper(path), rows[: len(rows) // 2])
+    settled(kept)
+    with Ledger(path) as ledger:
+        assert ledger.forget("A")
+    settled(flown(kept, rows[len(rows) // 2 :]))
+    assert not kept._landing
+    kept.close(rows[-1].time_s)
+
+
+def test_what_a_flight_taught_is_known_after_its_landing(tmp_path, rows):
+    kept = keeper(tmp_path / "packs.sqlite")
+    assert kept.meet(0, "A", None, 0.0).result() is None
+    flown(kept, rows)
+    health = kept.meet(0, "A", None, rows[-1].time_s).result()
+    assert math.exp(health.log_Ah) == pytest.approx(5.0 * (1.0 - FADE), rel=0.05)
+    kept.close(rows[-1].time_s)
+    assert "flight remembered" in kept.note
 
 
 def test_a_name_that_is_stated_goes_before_the_serial(tmp_path, rows):

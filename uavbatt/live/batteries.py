@@ -65,6 +65,8 @@ class Batteries:
     def begin_vehicle(self) -> None:
         """Forget the batteries of the last vehicle, as another one is followed from now on."""
         self.tracked, self.reports, self._facts = {}, {}, {}
+        if self._keeper is not None:
+            self._keeper.begin_vehicle()
 
     def look_at_vehicle(self) -> None:
         """Forget a resumed state if the serial number that the vehicle has told since shows that it is another's."""

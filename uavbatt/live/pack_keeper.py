@@ -5,6 +5,7 @@
     landing           -> what the flight taught, saved
 
 The disk may be slow and another program may write: all of it is done by one thread beside the loop, which never waits.
+What the ledger did not take is kept and written again, with the next rows or after the landing.
 A flight that another process left may be in the air still: it is landed only when no rows of it have come meanwhile.
 """
 
@@ -14,7 +15,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,34 +22,20 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
 from uavbatt.battery.sizing import PackOptions
 from uavbatt.errors import UavbattError
+from uavbatt.live.kept_flight import Flying, Kept
 from uavbatt.packs import airborne
 from uavbatt.packs.airborne import Airborne, LeftOver
 from uavbatt.packs.ledger import AnotherSize, Ledger, prior
 from uavbatt.packs.remembering import recalled, taught
-from uavbatt.records import NAN, Flight, Identity, PackFacts, Sample
+from uavbatt.records import Flight, Identity, PackFacts, Sample
 
 FLUSH_S = 10.0
-BEFORE_S, LANDED_S = 30.0, 20.0  # of rest before the take-off and after the landing, for the rested voltage
+LANDED_S = 20.0  # of rest after the landing, for the rested voltage
 FLIGHT_SILENT_S = 120.0  # without a row a flight is over
 RESUMED_WITHIN_S = 600.0
+MOST_LANDING = 8  # flights that wait for the ledger
 
 Result = TypeVar("Result")
-
-
-@dataclass(slots=True)
-class Kept:
-    """Kept holds the rows of one battery's flight; the loop alone changes it, in place."""
-
-    name: str
-    health: Future[PackHealth | None]
-    cycles: int | None = None
-    number: Future[int] | None = None  # in the ledger, while it flies
-    start_s: float = NAN  # monotonic
-    disarmed_s: float = NAN
-    last_s: float = NAN
-    block: list[Sample] = field(default_factory=list)
-    rows: deque[Sample] = field(default_factory=deque)  # not in the ledger yet; monotonic times
-    flushed_s: float = -math.inf
 
 
 class PackKeeper:
@@ -67,28 +53,37 @@ class PackKeeper:
         self._path, self._stated, self._battery, self._options, self._utc_s = path, stated, battery, options, utc_s
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="packs")
         self._kept: dict[int, Kept] = {}
+        self._landing: deque[tuple[Kept, Flying]] = deque(maxlen=MOST_LANDING)  # that the ledger did not take
         self.note = ""
         self._ledger = Ledger(path)
         self._left_over = {left.number: left for left in airborne.left_over(self._ledger)}
         self._ask_s: dict[int, float] = {}  # when to ask whether it has grown, monotonic
 
+    def begin_vehicle(self) -> None:
+        """Land what flies and forget the batteries, as another vehicle is followed from now on."""
+        for kept in self._kept.values():
+            self._land(kept)
+        self._kept.clear()
+
     def meet(self, instance: int, serial: str, cycles: int | None, now_s: float) -> Future[PackHealth | None] | None:
         """Return what is remembered of the pack of a battery, once it has a name; None while it has none.
 
-        Of two batteries under one name only the first is remembered. `cycles` may be told later than the name.
+        Of two batteries under one name only the first is remembered. `cycles` may be told later than the name. What a
+        flight has taught is remembered from its landing on.
         """
         name = self._stated or serial
-        first = next((i for i, kept in self._kept.items() if kept.name == name), instance)
+        kept = self._kept.get(instance)
+        if kept is not None and kept.name != name:  # another pack: no row of it is of this flight
+            self._land(self._kept.pop(instance))
+            kept = None
+        first = next((i for i, other in self._kept.items() if other.name == name), instance)
         if not name:
             return None
         if first != instance:
             self.note = f"pack ledger: batteries {first} and {instance} are both called {name}: only {first} is kept"
             return None
-        kept = self._kept.get(instance)
-        if kept is None or kept.name != name:
-            if kept is not None:
-                self._land(kept)
-            health = self._worker.submit(self._noting_errors, self._recalled, name, now_s)
+        if kept is None:
+            health = self._worker.submit(self._noting_errors, self._met, name, now_s)
             self._kept[instance] = kept = Kept(name, health)
         kept.cycles = cycles if cycles is not None else kept.cycles
         return kept.health
@@ -100,26 +95,21 @@ class PackKeeper:
             self.note = f"pack ledger: battery {instance} tells no serial and is not remembered: give --pack NAME"
         if kept is None or not (math.isfinite(sample.voltage_V) and math.isfinite(sample.current_A)):
             return
-        kept.last_s = now_s
-        kept.block.append(replace(sample, time_s=now_s))
-        if now_s - kept.block[0].time_s >= airborne.ROW_S:
-            kept.rows.append(_mean(kept.block))
-            kept.block = []
-        if kept.number is None and sample.armed:
+        kept.add(sample, now_s)
+        if kept.flying is None and sample.armed:
             self._take_off(kept, now_s, cells, capacity_Ah)
-        kept.disarmed_s = NAN if sample.armed else kept.disarmed_s if math.isfinite(kept.disarmed_s) else now_s
-        while kept.number is None and kept.rows and kept.rows[0].time_s < now_s - BEFORE_S:
-            kept.rows.popleft()
+        kept.settle(bool(sample.armed), now_s)
 
     def look_after(self, now_s: float) -> None:
         """Write the rows that are due, and save what a flight taught when it is over."""
         for kept in self._kept.values():
-            if kept.number is None:
+            if kept.flying is None:
                 continue
             if now_s - kept.disarmed_s >= LANDED_S or now_s - kept.last_s >= FLIGHT_SILENT_S:
                 self._land(kept)
             elif now_s - kept.flushed_s >= FLUSH_S:
-                self._flush(kept, now_s)
+                self._flush(kept, kept.flying, now_s)
+        self._land_again()
         for number, left in list(self._left_over.items()):
             if self._is_resumable(left, now_s):
                 continue
@@ -131,8 +121,9 @@ class PackKeeper:
     def close(self, now_s: float) -> None:
         """Write what is held; a flight that is still in the air stays airborne in the ledger."""
         for kept in self._kept.values():
-            if kept.number is not None:
-                self._flush(kept, now_s)
+            if kept.flying is not None:
+                self._flush(kept, kept.flying, now_s)
+        self._land_again()
         self._worker.shutdown()
         self._ledger.close()
 
@@ -143,34 +134,60 @@ class PackKeeper:
         if left is not None:  # the last one; what cannot be resumed `look_after` lands
             del self._left_over[left.number]
             self._ask_s.pop(left.number, None)
-            kept.number = Future()
-            kept.number.set_result(left.number)
-            kept.start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
+            start_s = now_s - (self._utc_s(now_s) - left.flight.start_utc_s)
+            kept.flying = Flying(left.flight, start_s, left.number)
             return
-        kept.start_s = kept.rows[0].time_s if kept.rows else now_s
-        flight = Airborne(kept.name, self._utc_s(kept.start_s), cells, capacity_Ah, kept.cycles)
-        kept.number = self._worker.submit(airborne.store_flight, self._ledger, flight)
+        start_s = kept.rows[0].time_s if kept.rows else now_s
+        flight = Airborne(kept.name, self._utc_s(start_s), cells, capacity_Ah, kept.cycles)
+        kept.flying = Flying(flight, start_s)
+        self._flush(kept, kept.flying, now_s)
 
     def _is_resumable(self, left: LeftOver, now_s: float) -> bool:
         """Return True if the flight may be going on still; without a clock, then or now, nobody knows its age."""
         return 0.0 <= self._utc_s(now_s) - left.last_utc_s <= RESUMED_WITHIN_S
 
-    def _flush(self, kept: Kept, now_s: float) -> None:
-        assert kept.number is not None
+    def _flush(self, kept: Kept, flying: Flying, now_s: float) -> None:
         kept.flushed_s = now_s
-        rows = [replace(row, time_s=row.time_s - kept.start_s) for row in kept.rows]
-        kept.rows.clear()
-        if rows:
-            number = kept.number
-            self._worker.submit(self._noting_errors, lambda: airborne.store_rows(self._ledger, number.result(), rows))
+        kept.hand_over(flying)
+        if flying.is_to_be_written:
+            flying.writing = self._worker.submit(self._noting_errors, self._write, flying)
+
+    def _write(self, flying: Flying) -> None:
+        """Store a flight and its rows; what the ledger does not take now is stored the next time."""
+        if flying.number is None:
+            flying.number = airborne.store_flight(self._ledger, flying.flight)
+        rows = flying.taken()
+        try:
+            airborne.store_rows(self._ledger, flying.number, rows)
+        except UavbattError:
+            flying.give_back(rows)
+            raise
 
     def _land(self, kept: Kept) -> None:
         """The flight is over: what it taught is saved, and known the next time the pack is met."""
-        if kept.number is None:
+        if kept.flying is None:
             return
-        self._flush(kept, kept.last_s)
-        number, kept.number = kept.number, None
-        self._worker.submit(self._noting_errors, lambda: self._learned(number.result()))
+        flying, kept.flying = kept.flying, None
+        kept.hand_over(flying)
+        kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
+
+    def _land_again(self) -> None:
+        """Try once more to land the flights that the ledger did not take."""
+        for _ in range(len(self._landing)):
+            kept, flying = self._landing.popleft()
+            kept.health = self._worker.submit(self._noting_errors, self._landed, kept, flying)
+
+    def _landed(self, kept: Kept, flying: Flying) -> PackHealth | None:
+        """Save what a flight taught, and return what is remembered of the pack now."""
+        try:
+            self._write(flying)
+        except UavbattError:
+            if flying.number is None or self._airborne(flying.number) is not None:  # else the pack was forgotten
+                self._landing.append((kept, flying))
+            raise
+        assert flying.number is not None
+        self._learned(flying.number)
+        return self._recalled(kept.name, kept.last_s)
 
     def _noting_errors(self, work: Callable[..., Result], *arguments: object) -> Result | None:
         """Run work of the thread; an error becomes the note, gives nothing, and does not end the process."""
@@ -182,12 +199,14 @@ class PackKeeper:
             self.note = f"pack ledger: {type(error).__name__} in uavbatt itself: {error}"
         return None
 
+    def _met(self, name: str, now_s: float) -> PackHealth | None:
+        health = self._recalled(name, now_s)
+        self.note = f"pack {name}: {'met before' if health is not None else 'new'}"
+        return health
+
     def _recalled(self, name: str, now_s: float) -> PackHealth | None:
         last = self._ledger.last(name)
-        self.note = f"pack {name}: {'met before' if last is not None else 'new'}"
-        if last is None:
-            return None
-        return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256)
+        return prior(last, self._utc_s(now_s), self._battery.certificate.content_sha256) if last is not None else None
 
     def _learned_unless_grown(self, was: LeftOver) -> None:
         """Land a flight of another process, or wait on if it flies still, or if its number is another flight's now."""
@@ -221,16 +240,3 @@ class PackKeeper:
             return
         words = "; ".join(finding.words for finding in after.findings)
         self.note = f"pack {flight.name}: flight remembered" + (f"; {words}" if words else "")
-
-
-def _mean(block: list[Sample]) -> Sample:
-    """Rows together as one, at their mean time."""
-    temps = [row.temp_C for row in block if math.isfinite(row.temp_C)]
-    count = len(block)
-    return Sample(
-        time_s=sum(row.time_s for row in block) / count,
-        voltage_V=sum(row.voltage_V for row in block) / count,
-        current_A=sum(row.current_A for row in block) / count,
-        temp_C=sum(temps) / len(temps) if temps else NAN,
-        armed=block[-1].armed,
-    )
