@@ -15,7 +15,7 @@ import pytest
 from daemon_bench import Bench
 from live_rig import Station, Vehicle, free_port, running
 from pymavlink.dialects.v20 import ardupilotmega as dialect
-from test_live_faults import OPTIONS, flight
+from test_live_faults import OPTIONS, flight, true_soc
 
 from uavbatt.battery.model import Array
 from uavbatt.battery.state_space import SIZE, X
@@ -248,6 +248,27 @@ def test_a_restart_in_the_first_minutes_keeps_what_was_expected_at_take_off(
     assert (found.power_W, list(found.end_s), list(found.low_s)) == (power_W, ends_s, low_s)
     flown_s = bench.daemon.board.reports[0].estimate.time_s - found.take_off_s
     assert flown_s == pytest.approx(saved["since_row_s"] - before_belief_s + SILENT_S + 3.0, abs=1.5)
+
+
+def test_a_battery_that_is_silent_between_two_restarts_goes_on_after_them(
+    kept: tuple[str, float], tmp_path: Path
+) -> None:
+    """The second process hears the first battery alone, for 20 s, in which the other flies as well."""
+    path, content, rows = tmp_path / "state.json", json.loads(kept[0]), flight()
+    content["batteries"]["1"] = content["batteries"]["0"]
+    path.write_text(json.dumps(content))
+    second = restarted(path, kept[1])
+    second.play(rows[FLOWN + 2 : FLOWN + 42])
+    second.daemon.close()
+    third = restarted(path, second.now_s)
+    for sample in rows[FLOWN + 44 : FLOWN + 54]:
+        third.send(heartbeat(True))
+        third.send(battery_status(sample, 1))
+        third.daemon.turn()
+        third.now_s += 0.5
+    assert "battery 1: resumed from a state 2 s old" in notes(third)
+    soc = third.daemon.batteries.reports[1].estimate.soc
+    assert soc == pytest.approx(true_soc(rows[: FLOWN + 54]), abs=0.03)
 
 
 def test_a_process_with_a_damaged_state_flies_on(tmp_path: Path) -> None:

@@ -163,12 +163,16 @@ class Batteries:
 
     def _saved(self, now_s: float) -> dict[str, SavedBattery]:
         """Return the batteries that the next process may go on from: those of which nothing is too old."""
-        aged = {
+        waited_s = self._resumption.age_s + now_s - self._start_s
+        left = self._resumption.left(self._vehicle).items()
+        silent = {key: replace(saved, since_row_s=saved.since_row_s + waited_s) for key, saved in left}
+        heard = {
             str(i): replace(saved, since_row_s=saved.since_row_s + self.reports[i].age_s(now_s))
             for i, tracked in self.tracked.items()
             if (saved := tracked.saved(self._facts_of(i))) is not None
         }
-        return {key: saved for key, saved in aged.items() if saved.since_row_s <= self._config.state.max_age_s}
+        every = {**silent, **heard}
+        return {key: saved for key, saved in every.items() if saved.since_row_s <= self._config.state.max_age_s}
 
     def _opened(self) -> PackKeeper | None:
         packs = self._config.packs

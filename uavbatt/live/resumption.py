@@ -42,6 +42,10 @@ class Resumption:
         """Return the saved battery of the vehicle that was met; None if there is none or it was handed out before."""
         return None if self._met is None or self._mismatch(self._met) else self._left.pop(str(instance), None)
 
+    def left(self, vehicle: SavedVehicle) -> Mapping[str, SavedBattery]:
+        """Return the saved batteries of this vehicle that have not been heard since, if the state is of it."""
+        return {} if self._met is None or self._mismatch(vehicle) else self._left
+
     def _mismatch(self, vehicle: SavedVehicle | None) -> str:
         """Return the reason why the state is not of this vehicle, as far as that is known; empty if it is."""
         if self._state is None or vehicle is None:

@@ -135,8 +135,9 @@ class TrackedBattery:
 
     def _resume(self, was: SavedBattery, sample: Sample, gap_s: float) -> str:
         """Start from the saved belief, or leave it alone; why, if so."""
-        if not (gap_s > 0.0 and gap_s + was.since_row_s <= self._max_age_s):
-            return f"the saved state is {gap_s + was.since_row_s:.0f} s old"
+        age_s = gap_s + was.since_row_s
+        if not (gap_s > 0.0 and age_s <= self._max_age_s):
+            return f"the saved state is {age_s:.0f} s old"
         try:
             if why_not := implausible(was):
                 return f"the saved state holds {why_not}"
@@ -144,9 +145,9 @@ class TrackedBattery:
             pack = size_of_pack(self._battery, self._options, was.facts, was.cells, seen=seen, rested_V=rested_V)
             if (pack.cells, pack.capacity_Ah) != (was.cells, was.capacity_Ah):
                 return f"the saved state is of a pack of {was.cells}S {was.capacity_Ah:g} Ah"
-            at_s = sample.time_s - gap_s - was.since_row_s
+            at_s = sample.time_s - age_s
             belief = Belief(at_s, np.array(was.means), np.array(was.covariances), np.array(was.weights), was.ambient_C)
-            before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, gap_s)
+            before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, age_s)
             self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s))
         except Exception as error:  # nothing that a file can hold may end the process
             self.estimator = self._anew()
