@@ -64,7 +64,9 @@ def fit_battery(
         raise NotEnoughData("nothing to fit: expected bench tests or flights with a measured current")
     stack = observed.stack(bench + flown)
     effects, own_prior = _freedom(len(bench), len(flown))
-    found = solve.fit_battery(stack, effects, own_prior=own_prior, progress=progress, evaluations=60)
+    found = solve.fit_battery(
+        stack, effects, own_prior=own_prior, progress=progress, evaluations=60, has_bench=bool(bench)
+    )
     error = {s.name: found.standard_error(s.name) for s in found.slots}
     spread = float(np.std(found.own[:, 1])) if len(flown) > 2 and not bench else 0.0
     capacity_sd = MAKE_CAPACITY_SD if bench else FLEET_CAPACITY_SD

@@ -22,6 +22,11 @@ OCV_SOC = np.array([0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.
 OCV_V = np.array([3.27, 3.45, 3.61, 3.69, 3.71, 3.73, 3.77, 3.80, 3.84, 3.88, 3.95, 4.02, 4.11, 4.15, 4.20])
 OCV_SD_V = np.array([0.25, 0.2, 0.06, 0.04, *[0.03] * 8, 0.04, 0.05, 0.05])
 
+# How much the OCV falls from knot to knot at the knee, below a tenth of the charge, is more alike from make to make
+# than its level. Flights that end at a few C leave the last hundredths to the prior: a fit of flights made the OCV
+# flat there, and the number too long wherever a pack was emptied deeper, or more slowly, than on those flights.
+KNEE_SD_V = np.array([0.15, 0.08, 0.08])  # between the first four knots
+
 OCV_SLOPE_V = 0.02  # per unit of charge: the flattest that a cell of this chemistry is
 DISORDER_SD_V = 0.003
 
@@ -92,6 +97,14 @@ def monotonicity_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
     ocv_V, _ = knots(slots, x)
     short_V = OCV_SLOPE_V * np.diff(OCV_SOC) - np.diff(ocv_V, axis=-1)
     return np.asarray(np.maximum(short_V, 0.0) / DISORDER_SD_V)
+
+
+def knee_penalty(slots: tuple[Slot, ...], x: Array) -> Array:
+    """Return the residuals [..., 3] of the OCV's falls at the knee, against those of the prior."""
+    ocv_V, _ = knots(slots, x)
+    last = KNEE_SD_V.size + 1
+    falls_V = np.diff(ocv_V[..., :last], axis=-1) - np.diff(OCV_V[:last])
+    return np.asarray(falls_V / KNEE_SD_V)
 
 
 def made_monotone(ocv_V: Array) -> Array:

@@ -99,6 +99,7 @@ class _Unknowns:
     effects: tuple[str, ...]
     own_mean: Array  # [records, 3]
     own_sd: Array
+    has_bench: bool
 
     @property
     def shared(self) -> int:
@@ -110,14 +111,17 @@ class _Unknowns:
         return prior.values(self.slots, v[:, : self.shared]), self.own_mean + self.own_sd * own
 
     def evaluate(self, v: Array) -> tuple[Array, Array]:
-        """The residuals [variants, rows·2, records] of vectors v, and what is not monotone [variants, knots - 1]."""
+        """The residuals [variants, rows·2, records] of vectors v, and of the OCV's shape [variants, differences]."""
         x, own = self.values(v)
         shown = run(self.stack, self.slots, self.effects, x, own)
-        return residuals(self.stack, shown, v.shape[0]), prior.monotonicity_penalty(self.slots, x)
+        shape = prior.monotonicity_penalty(self.slots, x)
+        if not self.has_bench:
+            shape = np.concatenate([shape, prior.knee_penalty(self.slots, x)], axis=-1)
+        return residuals(self.stack, shown, v.shape[0]), shape
 
     def objective(self, v: Array) -> Array:
-        misfit, disorder = self.evaluate(v[None])
-        return np.concatenate([misfit[0].ravel(), disorder[0], v])
+        misfit, shape = self.evaluate(v[None])
+        return np.concatenate([misfit[0].ravel(), shape[0], v])
 
     def jacobian(self, v: Array) -> Array:
         shared, records, of_one = self.shared, *self.own_sd.shape
@@ -125,16 +129,16 @@ class _Unknowns:
         nudges[:shared, :shared] = np.eye(shared) * NUDGE
         for k in range(of_one):  # every record's k-th own unknown at once
             nudges[shared + k, shared + k :: of_one] = NUDGE
-        misfit, disorder = self.evaluate(np.vstack([v, v + nudges]))
+        misfit, shape = self.evaluate(np.vstack([v, v + nudges]))
         slopes = (misfit[1:] - misfit[0]) / NUDGE
         block = np.zeros((slopes.shape[1], records, v.size))
         block[:, :, :shared] = np.moveaxis(slopes[:shared], 0, -1)
         for r in range(records):
             for k in range(of_one):
                 block[:, r, shared + r * of_one + k] = slopes[shared + k, :, r]
-        order_slopes = np.zeros((disorder.shape[1], v.size))
-        order_slopes[:, :shared] = ((disorder[1 : shared + 1] - disorder[0]) / NUDGE).T
-        return np.vstack([block.reshape(-1, v.size), order_slopes, np.eye(v.size)])
+        shape_slopes = np.zeros((shape.shape[1], v.size))
+        shape_slopes[:, :shared] = ((shape[1 : shared + 1] - shape[0]) / NUDGE).T
+        return np.vstack([block.reshape(-1, v.size), shape_slopes, np.eye(v.size)])
 
 
 def _own_sd(stack: Stack, own_prior: OwnPrior | Sequence[OwnPrior]) -> Array:
@@ -153,15 +157,16 @@ def fit_battery(
     start_u: Array | None = None,
     progress: Callable[[int], None] | None = None,
     evaluations: int = 40,
+    has_bench: bool = True,
 ) -> BatteryFit:
     """Find the most probable parameters and their covariance (Gauss-Newton, Huber-like loss beyond 4 sigma).
 
     own_prior : one for all records, or each record's own; start_u : the slots' u to start from [slots]; progress : is
-    called with 1 at each Jacobian; evaluations : of the residuals, at most.
+    called with 1 at each Jacobian; evaluations : of the residuals, at most; has_bench : False if all are flights.
     """
     own_mean = np.column_stack([start_guess(stack), np.zeros((len(stack.names), 2))])
     slots = prior.cell_slots(effects, fullest_V(stack))
-    unknowns = _Unknowns(stack, slots, effects, own_mean, _own_sd(stack, own_prior))
+    unknowns = _Unknowns(stack, slots, effects, own_mean, _own_sd(stack, own_prior), has_bench)
 
     def jacobian(v: Array) -> Array:
         slopes = unknowns.jacobian(v)
