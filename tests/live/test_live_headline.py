@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
+import pytest
 from daemon_bench import Bench
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from uavbatt.battery.sizing import PackOptions
 from uavbatt.live.announced import Announcer
 from uavbatt.live.headline import Headline
 from uavbatt.live.named import NamedFeed
@@ -110,6 +114,76 @@ def test_an_id_that_changes_in_flight_takes_the_headline() -> None:
         bench.now_s += 0.2
     first = bench.daemon.board.reports[0]
     assert first.instance == 1 and first.at(bench.now_s).status is not Status.STALE
+
+
+def camera(bench: Bench, seconds: float, flight_pack: Callable[[Sample], Sample | None]) -> None:
+    """The pack of the motors beside a camera's, which lasts for hours."""
+    for k in range(int(5 * seconds)):
+        if k % 5 == 0:
+            bench.send(heartbeat(True))
+        at_s, noise = bench.now_s - 1000.0, 0.002 * (k % 3)
+        sample = Sample(0.0, 15.9 - 0.0015 * at_s + noise, 15.0 + 50.0 * noise, 25.0, at_s / 240.0, armed=True)
+        said = flight_pack(sample)
+        if said is not None:
+            bench.send(battery_status(said, 0))
+        other = Sample(0.0, 12.4 - 0.0003 * at_s + noise, 1.2 + 5.0 * noise, 25.0, at_s / 3000.0, armed=True)
+        bench.send(battery_status(other, 1))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+
+
+def two_packs() -> Bench:
+    bench = Bench(PackOptions())
+    for name, mAh in ((b"BATT_CAPACITY", 5000.0), (b"BATT2_CAPACITY", 2200.0)):
+        bench.send(dialect.MAVLink_param_value_message(name, mAh, 9, 2, 0))
+    return bench
+
+
+LOST: dict[str, Callable[[Sample], Sample | None]] = {
+    "silent": lambda sample: None,
+    "without a current": lambda sample: replace(sample, current_A=NAN),
+    "with a current sensor that died": lambda sample: replace(sample, current_A=0.0),
+    "stuck": lambda sample: replace(sample, voltage_V=15.7, current_A=15.0),
+}
+
+
+@pytest.mark.parametrize("how", LOST)
+def test_a_camera_never_speaks_for_an_aircraft_whose_own_battery_is_lost(how: str) -> None:
+    bench = two_packs()
+    camera(bench, 90.0, lambda sample: sample)
+    assert [report.instance for report in bench.daemon.board.reports] == [0, 1]
+    assert bench.named()["REM_S"] < 1200.0 < bench.named()["REM_S_1"]
+    bench.station.sent.clear()
+    camera(bench, 150.0, LOST[how])
+    first, other = content(bench.daemon.board, bench.now_s)["batteries"]
+    assert (first["instance"], first["remaining_s"]) == (0, None) and other["remaining_s"] > 1200.0
+    assert math.isnan(bench.named()["REM_S"])
+    assert not [
+        m for m in bench.to_gcs() if m.get_type() == "NAMED_VALUE_FLOAT" and m.name == "REM_S" and m.value > 1200.0
+    ]
+    assert not [note for note in bench.daemon.board.notes if "battery 1 carries" in note]
+
+
+def test_a_second_pack_that_takes_the_load_over_takes_the_headline() -> None:
+    """It gave nothing for ten minutes: what it gave is little for long, and its load tells."""
+    headline = Headline()
+    main, reserve = replace(report(0, 400.0), flown_J=108_000.0, flown_s=600.0), report(1, 900.0, 0.0)
+    assert numbers(headline, 0.0, main, reserve) == [0, 1]
+    for k in range(6):
+        now = replace(reserve, estimate=replace(reserve.estimate, current_A=12.0, power_W=180.0), received_s=float(k))
+        order = numbers(headline, float(k), main, now)
+    assert order == [1, 0]
+
+
+def test_what_was_given_is_forgotten_on_the_ground() -> None:
+    """The next flight may be another pack's, under another number."""
+    headline = Headline()
+    main, camera = replace(report(0, 400.0), flown_J=108_000.0, flown_s=600.0), report(1, 9000.0, 1.0)
+    camera = replace(camera, estimate=replace(camera.estimate, power_W=12.0))
+    assert headline.in_order({0: main, 1: camera}, 0.0, True)[0].instance == 0
+    assert headline.in_order({0: main, 1: replace(camera, received_s=9.0)}, 9.0, True)[0].instance == 0
+    landed = replace(camera, received_s=20.0, flying_since_s=NAN)
+    assert headline.in_order({0: main, 1: landed}, 20.0, False)[0].instance == 1
 
 
 def test_a_name_that_falls_away_is_unknown_once() -> None:

@@ -90,7 +90,7 @@ class Batteries:
             tell(f"battery {instance}: {resolved.words}")
         elif resolved is None and before is None:
             tell(f"battery {instance}: no estimate yet: {remaining.reason}")
-        flying_s = row.sample.time_s - tracked.estimator.flying_since_s
+        flying_s, flown = row.sample.time_s - tracked.estimator.flying_since_s, tracked.flown
         report = Report(
             instance=instance,
             system=self._vehicle.system,
@@ -103,6 +103,8 @@ class Batteries:
             battery=self._battery.battery.name,
             certificate=self._battery.status,
             flying_since_s=now_s - flying_s,
+            flown_J=flown.flown_J,
+            flown_s=flown.flown_s,
         )
         if report.is_waiting:
             report = replace(report, endurance=tracked.endurance(row.sample.time_s))

@@ -101,7 +101,7 @@ class Daemon:
             self._take(frame, now_s)
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
-        reports = self._headline.in_order(self.batteries.reports, now_s)
+        reports = self._headline.in_order(self.batteries.reports, now_s, self._reader.armed)
         self._sender.send(now_s, reports, self._reader)
         self._housekeeping(now_s, reports)
         return len(pieces)

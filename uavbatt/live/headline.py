@@ -1,8 +1,9 @@
 """Order of the batteries: the first one speaks for the vehicle, on the page, in REM_S and for the service manager.
 
-Fresh before stale; in flight those that carry it before those that give nothing; then the one with the least time
-left, then by number. Two packs in parallel end within seconds of each other, so the first keeps its place until
-another has clearly less.
+In flight those that carry it (`carriers`) before all others, even while nothing is known of them. Then fresh before
+stale; in flight those that give something before those that give nothing; then the one with the least time left, then
+by number. Two packs in parallel end within seconds of each other, so the first keeps its place until another has
+clearly less.
 
 A battery that gives nothing in flight while another carries it is said: what it holds is of no use to the aircraft.
 """
@@ -13,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from uavbatt.live.carriers import Carriers
 from uavbatt.live.log import tell
 from uavbatt.live.report import Report
 from uavbatt.prediction.forecaster import NOT_FLYING
@@ -32,11 +34,16 @@ class Headline:
         self._better: tuple[int, float] | None = None  # another that should be first, and since when [s]
         self._nothing_since_s: dict[int, float] = {}
         self._told: set[int] = set()
+        self._carriers = Carriers()
         self.notes: list[str] = []
 
-    def in_order(self, reports: Mapping[int, Report], now_s: float) -> list[Report]:
-        """Return the batteries, the one that speaks for the vehicle first; `now_s` on the monotonic clock [s]."""
-        carrying = _carrying(reports, now_s)
+    def in_order(self, reports: Mapping[int, Report], now_s: float, is_armed: bool | None = None) -> list[Report]:
+        """Return the batteries, the one that speaks for the vehicle first.
+
+        now_s : on the monotonic clock [s]; is_armed : the vehicle's flag, None where nobody has told it.
+        """
+        carriers = self._carriers.after(reports, now_s, is_armed)
+        carrying = _carrying([r for i, r in reports.items() if not carriers or i in carriers], now_s)
         idle = self._idle(reports, carrying, now_s)
         self.notes = []
         found = dict(reports)
@@ -45,7 +52,13 @@ class Headline:
             self.notes = [f"battery {instance} {words}" for instance in idle]
             found |= {instance: _warned(reports[instance], words) for instance in idle}
         self._tell(idle)
-        in_order = sorted(found.values(), key=lambda r: self._rank(r, carrying is not None, r.instance in idle, now_s))
+        is_flight = bool(carriers) or carrying is not None
+
+        def rank(report: Report) -> tuple[object, ...]:
+            is_other = bool(carriers) and report.instance not in carriers
+            return is_other, *self._rank(report, is_flight, report.instance in idle, now_s)
+
+        in_order = sorted(found.values(), key=rank)
         self._lead(in_order, now_s)
         return in_order
 
@@ -96,9 +109,9 @@ class Headline:
         return False, is_idle or is_unknown, left_s, report.instance
 
 
-def _carrying(reports: Mapping[int, Report], now_s: float) -> Report | None:
+def _carrying(reports: Sequence[Report], now_s: float) -> Report | None:
     """Return the fresh battery that gives most of all in flight; None on the ground, and where none gives anything."""
-    fresh = [r for r in reports.values() if not r.is_stale(now_s)]
+    fresh = [r for r in reports if not r.is_stale(now_s)]
     flying = [r for r in fresh if math.isfinite(r.flying_since_s) and r.estimate.current_A > 0.0]
     return max(flying, key=lambda report: report.estimate.current_A, default=None)
 

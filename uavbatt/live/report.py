@@ -74,6 +74,8 @@ class Report:
     certificate: str = ""
     flying_since_s: float = NAN  # on the monotonic clock; NaN on the ground
     endurance: EnduranceNow = UNKNOWN  # before take-off
+    flown_J: float = 0.0  # that it gave since take-off
+    flown_s: float = 0.0  # in which it did
 
     def age_s(self, now_s: float) -> float:
         """Return the seconds since the row was received."""

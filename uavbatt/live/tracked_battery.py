@@ -22,6 +22,7 @@ from uavbatt.limits import Seen
 from uavbatt.live.report import UNKNOWN, EnduranceNow
 from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
+from uavbatt.prediction.flown import Flown
 from uavbatt.prediction.forecaster import ForecastSettings
 from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
 from uavbatt.telemetry.builder import MAX_CURRENT_A
@@ -51,6 +52,12 @@ class TrackedBattery:
         self._last: Sample | None = None
         self._endurance, self._endurance_s = UNKNOWN, math.nan
         self.resumed = ""  # what became of the saved state, in words; empty while or where there is none
+
+    @property
+    def flown(self) -> Flown:
+        """Return the past of the flight as its forecasts need it."""
+        past = self.estimator.past
+        return past.forecaster.flown if past is not None else Flown()
 
     def is_open_to_memory(self, armed: bool | None) -> bool:
         """Return True on the ground, and while nobody has said whether it flies and no saved state is believed."""

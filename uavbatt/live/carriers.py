@@ -1,0 +1,60 @@
+"""The batteries that carry the flight gave its energy or have the load now; only one of them speaks for the vehicle.
+
+A camera's pack lasts for hours after the pack of the motors is empty. When that one falls silent, loses its current or
+is refused, the time left is unknown; the camera's is no answer. What they gave counts, as in a replay
+(`default_instance`), so that a battery whose telemetry is lost is not forgotten while it flies on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from uavbatt.live.report import Report
+from uavbatt.telemetry.builder import CARRYING
+
+TAKES_OVER_AFTER_S = 3.0  # with the load of a carrier: another id, a second pack that is switched to
+
+
+class Given(NamedTuple):
+    """Given holds the energy that a battery gave since take-off [J], and the time in which it did [s]."""
+
+    energy_J: float = 0.0
+    time_s: float = 0.0
+
+
+class Carriers:
+    """Carriers remembers what each battery gave since take-off, and since when one that gave little has the load."""
+
+    def __init__(self) -> None:
+        self._given: dict[int, Given] = {}
+        self._loaded_since_s: dict[int, float] = {}
+
+    def after(self, reports: Mapping[int, Report], now_s: float, is_armed: bool | None) -> frozenset[int]:
+        """Return the numbers of those that carry the flight now; none on the ground, and before any gave energy.
+
+        now_s : on the monotonic clock [s]; is_armed : the vehicle's flag, None where nobody has told it.
+        """
+        fresh = [report for report in reports.values() if not report.is_stale(now_s)]
+        if is_armed is not True and not any(math.isfinite(report.flying_since_s) for report in fresh):
+            self._given, self._loaded_since_s = {}, {}
+            return frozenset()
+        for report in fresh:  # a new estimate in flight, as of another size of pack, gave nothing yet: the most counts
+            now = Given(report.flown_J, report.flown_s)
+            self._given[report.instance] = max(self._given.get(report.instance, Given()), now)
+        most = max(self._given.values(), default=Given())
+        if not most.energy_J > 0.0:
+            return frozenset()
+        self._look_at_load(fresh, now_s, CARRYING * most.energy_J / most.time_s)
+        gave = {number for number, given in self._given.items() if given.energy_J >= CARRYING * most.energy_J}
+        return frozenset(gave | {n for n, at_s in self._loaded_since_s.items() if now_s - at_s >= TAKES_OVER_AFTER_S})
+
+    def _look_at_load(self, fresh: list[Report], now_s: float, least_W: float) -> None:
+        """Note which batteries have a carrier's load; of one whose load is unknown the last word holds."""
+        for report in fresh:
+            power_W = report.estimate.power_W
+            if power_W >= least_W:
+                self._loaded_since_s.setdefault(report.instance, now_s)
+            elif power_W < least_W:
+                self._loaded_since_s.pop(report.instance, None)
