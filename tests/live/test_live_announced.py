@@ -23,6 +23,7 @@ from uavbatt.live.report import Report
 from uavbatt.live.web import content
 from uavbatt.prediction import forecaster, voltage_bound
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.pending import ENDS_SOON
 from uavbatt.records import NAN, Estimate, Remaining, Sample, Status
 from uavbatt.telemetry.formats.tlog_writer import battery_status, heartbeat
 
@@ -137,6 +138,30 @@ def test_the_refusals_of_the_test_are_those_of_the_code() -> None:
     """The forecaster's two that have no name."""
     source = inspect.getsource(forecaster)
     assert all(f'"{words}"' in source for words in REFUSALS if words.startswith(("no belief", "the end may")))
+
+
+def test_the_voltage_that_nears_its_cutoff_is_no_wrong_cutoff() -> None:
+    """Both sentences hold the word; only one of them begins with it."""
+    for warning, words in (
+        (ENDS_SOON, "voltage nears its cut-off: land"),
+        ("cut-off 3.3 V is 0.8 V a cell of 4, expected 2 to 4.2 V", "cut-off does not fit the pack"),
+    ):
+        warned = report(100.0)
+        warned = replace(warned, estimate=replace(warned.estimate, warnings=(warning,)))
+        assert [text for _, text in Announcer(0, ()).texts(0.0, warned, True)] == [f"Battery 0: {words}"]
+
+
+def test_without_a_current_the_voltage_says_that_the_end_is_near() -> None:
+    bench = Bench()
+    bench.fly(30.0)
+    for k in range(1200):
+        if k % 5 == 0:
+            bench.send(heartbeat(True))
+        volts = 14.6 - 0.005 * k / 5.0 + 0.002 * (k % 3)
+        bench.send(battery_status(Sample(0.0, volts, NAN, 25.0, NAN, armed=True), 0))
+        bench.daemon.turn()
+        bench.now_s += 0.2
+    assert texts(bench) == ["Battery 0: time unknown, no current reading", "Battery 0: voltage nears its cut-off: land"]
 
 
 def test_a_text_that_does_not_fit_ends_with_a_whole_word() -> None:

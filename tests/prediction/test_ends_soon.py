@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
 from scoring.other_pack import CELLS, CUTOFF_V, Pack, flown, rested
 
 from uavbatt.battery import battery_file
@@ -9,6 +12,7 @@ from uavbatt.battery.sizing import PackOptions
 from uavbatt.estimator import Estimator
 from uavbatt.log_replay.run import engine_for
 from uavbatt.prediction.pending import ENDS_SOON
+from uavbatt.records import NAN
 
 
 def test_a_capacity_that_cannot_be_takes_the_time_away_and_not_the_alarm() -> None:
@@ -20,5 +24,20 @@ def test_a_capacity_that_cannot_be_takes_the_time_away_and_not_the_alarm() -> No
     end_s = rows[-1].time_s
     last = [(estimate, remaining) for estimate, remaining in run if end_s - 60.0 < estimate.time_s < end_s - 20.0]
     assert all(remaining.remaining_s != remaining.remaining_s for _, remaining in last)
+    said_s = [end_s - estimate.time_s for estimate, _ in run if ENDS_SOON in estimate.warnings]
+    assert said_s and 30.0 < max(said_s) < 400.0
+
+
+@pytest.mark.parametrize("lost_s", [100.0, 400.0])
+def test_a_current_that_is_lost_takes_the_time_away_and_not_the_alarm(lost_s: float) -> None:
+    """The sensor's wire breaks in flight: what is left of the telemetry is the voltage."""
+    pack = Pack()
+    rows = [*rested(pack, 20, 0.0), *flown(pack, 20.0)]
+    rows = [row if row.time_s < lost_s else replace(row, current_A=NAN) for row in rows]
+    options = PackOptions(cells=CELLS, capacity_Ah=pack.size_Ah, cutoff_V=CUTOFF_V)
+    run = list(Estimator(battery_file.read_battery("lipo-generic"), options, engine=engine_for(is_long=True)).run(rows))
+    end_s = rows[-1].time_s
+    last = [remaining for _, remaining in run if remaining.time_s > lost_s + 10.0]
+    assert all(remaining.remaining_s != remaining.remaining_s for remaining in last)
     said_s = [end_s - estimate.time_s for estimate, _ in run if ENDS_SOON in estimate.warnings]
     assert said_s and 30.0 < max(said_s) < 400.0

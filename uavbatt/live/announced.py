@@ -59,6 +59,7 @@ WARNINGS: dict[str, str] = {
     "the current fell to nothing": "current fell to nothing: sensor?",
 }
 
+AT_START = frozenset({"cut-off "})  # words of a warning or a reason that others hold as well, behind their beginning
 CRITICAL = ("turn back now", "the measured voltage falls to the cut-off")
 
 LONGEST_REASON = 23
@@ -180,7 +181,7 @@ class Announcer:
     def _new_warnings(self, now_s: float, warnings: Sequence[str]) -> list[tuple[int, str]]:
         made = []
         for words, short in WARNINGS.items():
-            if not any(words in warning for warning in warnings):
+            if not any(_tells(warning, words) for warning in warnings):
                 continue
             if now_s - self._warned_s.get(words, -math.inf) > WARNING_GONE_S:
                 made.append((SEVERITY_CRITICAL if words in CRITICAL else SEVERITY_WARNING, short))
@@ -201,7 +202,11 @@ def _waits_for_load(report: Report, is_airborne: bool) -> bool:
 
 
 def _short(reason: str) -> str:
-    return next((short for words, short in REASONS.items() if words in reason), _fitting(reason, LONGEST_REASON))
+    return next((short for words, short in REASONS.items() if _tells(reason, words)), _fitting(reason, LONGEST_REASON))
+
+
+def _tells(sentence: str, words: str) -> bool:
+    return sentence.startswith(words) if words in AT_START else words in sentence
 
 
 def _fitting(text: str, longest: int) -> str:

@@ -7,7 +7,8 @@ It does not depend on the believed charge. Of the model only the lagging overpot
 after a climb is not taken for an emptying pack. The longer time of the two windows counts, and only when both falls
 stand out of their scatter. On packs of many makes that time is right to a factor of two in the last 45 s, and too
 long before: so it can shorten a forecast and never lengthens one. Rows slower than every three seconds show no such
-fall.
+fall. While the current is unknown the voltage is fitted as it is measured, without sag and lag: there is no time to
+shorten then, but the crew is told that the end is near.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
 FEWEST_BINS, LEAST_SPAN = 12, 0.7  # bins in a window, and the share of it that they span
 JUDGED_BINS = 5
 WITHIN_REACH_V = 0.33  # a cell farther above its cut-off is on its plateau
+BLIND_REACH_V = 0.23  # without a current: a climb sags a cell by a tenth of a volt, and looks like the end
 SIGHT_S = 190.0  # beyond this a fall says little
 LEVEL = 6.0  # times SIGHT_S at the mean slope of the window
 OUTSTANDING = 6.0  # standard errors of the slope
@@ -51,6 +53,11 @@ class FallBin(NamedTuple):
     lag_V: float
     rows: int = 1
 
+    @property
+    def is_metered(self) -> bool:
+        """Return True if the current is known."""
+        return math.isfinite(self.current_A)
+
     def with_row(self, voltage_V: float, current_A: float) -> FallBin:
         """Return the bin with one more row in its means."""
         share = 1.0 / (self.rows + 1)
@@ -73,6 +80,15 @@ class Fall(NamedTuple):
         first = next((k for k, row in enumerate(before) if time_s - row.begin_s <= max(WINDOWS_S)), len(before))
         return Fall((*before[first:], FallBin(time_s, voltage_V, current_A, lag_V)))
 
+    def of_one_kind(self) -> Fall:
+        """Return the bins with a current; while it is unknown all of them, none with a current or the lag that it left.
+
+        A current of nothing in every bin leaves the fit no sag.
+        """
+        if self.bins and self.bins[-1].is_metered:
+            return Fall(tuple(row for row in self.bins if row.is_metered))
+        return Fall(tuple(row._replace(current_A=0.0, lag_V=0.0) for row in self.bins))
+
     def _is_level(self, cutoff_V: float) -> bool:
         """True if the voltage fell too little over the window to reach the cut-off in sight, as in most of a flight."""
         part = len(self.bins) // 4
@@ -81,10 +97,13 @@ class Fall(NamedTuple):
         over_s = 0.75 * (self.bins[-1].begin_s - self.bins[0].begin_s)
         return (last_V - cutoff_V) * over_s > LEVEL * SIGHT_S * max(first_V - last_V, 0.0)
 
-    def time_left_s(self, cells: float, cutoff_V: float) -> float:
-        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it."""
+    def time_left_s(self, cells: float, cutoff_V: float, reach_V: float = WITHIN_REACH_V) -> float:
+        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it.
+
+        reach_V : so far above its cut-off a cell may be [V].
+        """
         judged = self.bins[-JUDGED_BINS:]
-        if not judged or judged[-1].voltage_V - cutoff_V > WITHIN_REACH_V * cells:
+        if not judged or judged[-1].voltage_V - cutoff_V > reach_V * cells:
             return math.inf
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
@@ -146,16 +165,18 @@ class VoltageBound(NamedTuple):
         below_V : how far the weakest cell, whose cut-off ends the flight, is below the mean of the cells [V].
         """
         time_s, volts, amps = sample.time_s, sample.voltage_V, sample.current_A
-        if not (math.isfinite(volts) and math.isfinite(amps)):
+        if not math.isfinite(volts):
             return self
         *closed, last = self.fall.bins or (NO_BIN,)
-        if 0.0 <= time_s - last.begin_s < BIN_S:
+        if 0.0 <= time_s - last.begin_s < BIN_S and math.isfinite(amps) is last.is_metered:
             return VoltageBound(Fall((*closed, last.with_row(volts, amps))), self.ends_s)
         cells, lag_V = float(pack.installation.cells), 0.0
         if belief is not None:
             lag_V = cells * float(belief.weights @ belief.means[:, [X.POLARISATION, X.DIFFUSION]].sum(axis=1))
         fall = self.fall.with_bin(time_s, volts, amps, lag_V)  # once a second is often enough to look
-        left_s = fall.time_left_s(cells, float(pack.at_weakest_cell(below_V).cutoff_V))
+        cutoff_V = float(pack.at_weakest_cell(below_V).cutoff_V)
+        reach_V = WITHIN_REACH_V if math.isfinite(amps) else BLIND_REACH_V
+        left_s = fall.of_one_kind().time_left_s(cells, cutoff_V, reach_V)
         return VoltageBound(fall, (*self.ends_s[1:], time_s + left_s))
 
     def left_s(self, time_s: float) -> float:
