@@ -38,10 +38,12 @@ def row(volts: float, amps: float = 12.0, drawn_Ah: float = 0.1) -> Any:
     return battery_status(Sample(0.0, volts, amps, 25.0, drawn_Ah, armed=True), 0)
 
 
-def fly(bench: Bench, seconds: float, system: int = 1, volts: float = 16.0, sender: object = "fc") -> None:
+def fly(
+    bench: Bench, seconds: float, system: int = 1, volts: float = 16.0, sender: object = "fc", armed: bool = True
+) -> None:
     for k in range(int(seconds * 5)):
         if k % 5 == 0:
-            bench.send(heartbeat(True), system=system, sender=sender)
+            bench.send(heartbeat(armed), system=system, sender=sender)
         bench.send(row(volts, drawn_Ah=12.0 * bench.now_s / 3600.0 - 3.0), system=system, sender=sender)
         bench.daemon.turn()
         bench.now_s += 0.2
@@ -107,6 +109,7 @@ def test_a_silent_vehicle_gives_way_to_one_that_speaks(tmp_path: Path) -> None:
     bench = Bench(PackOptions(), record=RecordSection(folder=str(tmp_path), min_free_MB=0.0), state=state)
     bench.send(capacity(5000))
     fly(bench, 20.0)
+    fly(bench, 1.0, armed=False)
     bench.now_s += 11.0
     bench.send(heartbeat(True), system=42, sender="other")
     bench.send(capacity(9000), system=42, sender="other")
@@ -120,13 +123,61 @@ def test_a_silent_vehicle_gives_way_to_one_that_speaks(tmp_path: Path) -> None:
     assert {m.get_srcSystem() for m in bench.to_gcs()} == {42}
     oldest_s = bench.daemon.board.trend.lines(bench.now_s)[0][0][0]
     assert oldest_s is not None and oldest_s < 21.0
-    fly(bench, 5.0)  # the first is back: the second is not silent
+    fly(bench, 5.0)  # the first is back: it was on the ground, and the second is not silent
     assert bench.daemon.board.reports[0].system == 42
     bench.daemon.close()
     logs = sorted(tmp_path.glob("*.tlog"))
     assert [read_log(log).identity.system for log in logs] == [1, 42]
     assert read_log(logs[1]).facts[0][1].capacity_Ah == 9.0
     assert json.loads(Path(state.file).read_text())["parameters"]["BATT_CAPACITY"] == 9000.0
+
+
+def other_flies(bench: Bench, seconds: float, first: bool | None = None) -> None:
+    """Vehicle 42 flies beside the first one, which is silent, or armed or not."""
+    for _ in range(int(seconds)):
+        if first is not None:
+            bench.send(heartbeat(first))
+            bench.send(row(15.8, drawn_Ah=12.0 * bench.now_s / 3600.0 - 3.0))
+        bench.send(heartbeat(True), system=42, sender="other")
+        bench.send(row(16.4), system=42, sender="other")
+        bench.daemon.turn()
+        bench.now_s += 1.0
+
+
+def test_a_vehicle_that_fell_silent_in_the_air_is_followed_again() -> None:
+    """Its estimate goes on with its next row; both changes are said, to those who look at either vehicle."""
+    bench = Bench()
+    other_flies(bench, 60.0, first=True)
+    rows = bench.daemon.board.reports[0].rows
+    other_flies(bench, 12.0)
+    assert bench.daemon.board.reports[0].system == 42
+    assert "system 1 fell silent in the air: followed again when it speaks" in bench.daemon.board.notes
+    other_flies(bench, 1.0, first=True)
+    (report,) = bench.daemon.board.reports
+    assert (report.system, report.rows) == (1, rows + 1) and report.at(bench.now_s).remaining_s > 0.0
+    assert bench.daemon.board.notes == ("heard systems 1, 42; following 1",)
+    bench.station.sent, sent = [], bench.to_gcs()
+    said = [(m.get_srcSystem(), m.text) for m in sent if m.get_type() == "STATUSTEXT" and "System" in m.text]
+    assert said == [
+        (1, "System 1 is silent: following system 42"),
+        (42, "System 1 is silent: following system 42"),
+        (42, "System 1 is heard again and followed"),
+        (1, "System 1 is heard again and followed"),
+    ]
+    assert [text for _, text in bench.daemon.board.said][-1] == "System 1 is heard again and followed"
+    last = {m.name: m.value for m in sent if m.get_type() == "NAMED_VALUE_FLOAT" and m.get_srcSystem() == 42}
+    assert last["REM_S"] != last["REM_S"]  # nobody fills it any more
+    other_flies(bench, 30.0, first=True)
+    assert bench.daemon.board.reports[0].rows == rows + 31
+
+
+def test_a_vehicle_that_landed_in_silence_is_not_followed_again() -> None:
+    bench = Bench()
+    other_flies(bench, 20.0, first=True)
+    other_flies(bench, 60.0)
+    other_flies(bench, 20.0, first=False)
+    assert bench.daemon.board.reports[0].system == 42
+    assert bench.daemon.board.notes == ("heard systems 1, 42; following 42",)
 
 
 def test_the_system_that_is_asked_for_is_waited_for() -> None:

@@ -56,6 +56,7 @@ class Batteries:
         self._reader, self._clocks, self._start_s = reader, clocks, now_s
         self.reports: dict[int, Report] = {}
         self.tracked: dict[int, TrackedBattery] = {}
+        self._put_by: dict[tuple[int, int] | None, tuple[dict[int, TrackedBattery], dict[int, Report]]] = {}
         self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
         self._note_until_s = now_s + NOTE_S  # so long the notes say how the estimate began
         self._problem = ""
@@ -63,8 +64,18 @@ class Batteries:
         self._keeper = self._opened()
 
     def begin_vehicle(self) -> None:
-        """Forget the batteries of the last vehicle, as another one is followed from now on."""
-        self.tracked, self.reports, self._facts = {}, {}, {}
+        """Begin with the batteries of another vehicle, which is followed from now on.
+
+        Those of the last one are forgotten, unless it is awaited: then its estimates go on when it is heard again.
+        """
+        last, reader = (self.tracked, self.reports), self._reader
+        source = None if reader.followed is None else (reader.followed.system, reader.followed.component)
+        awaited = None if reader.awaited is None else (reader.awaited.system, reader.awaited.component)
+        self.tracked, self.reports = self._put_by.pop(source, ({}, {}))
+        self._facts = {}
+        self._put_by = {key: kept for key, kept in self._put_by.items() if key == awaited}
+        if awaited is not None:
+            self._put_by.setdefault(awaited, last)
         if self._keeper is not None:
             self._keeper.begin_vehicle()
 
@@ -78,7 +89,7 @@ class Batteries:
         """Take one row through the estimator of its battery; return the report. `now_s` is monotonic [s]."""
         instance = row.instance
         tracked = self._tracked(instance, now_s)
-        if self._keeper is not None:
+        if self._keeper is not None and self._reader.awaited is None:  # else the packs are another's
             self._remember(self._keeper, row, now_s)
         gap_s = now_s - self._start_s + self._resumption.age_s
         facts, navigation = self._facts_of(instance), self._reader.navigation

@@ -121,8 +121,8 @@ class Daemon:
         us = self._start_us + int((now_s - self._start_s) * 1e6)
         self._stamp_us = max(us & ~(STAMP_STEP_US - 1), self._stamp_us + STAMP_STEP_US)
         rows, is_ours = self._reader.take(frame.data, frame.header, self._stamp_us / 1e6, frame.sender)
-        if self._reader.changes != self._changes:
-            self._begin_vehicle()
+        if self._reader.following.changes != self._changes:
+            self._begin_vehicle(now_s)
         if not is_ours:
             return
         if frame.header.message_id == fields.AUTOPILOT_VERSION:
@@ -133,13 +133,13 @@ class Daemon:
             if self.config.pack.instance in (None, row.instance):
                 self._step(row, now_s)
 
-    def _begin_vehicle(self) -> None:
-        """Forget the last vehicle, as another one is followed from now on."""
-        self._changes = self._reader.changes
+    def _begin_vehicle(self, now_s: float) -> None:
+        """Forget the last vehicle, as another one is followed from now on, and say so."""
+        self._changes = self._reader.following.changes
         if self.batteries.reports:
             self.board.trend.forget()
         self.batteries.begin_vehicle()
-        self._sender.begin_again()
+        self._sender.begin_vehicle(now_s, self._reader)
         self._headline = Headline()
         if self._recorder is not None and self._reader.followed is not None:
             self._recorder.begin_anew(self._reader.followed.words)

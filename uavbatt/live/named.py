@@ -45,3 +45,8 @@ class NamedFeed:
         gone = dict.fromkeys((name for name in self._names if name not in values), math.nan)
         self._names = dict.fromkeys(values)
         return [out.named_value(name, value, int(now_s * 1000)) for name, value in (values | gone).items()]
+
+    def ended(self, now_s: float, out: Outgoing) -> list[bytes]:
+        """Return the frames that make every name unknown which was sent for a vehicle that is followed no longer."""
+        gone, self._names = self._names, {}
+        return [out.named_value(name, math.nan, int(now_s * 1000)) for name in gone]

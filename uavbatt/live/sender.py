@@ -20,7 +20,7 @@ from uavbatt.live.requests import Requests, parameter_names
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import header
 from uavbatt.mavlink.originated import may_reach_autopilot
-from uavbatt.mavlink.outgoing import BATTERY, Outgoing
+from uavbatt.mavlink.outgoing import BATTERY, SEVERITY_CRITICAL, Outgoing
 from uavbatt.telemetry.live import LiveReader
 
 ANNOUNCE_PERIOD_S = 0.25
@@ -40,6 +40,7 @@ class Sender:
         self._outs: dict[tuple[int, int], Outgoing] = {}
         self._announcers: dict[int, Announcer] = {}
         self._beat_s = self._look_s = float("-inf")
+        self._system: int | None = None  # that is followed
         self.said: deque[tuple[float, str]] = deque(maxlen=MOST_SAID)  # (monotonic time [s], text), oldest first
 
     def send(self, now_s: float, reports: Sequence[Report], reader: LiveReader) -> None:
@@ -76,8 +77,20 @@ class Sender:
         for frame in to_gcs:
             self._to_gcs(frame, now_s)
 
-    def begin_again(self) -> None:
-        """Forget what was asked and announced of the last vehicle, as another one is followed from now on."""
+    def begin_vehicle(self, now_s: float, reader: LiveReader) -> None:
+        """Forget what was asked and announced of the last vehicle, as another one is followed from now on.
+
+        The change is said in the name of both, for a ground station may show only one; `now_s` is monotonic [s].
+        """
+        before, self._system = self._system, reader.system
+        if words := reader.following.words:
+            self.said.append((now_s, words))
+            if "named" in self._config.feed.kinds:
+                outs = [
+                    self._out(system, self._config.link.own_component) for system in (before, self._system) if system
+                ]
+                for frame in (*self._named.ended(now_s, outs[0]), *(o.text(SEVERITY_CRITICAL, words) for o in outs)):
+                    self._to_gcs(frame, now_s)
         self._announcers.clear()
         self.requests.begin_again()
         self._mission = MissionRequest()

@@ -2,10 +2,8 @@
 
     frame (any system) -> its vehicle -> is its sender believed? -> `Vehicle`: rows, parameters, the armed bit
 
-Followed is the first autopilot that speaks of a battery twice; before any does, the first that is heard, so that it can
-be asked. Who is followed keeps its place until it has been silent for VEHICLE_SILENT_S while another speaks of
-batteries. With system or component given only such vehicles count. Each autopilot is read for itself, so that nothing
-of one (its parameters, rows that wait) ever mixes with another's.
+Who is followed, `Following` chooses. With system or component given only such vehicles count. Each autopilot is read
+for itself, so that nothing of one (its parameters, rows that wait) ever mixes with another's.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ from typing import Any, NamedTuple
 from uavbatt.mavlink import fields, framing
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.records import PackFacts
+from uavbatt.telemetry.following import Following
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
@@ -25,7 +24,6 @@ from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fie
 
 __all__ = ["LiveReader", "LiveRow", "Taken", "checksum"]
 
-VEHICLE_SILENT_S = 10.0
 MOST_VEHICLES = 16
 _TOLD_BY = frozenset((*BATTERY_IDS, fields.HEARTBEAT, fields.PARAM_VALUE, fields.AUTOPILOT_VERSION))
 WANTED = _TOLD_BY | OF_AUTOPILOT | OF_OTHERS
@@ -76,11 +74,20 @@ class LiveReader:
         self._vehicles: dict[tuple[int, int], Vehicle] = {}
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
         self._resumed: Mapping[str, float] = {}
-        self.followed: Vehicle | None = None
         self.planned: PlannedFlight | None = None
-        self.changes = 0  # grows when another vehicle is followed
+        self.following = Following()
         self.rejected = 0
         self._now_s = -math.inf
+
+    @property
+    def followed(self) -> Vehicle | None:
+        """Return the vehicle that is followed; None before one is heard."""
+        return self.following.vehicle
+
+    @property
+    def awaited(self) -> Vehicle | None:
+        """Return the vehicle that fell silent in the air, and is followed again when it speaks."""
+        return self.following.awaited
 
     @property
     def system(self) -> int | None:
@@ -149,7 +156,7 @@ class LiveReader:
     @property
     def version(self) -> tuple[int, int]:
         """Return two numbers: one grows when another vehicle is followed, the other when a parameter changes."""
-        return self.changes, self.followed.parameters.version if self.followed is not None else 0
+        return self.following.changes, self.followed.parameters.version if self.followed is not None else 0
 
     def resume(self, parameters: Mapping[str, float]) -> None:
         """Take over parameters that an earlier process heard of this vehicle, instead of any resumed before.
@@ -177,6 +184,8 @@ class LiveReader:
             found.append(f"heard system{'s' * (len(self._heard) > 1)} {', '.join(map(str, self._heard))}; {whom}")
         if vehicle is None:
             return found
+        if self.awaited is not None:
+            found.append(f"system {self.awaited.system} fell silent in the air: followed again when it speaks")
         for number, words in vehicle.senders.conflicts(self._now_s):
             found.append(f"two senders speak for system {vehicle.system} and disagree on battery {number}: {words}")
         found += vehicle.voltages.notes
@@ -259,20 +268,16 @@ class LiveReader:
         if system not in (None, header.system) or component not in (None, header.component):
             return
         if len(self._vehicles) >= MOST_VEHICLES:
-            others = [s for s, vehicle in self._vehicles.items() if vehicle is not self.followed]
+            others = [s for s, vehicle in self._vehicles.items() if vehicle not in (self.followed, self.awaited)]
             del self._vehicles[min(others, key=lambda s: self._vehicles[s].heard_s)]
         self._vehicles[source] = Vehicle(*source, self._own_component)
 
     def _follow(self, vehicle: Vehicle, stamp_s: float) -> None:
-        """Follow this vehicle if it is the first, or if the one that is followed gives way to it."""
-        old = self.followed
-        if old is vehicle:
+        """Follow this vehicle if it is its turn; one that is heard again knows its own parameters."""
+        old, is_again = self.followed, vehicle is self.awaited
+        if not self.following.look_at(vehicle, stamp_s):
             return
-        if old is not None:
-            if not vehicle.speaks or (old.speaks and stamp_s - old.heard_s <= VEHICLE_SILENT_S):
-                return
-            if old.speaks:
-                self._resumed = {}  # they were another's
-        vehicle.resume(self._resumed)
-        self.followed = vehicle
-        self.changes += 1
+        if old is not None and old.speaks:
+            self._resumed = {}  # they were another's
+        if not is_again:
+            vehicle.resume(self._resumed)

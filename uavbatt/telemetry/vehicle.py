@@ -39,6 +39,7 @@ FALLBACK_AFTER_S = 5.0
 ALONE_AFTER_S = 5.05  # no multiple of a usual period: the replay sums the same steps in another order
 LONGEST_ALONE_S = 2.0  # that one SYS_STATUS stands for: in a gap of the link nothing speaks
 CONFIRMED_WITHIN_S = 60.0
+BEATING_S = 3.0
 MOST_HELD = 500
 MOST_PARAMETERS = 1000
 MOST_TRANSFER_WORDS = 6000
@@ -79,6 +80,7 @@ class Vehicle:
         self.packs: dict[int, fields.PackIdentity] = {}  # who the packs are by their own words
         self.speaks = False  # whether it has spoken of a battery twice
         self.heard_s = -math.inf
+        self._beat_s = -math.inf
         self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
         self._held: list[LiveRow] = []
         self._unconfirmed: dict[int, LiveRow] = {}
@@ -96,6 +98,11 @@ class Vehicle:
     def armed(self) -> bool | None:
         """Return the armed bit of the last heartbeat; None before it."""
         return self._log.armed
+
+    @property
+    def is_beating(self) -> bool:
+        """Return True if its heartbeat was heard just before its last frame, so that the armed bit is of now."""
+        return self.now_s - self._beat_s <= BEATING_S
 
     def stream_of(self, frame: bytes, stamp_s: float, address: object) -> object:
         """Return which sender behind an address sent a frame of its identity: more than one may (`streams`)."""
@@ -150,7 +157,7 @@ class Vehicle:
     ) -> list[LiveRow]:
         """Return the rows that a wanted message of the autopilot completes; `battery` is its reading of one, if any."""
         if message_id == fields.HEARTBEAT:
-            self._log.armed = fields.is_armed(message)
+            self._log.armed, self._beat_s = fields.is_armed(message), time_s
             self.is_px4 = message.autopilot == fields.AUTOPILOT_PX4
             self.route.take(time_s, message_id, message)
             self.words[b"heartbeat"] = frame
