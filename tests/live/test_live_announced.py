@@ -126,6 +126,7 @@ REFUSALS = [
     "cut-off 3.3 V is 0.8 V a cell of 4, expected 2 to 4.2 V",
     "low-voltage warning 25 V is 6.2 V a cell of 4, expected 2 to 4.2 V",
     "no telemetry for 4 s",
+    "the telemetry comes late: 14 s, by the vehicle's own clock",
 ]
 
 

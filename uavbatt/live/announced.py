@@ -17,7 +17,7 @@ import math
 from collections.abc import Sequence
 
 from uavbatt.live.headline import GIVES_NOTHING
-from uavbatt.live.report import Display, Report
+from uavbatt.live.report import LATE, Display, Report
 from uavbatt.mavlink.outgoing import LONGEST_TEXT, SEVERITY_CRITICAL, SEVERITY_NOTICE, SEVERITY_WARNING
 from uavbatt.prediction.forecaster import JUST_TAKEN_OFF, NOT_FLYING
 from uavbatt.records import Status
@@ -33,6 +33,7 @@ WITHOUT_AFTER_S = 20.0  # of a flight that never had a number
 # Words of a warning of an estimate -> what is said of it, behind "Battery N: ": at most 37 characters.
 WARNINGS: dict[str, str] = {
     "turn back now": "turn back now",
+    LATE: "telemetry comes late",
     "the measured voltage falls to the cut-off": "voltage nears its cut-off: land",
     "nobody states the cells": "cells not stated: another count fits",
     GIVES_NOTHING: "gives nothing, another has the load",
@@ -67,6 +68,7 @@ LONGEST_REASON = 23
 # Words of the reason of a refusal -> its short form, behind "Battery N: time unknown, ".
 REASONS: dict[str, str] = {
     "no telemetry": "no telemetry",
+    LATE: "telemetry comes late",
     "no current": "no current reading",
     "no voltage": "no voltage reading",
     "time went backwards": "time went backwards",

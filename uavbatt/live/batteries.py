@@ -180,7 +180,7 @@ class Batteries:
         left = self._resumption.left(self._vehicle).items()
         silent = {key: replace(saved, since_row_s=saved.since_row_s + waited_s) for key, saved in left}
         heard = {
-            str(i): replace(saved, since_row_s=saved.since_row_s + self.reports[i].age_s(now_s))
+            str(i): replace(saved, since_row_s=saved.since_row_s + self.reports[i].silent_s(now_s))
             for i, tracked in self.tracked.items()
             if (saved := tracked.saved(self._facts_of(i))) is not None
         }

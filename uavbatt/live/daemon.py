@@ -101,7 +101,9 @@ class Daemon:
             self._take(frame, now_s)
         for station in self._stations:
             station.read(now_s)  # its requests are not ours to answer
-        reports = self._headline.in_order(self.batteries.reports, now_s, self._reader.armed)
+        late_s = self._reader.late_s
+        known = {number: report.late_by(late_s) for number, report in self.batteries.reports.items()}
+        reports = self._headline.in_order(known, now_s, self._reader.armed)
         self._sender.send(now_s, reports, self._reader)
         self._housekeeping(now_s, reports)
         return len(pieces)
@@ -162,7 +164,7 @@ class Daemon:
         self._counts["refused"] += report.remaining.status is Status.REFUSED
         self._sender.requests.row()
         if isinstance(self._link, ProxyClient) and "proxy" in self.config.feed.kinds:
-            self._link.estimate(report, now_s)
+            self._link.estimate(report.late_by(self._reader.late_s), now_s)
         if self._recorder is not None:
             self._recorder.step(report.instance, report.estimate, report.remaining, now_s)
 

@@ -114,7 +114,7 @@ class ProxyClient:
         body = struct.pack(
             rewriter.ESTIMATE_LAYOUT,
             *(report.system, report.component, report.instance, known),
-            *(report.remaining.remaining_s, shown.soc, report.received_s),
+            *(max(report.remaining.remaining_s - report.late_s, 0.0), shown.soc, report.received_s),
         )
         self._tell(proxy.ESTIMATE, body)
 

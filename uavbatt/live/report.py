@@ -16,6 +16,8 @@ from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.records import NAN, Estimate, Remaining, Route, Status
 
 STALE_AFTER_S = 3.0
+LATE_S, TOO_LATE_S = 3.0, 10.0  # by the vehicle's own clock: said and deducted, and nothing is known any more
+LATE = "the telemetry comes late"  # begins a warning or a reason
 NOTHING_YET = "no battery telemetry yet"
 TREND_PERIOD_S, TREND_S = 5.0, 600.0
 
@@ -76,14 +78,30 @@ class Report:
     endurance: EnduranceNow = UNKNOWN  # before take-off
     flown_J: float = 0.0  # that it gave since take-off
     flown_s: float = 0.0  # in which it did
+    late_s: float = 0.0  # that the row was under way, as far as that is known and more than usual
 
-    def age_s(self, now_s: float) -> float:
+    def late_by(self, late_s: float) -> Report:
+        """Return the report of a row that was so long under way [s], with a warning; up to LATE_S it is as it was."""
+        if not late_s > LATE_S:
+            return self
+        warnings = (*self.estimate.warnings, _late_words(late_s))
+        return replace(self, late_s=late_s, estimate=replace(self.estimate, warnings=warnings))
+
+    def silent_s(self, now_s: float) -> float:
         """Return the seconds since the row was received."""
         return max(now_s - self.received_s, 0.0)
 
+    def age_s(self, now_s: float) -> float:
+        """Return the seconds since the row was sent, as far as that is known."""
+        return self.silent_s(now_s) + self.late_s
+
     def is_stale(self, now_s: float) -> bool:
-        """Return True if no row has come for so long that nothing is known any more."""
-        return self.age_s(now_s) > STALE_AFTER_S
+        """Return True if no row has come for so long, or so late, that nothing is known any more."""
+        return self.silent_s(now_s) > STALE_AFTER_S or self.late_s > TOO_LATE_S
+
+    def _why_stale(self, now_s: float) -> str:
+        silent_s = self.silent_s(now_s)
+        return f"no telemetry for {silent_s:.0f} s" if silent_s > STALE_AFTER_S else _late_words(self.late_s)
 
     @property
     def is_waiting(self) -> bool:
@@ -94,7 +112,7 @@ class Report:
         """Return the values that may be shown at `now_s` on the monotonic clock [s]."""
         age_s = self.age_s(now_s)
         if self.is_stale(now_s):
-            return Display(Status.STALE, f"no telemetry for {age_s:.0f} s", *(NAN,) * 6)
+            return Display(Status.STALE, self._why_stale(now_s), *(NAN,) * 6)
         said = speaker(self.estimate, self.remaining)
         refused = said.status is Status.REFUSED
 
@@ -118,7 +136,7 @@ class Report:
         route, age_s = self.remaining.route, self.age_s(now_s)
         if route is None or not self.is_stale(now_s):
             return route and route.later(age_s)
-        return Route(route.load, reason=f"no telemetry for {age_s:.0f} s")
+        return Route(route.load, reason=self._why_stale(now_s))
 
     def as_line(self, now_s: float) -> Line:
         """Return the output line's keys as they stand now, with the identity and the age of the row."""
@@ -145,6 +163,10 @@ class Report:
             "battery": self.battery,
             "certificate": self.certificate,
         }
+
+
+def _late_words(late_s: float) -> str:
+    return f"{LATE}: {late_s:.0f} s, by the vehicle's own clock"
 
 
 class Trend:

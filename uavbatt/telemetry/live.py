@@ -19,6 +19,7 @@ from uavbatt.records import PackFacts
 from uavbatt.telemetry.following import Following
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 from uavbatt.telemetry.formats.tlog_frames import decoder
+from uavbatt.telemetry.lateness import BOOT_TIME_AT, boot_time_s
 from uavbatt.telemetry.route.messages import OF_AUTOPILOT, OF_OTHERS
 from uavbatt.telemetry.vehicle import BATTERY_IDS, LiveRow, Vehicle, battery_fields
 
@@ -118,6 +119,11 @@ class LiveReader:
     def is_px4(self) -> bool:
         """Return True if the followed autopilot is PX4."""
         return self.followed is not None and self.followed.is_px4 is True
+
+    @property
+    def late_s(self) -> float:
+        """Return how late the followed vehicle's frames come, by its own clock [s]."""
+        return self.followed.lateness.late_s(self._now_s) if self.followed is not None else 0.0
 
     @property
     def navigation(self) -> Navigation:
@@ -221,6 +227,8 @@ class LiveReader:
         speaker = stream if vehicle.senders.conflicts(stamp_s) else sender
         if not vehicle.senders.admits(speaker, stamp_s, battery is not None):
             return NOTHING
+        if header.message_id in BOOT_TIME_AT:
+            vehicle.lateness = vehicle.lateness.after(stamp_s, boot_time_s(frame, header.message_id))
         rows = vehicle.take(header.message_id, message, battery, frame, time_s) if message is not None else []
         if battery is not None or self.followed is None:
             self._follow(vehicle, stamp_s)

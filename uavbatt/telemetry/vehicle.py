@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from uavbatt.mavlink import fields, framing
 from uavbatt.records import PackFacts, Sample
 from uavbatt.telemetry.builder import LogBuilder
+from uavbatt.telemetry.lateness import Lateness
 from uavbatt.telemetry.pack_voltage import PackVoltages, is_in_sys_status
 from uavbatt.telemetry.parameters import BATTERY_NAMES, HeardParameters, ardupilot_prefix, facts_timeline
 from uavbatt.telemetry.route.messages import (
@@ -81,6 +82,7 @@ class Vehicle:
         self.speaks = False  # whether it has spoken of a battery twice
         self.heard_s = -math.inf
         self._beat_s = -math.inf
+        self.lateness = Lateness()
         self._log = LogBuilder(longest_step_s=math.inf)  # its clock is monotonic: silence is silence
         self._held: list[LiveRow] = []
         self._unconfirmed: dict[int, LiveRow] = {}
