@@ -285,6 +285,22 @@ def test_two_sources_of_one_battery_that_disagree_are_refused(what: str) -> None
         assert said == ["Battery 0: time unknown, two senders disagree"]
 
 
+@pytest.mark.parametrize("gap_s", [0.25, 1.0, 3.0])
+def test_a_stream_that_goes_on_from_another_port_is_the_same_aircraft(gap_s: float) -> None:
+    """A new NAT binding, a TCP link opened anew: at 60 A the pack is another by then, and nobody disagrees."""
+    with two_sources() as (daemon, now_s, before, after, station):
+        for k in range(160):
+            source, at_s = (before, k / 4.0) if k < 80 else (after, k / 4.0 + gap_s)
+            now_s[0] = 1000.0 + at_s
+            source.send(heartbeat(True), row(16.0 - 0.01 * at_s, 30.0 if k < 80 else 24.0, 0.02 * at_s))
+            taken(daemon, 2)
+            if k >= 100:  # the first is believed until it has been silent for two seconds
+                assert daemon.board.reports[0].at(now_s[0]).remaining_s > 0.0, k
+            assert daemon.board.notes == (), k
+        said = [dialect.MAVLink(None).decode(bytearray(data)) for data in station.sent]
+        assert not [m.text for m in said if m.get_type() == "STATUSTEXT" and "two senders" in m.text]
+
+
 @pytest.mark.parametrize("same", [False, True])
 def test_two_vehicles_of_one_number_behind_one_address_are_told_apart(same: bool) -> None:
     """A router or a radio passes both on: each counts its own frames. One autopilot on two ways agrees with itself."""

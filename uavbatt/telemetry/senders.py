@@ -2,9 +2,10 @@
 
 MAVLink frames without a signature carry no proof of their sender: whoever is on the link can send them. Only one sender
 is believed at a time: the first, until it falls silent or leaves the batteries to another. The rows of the others are
-compared with its own. The same autopilot on two ways says nearly the same within some seconds; two sources whose
-readings of one battery lie apart, every row of one from every row of the other, are not one battery, and nobody can
-know which of them flies.
+compared with its own, in the time in which both speak: one that goes on where another has ended (a link that was opened
+anew, from another port) is the same autopilot, and its battery is emptier by then. The same autopilot on two ways says
+nearly the same within some seconds; two sources whose readings of one battery lie apart, every row of one from every
+row of the other, are not one battery, and nobody can know which of them flies.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class Senders:
         if len(by_sender) == 1:
             return
         for other, rows in by_sender.items():
-            what = "" if other == sender else disagreement(_recent(own, time_s), _recent(rows, time_s))
+            what = "" if other == sender else disagreement(*_together(_recent(own, time_s), _recent(rows, time_s)))
             if what:
                 self._conflicts[battery.id] = (rows[-1].time_s, f"{what}{_places(other, sender)}")
 
@@ -108,6 +109,16 @@ def disagreement(one: Iterable[SenderRow], other: Iterable[SenderRow]) -> str:
 
 def _recent(rows: Iterable[SenderRow], time_s: float) -> list[SenderRow]:
     return [row for row in rows if time_s - row.time_s <= WINDOW_S]
+
+
+def _together(one: list[SenderRow], other: list[SenderRow]) -> tuple[list[SenderRow], list[SenderRow]]:
+    """Return the rows of two senders from the time in which both were heard."""
+    if not one or not other:
+        return [], []
+    first_s = max(one[0].time_s, other[0].time_s)
+    last_s = min(one[-1].time_s, other[-1].time_s)
+    a, b = ([row for row in rows if first_s <= row.time_s <= last_s] for rows in (one, other))
+    return a, b
 
 
 def _places(*senders: object) -> str:
