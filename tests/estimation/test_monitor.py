@@ -9,7 +9,7 @@ import pytest
 from factories import generic_pack
 
 from uavbatt.battery.state_space import SIZE, Belief
-from uavbatt.estimation.monitor import MANY_OHMS, SMALL, Innovations, Monitor
+from uavbatt.estimation.monitor import LARGE, MANY_OHMS, SMALL, Innovations, Monitor
 from uavbatt.records import NAN, Estimate, Sample, Status
 
 BELIEF = Belief.gaussian(0.0, np.zeros(SIZE), 1e-4 * np.eye(SIZE), 20.0)
@@ -37,6 +37,13 @@ def test_far_less_than_stated_is_refused_until_it_is_known_by_how_much() -> None
     known = seen(monitor, 0.30, 0.03)
     assert known.refusal == "" and SMALL in known.doubts
     assert seen(known, 0.25, 0.10).refusal == ""  # the last half minute is no time to lose the number again
+
+
+@pytest.mark.parametrize("capacity, sd, is_doubted", [(1.1, 0.1, False), (1.35, 0.15, False), (1.5, 0.05, True)])
+def test_far_more_than_stated_is_doubted(capacity: float, sd: float, is_doubted: bool) -> None:
+    """A pack warm from the car in cold air was believed half as large again, and its lower end `ok` 164 s too long."""
+    monitor = seen(Monitor(), capacity, sd)
+    assert (LARGE in monitor.doubts) is is_doubted and monitor.refusal == ""
 
 
 @pytest.mark.parametrize("ohms, refusal", [(3.0, ""), (6.0, MANY_OHMS)])

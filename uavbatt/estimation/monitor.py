@@ -31,7 +31,7 @@ FAR_REACTION_V = 0.1  # a cell, either way: twice what the electrodes of a pack 
 NIS_TAU_S, NIS_LIMIT, NIS_AFTER_S = 60.0, 5.0, 60.0
 SHORTEST_NIS_S, LONGEST_NIS_S = 2.0, 30.0  # that one value stands for: the first, and one after a gap
 LARGEST_NIS = 25.0  # a single row that is far off is no misfit of a minute
-SMALL_PACK, FAR_SMALLER, SURE_SDS = 0.9, 0.7, 1.5  # shares of what is stated, surely so
+SMALL_PACK, FAR_SMALLER, FAR_LARGER, SURE_SDS = 0.9, 0.7, 1.25, 1.5  # shares of what is stated, surely so
 FAR_MORE_OHMS = 3.5  # times those of a new pack of the stated size: packs that fly have up to three
 SETTLED_SHARE = 0.2  # of the capacity believed: known to less, the time left is known to a factor of two at best
 
@@ -41,6 +41,7 @@ DEAD_CURRENT = "the current fell to nothing while the voltage did not recover: a
 UNFITTING = "voltage and current have not fitted this battery for a minute"
 FAR_OFF = "the voltage is far off what this battery file expects: another make, a sensor, or less charge than counted"
 SMALL = "this pack holds less than stated: aged or smaller, or a current sensor that reads low"
+LARGE = "this pack holds more than stated: a larger one, or a current sensor that reads high"
 MANY_OHMS = "this pack has the ohms of a far smaller one than stated, or a bad contact"
 
 
@@ -93,6 +94,7 @@ class Monitor(NamedTuple):
         stuck_current_s = readings.stuck_current_s(capacity_Ah)
         most = estimate.capacity_scale + SURE_SDS * estimate.capacity_scale_sd  # it holds surely less
         least_ohms = (1.0 + estimate.wear) * math.exp(-SURE_SDS * estimate.wear_sd)  # it has surely more
+        least = estimate.capacity_scale - SURE_SDS * estimate.capacity_scale_sd
         is_small, is_ohmic = most < FAR_SMALLER, least_ohms > FAR_MORE_OHMS  # no wear explains so much
         is_known = self.is_settled or estimate.capacity_scale_sd < SETTLED_SHARE * estimate.capacity_scale
         is_settled = (is_small or is_ohmic) and is_known
@@ -104,6 +106,7 @@ class Monitor(NamedTuple):
             (UNFITTING, time_s - innovations.high_since_s >= NIS_AFTER_S, False),
             (FAR_OFF, is_far, off_sds < -LOST_SDS),  # too much voltage for the charge harms nobody
             (SMALL, is_small, is_small and not is_settled),
+            (LARGE, least > FAR_LARGER, False),
             (MANY_OHMS, is_ohmic, is_ohmic and not is_settled),
         )
         doubts = tuple(words for words, is_doubt, _ in found if is_doubt)
