@@ -54,6 +54,47 @@ def test_a_log_that_ends_in_the_air_says_so() -> None:
     assert first_answer(cut, math.nan, 13.2).startswith("The log ends in the air with")
 
 
+def without_current(lost_A: float, armed: bool | None, *, to_the_end: bool = False, rest_s: int = 0) -> Outcome:
+    """A flight of 18 A from 10 s on whose sensor says `lost_A` from 200 s on; it lands after 400 s, or flies empty."""
+    end_s = 600 if to_the_end else 400
+    fall_V = [0.0013 * k if k < 400 else 0.52 + 0.016 * (k - 400) for k in range(end_s)]
+    ground = [Sample(float(k), 16.7, 0.1, 25.0, armed=armed and False) for k in range(10)]
+    air = [Sample(float(k), 16.2 - fall_V[k], 18.0 if k < 200 else lost_A, 25.0, armed=armed) for k in range(10, end_s)]
+    rest = [Sample(float(end_s + k), 16.1, lost_A, 25.0, armed=armed and False) for k in range(rest_s)]
+    options = PackOptions(cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    estimator = Estimator(read_battery("lipo-generic"), options, engine=engine_for(is_long=True))
+    return outcome(list(steps(Flight("f.csv", "csv", (*ground, *air, *rest)), estimator)), 13.2)
+
+
+@pytest.mark.parametrize("armed", [True, None])
+@pytest.mark.parametrize("lost_A", [math.nan, 0.0, 0.3])
+def test_a_flight_goes_on_without_its_current(lost_A: float, armed: bool | None) -> None:
+    """The last number before the sensor died was told as what was left at the landing, minutes later."""
+    found = without_current(lost_A, armed, rest_s=60)
+    assert found.landing is not None
+    assert found.landing.time_s == pytest.approx(399.0) and not found.landing.is_cut
+    assert 0.5 < found.refused_in_air < 0.8 and math.isnan(found.end_soc)
+    said = first_answer(found.landing, found.end_of_flight_s, 13.2)
+    assert said.startswith("How much longer you could have flown is not known: the current was lost 3 min 2")
+
+
+@pytest.mark.parametrize("lost_A", [math.nan, 0.0])
+def test_a_pack_flown_empty_without_its_current_is_at_its_end_by_the_voltage(lost_A: float) -> None:
+    found = without_current(lost_A, None, to_the_end=True)
+    assert found.end_of_flight_s == pytest.approx(400.0 + (16.2 - 0.52 - 13.2) / 0.016, abs=5.0)
+    assert all(math.isnan(c.remaining_s) for c in found.checkpoints if c.before_end_s < 300.0)
+
+
+@pytest.mark.parametrize("armed", [True, None])
+def test_a_current_that_is_lost_on_the_ground_changes_no_answer(armed: bool | None) -> None:
+    ground = [Sample(float(k), 16.7, 0.1, 25.0, armed=armed and False) for k in range(10)]
+    hover = [Sample(float(k), 16.2 - 0.0013 * k, 18.0, 25.0, armed=armed) for k in range(10, 300)]
+    rest = [Sample(300.0 + k, 16.0, math.nan, 25.0, armed=armed and False) for k in range(200)]
+    estimator = Estimator.from_battery("lipo-generic", cells=4, capacity_Ah=5.0, cutoff_V=13.2)
+    found = outcome(list(steps(Flight("f.csv", "csv", (*ground, *hover, *rest)), estimator)), 13.2)
+    assert found.landing is not None and found.landing.remaining_s > 0.0 and found.refused_in_air == 0.0
+
+
 @pytest.mark.parametrize(
     ("landing", "end_s", "words"),
     [

@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
+from uavbatt.log_replay.in_air import InAir, in_air
 from uavbatt.log_replay.run import ReplayedRow
 from uavbatt.records import NAN, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
-from uavbatt.telemetry.drawn import loaded_A
 
 AT_REST_S = 5.0  # a log whose load ends this soon before its end was cut in the air
 FORGOTTEN_S = 30.0
@@ -53,6 +52,7 @@ class Landing:
     """Landing tells how much longer the aircraft could have flown, by the forecast at the last row in the air.
 
     time_s [s] is the row's; the forecasts [s] are NaN where none was given there. is_cut: the log ends in the air.
+    current_lost_s: since when there was no current to tell by [s]; NaN where there was one.
     """
 
     time_s: float
@@ -62,6 +62,7 @@ class Landing:
     remaining_to_low_s: float
     reason: str = ""
     is_cut: bool = False
+    current_lost_s: float = NAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,54 +103,61 @@ def outcome(run: list[ReplayedRow], cutoff_V: float, reserve_soc: float = 0.0) -
     """
     time_s = np.array([s.estimate.time_s for s in run])
     volts = np.array([s.estimate.voltage_V for s in run])
-    amps = np.array([s.estimate.current_A for s in run])
-    if np.isfinite(amps).any():
-        end_s = end_of_flight(time_s, volts, amps, cutoff_V=cutoff_V, min_current_A=loaded_A(amps))
+    air = in_air(run)
+    if np.isfinite(air.loaded_A):
+        end_s = end_of_flight(time_s, volts, air.current_A, cutoff_V=cutoff_V, min_current_A=air.loaded_A)
     else:  # no current sensor: every row may be under load
         end_s = end_of_flight(time_s, volts, cutoff_V=cutoff_V)
     known = [s.estimate for s in run if math.isfinite(s.estimate.soc)]
-    flying = np.nan_to_num(amps) > loaded_A(amps)
-    since_s = time_s[flying][0] + 60.0 if flying.any() else math.inf
-    judged = [s for s, f in zip(run, flying, strict=True) if f and s.estimate.time_s > since_s]
+    is_known = bool(known) and not _is_forgotten(run, air)
+    since_s = time_s[air.flying][0] + 60.0 if air.flying.any() else math.inf
+    judged = [s for s, f in zip(run, air.flying, strict=True) if f and s.estimate.time_s > since_s]
     refused = sum(s.remaining.status is Status.REFUSED for s in judged)
     nis = np.array([s.estimate.nis for s in run])
-    take_off_s = float(time_s[flying][0]) if flying.any() else float(time_s[0])
+    take_off_s = float(time_s[air.flying][0]) if air.flying.any() else float(time_s[0])
     is_judged = math.isfinite(end_s) and reserve_soc == 0.0
     return Outcome(
         rows=len(run),
         duration_s=float(time_s[-1] - time_s[0]),
         end_voltage_V=float(volts[np.isfinite(volts)][-1]) if np.isfinite(volts).any() else NAN,
-        end_soc=known[-1].soc if known else NAN,
-        end_soc_sd=known[-1].soc_sd if known else NAN,
+        end_soc=known[-1].soc if is_known else NAN,
+        end_soc_sd=known[-1].soc_sd if is_known else NAN,
         end_of_flight_s=end_s,
         refused_in_air=refused / len(judged) if judged else NAN,
         mean_nis=float(np.nanmean(nis)) if np.isfinite(nis).any() else NAN,
         checkpoints=_checkpoints(run, time_s, take_off_s, end_s) if is_judged else (),
-        landing=_landing(run, flying if np.isfinite(amps).any() else np.isfinite(volts)),
+        landing=_landing(run, air if np.isfinite(air.loaded_A) else air._replace(flying=np.isfinite(volts))),
         reserve_soc=reserve_soc,
     )
 
 
-def _landing(run: list[ReplayedRow], flying: NDArray[np.bool_]) -> Landing | None:
+def _is_forgotten(run: list[ReplayedRow], air: InAir) -> bool:
+    """Return True if the flight went on for longer than FORGOTTEN_S without its current: what it drew is not known."""
+    lost = air.lost_at_end
+    return bool(lost.size) and run[lost[-1]].estimate.time_s - run[lost[0]].estimate.time_s > FORGOTTEN_S
+
+
+def _landing(run: list[ReplayedRow], air: InAir) -> Landing | None:
     """Return the forecast at the last row in the air, or at the last one before it that was given one.
 
     A refused number is not older than FORGOTTEN_S: an aircraft that comes down draws little, and a row there may have
     none.
     """
-    in_air = np.flatnonzero(flying)
-    if not in_air.size:
+    flying = np.flatnonzero(air.flying)
+    if not flying.size:
         return None
-    last = int(in_air[-1])
+    last = int(flying[-1])
     end_s = run[last].estimate.time_s
     is_cut = run[-1].estimate.time_s - end_s < AT_REST_S
-    for k in in_air[::-1]:
+    for k in flying[::-1]:
         said = run[k].remaining
         if end_s - said.time_s > FORGOTTEN_S:
             break
         if math.isfinite(said.remaining_s):
             numbers = (said.remaining_s, said.remaining_lo_s, said.remaining_hi_s, said.remaining_to_low_s)
             return Landing(said.time_s, *numbers, is_cut=is_cut)
-    return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut)
+    lost_s = run[air.lost_at_end[0]].estimate.time_s if air.lost_at_end.size else NAN
+    return Landing(end_s, NAN, NAN, NAN, NAN, run[last].remaining.reason, is_cut, lost_s)
 
 
 def _checkpoints(run: list[ReplayedRow], time_s: Array, take_off_s: float, end_s: float) -> tuple[Checkpoint, ...]:

@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import groupby, tee
 from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
@@ -25,10 +25,14 @@ MANY_ROWS = 100_000  # plain numpy takes 14 s for them, compiled code 9 s, and 1
 
 @dataclass(frozen=True, slots=True)
 class ReplayedRow:
-    """A row of the log gives one output line: the estimate and the forecast after it."""
+    """A row of the log gives one output line: the estimate and the forecast after it.
+
+    armed: the row's own flag, None where the log does not tell.
+    """
 
     estimate: Estimate
     remaining: Remaining
+    armed: bool | None = None
 
 
 def engine_for(*, is_long: bool) -> Engine:
@@ -83,10 +87,11 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
     """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row."""
-    for facts, samples in _stretches(flight):
+    for facts, stretch in _stretches(flight):
         estimator.update_facts(facts)
-        for estimate, remaining in estimator.run(samples, flight.navigation_at):
-            yield ReplayedRow(estimate, remaining)
+        samples, again = tee(stretch)
+        for sample, (estimate, remaining) in zip(again, estimator.run(samples, flight.navigation_at), strict=True):
+            yield ReplayedRow(estimate, remaining, sample.armed)
 
 
 def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:

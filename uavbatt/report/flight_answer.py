@@ -24,12 +24,19 @@ def first_answer(landing: Landing | None, end_of_flight_s: float, cutoff_V: floa
         return f"The battery was at its end before you landed: below {cutoff_V:.2f} V under load {when}."
     where = "The log ends in the air with" if landing.is_cut else "You landed with"
     if not math.isfinite(landing.remaining_s):
-        why = landing.reason or "no forecast near the landing"
+        why = _why_not_known(landing)
         return f"How much longer you could have flown is not known: {why}."
     said = f"{where} {rounded(landing.remaining_s)} left ({between(landing.remaining_lo_s, landing.remaining_hi_s)})"
     if not 0.0 < landing.remaining_to_low_s < landing.remaining_s:
         return f"{said}."
     return f"{said}, {rounded(landing.remaining_to_low_s)} to the low-voltage warning."
+
+
+def _why_not_known(landing: Landing) -> str:
+    """Say why no number stands at the landing; a current that was lost long before says more than the last row."""
+    if math.isfinite(landing.current_lost_s):
+        return f"the current was lost {duration(landing.current_lost_s)} after the log's start"
+    return landing.reason or "no forecast near the landing"
 
 
 def rounded(seconds: float) -> str:

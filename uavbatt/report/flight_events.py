@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavbatt.log_replay.in_air import in_air
 from uavbatt.log_replay.outcome import Outcome
 from uavbatt.log_replay.run import ReplayedRow, route_forecasts
 from uavbatt.navigation import Mode
@@ -16,7 +17,6 @@ from uavbatt.prediction.forecaster import NOT_FLYING
 from uavbatt.prediction.pending import ALARM_S
 from uavbatt.records import Flight, Status
 from uavbatt.scoring.end_of_flight import end_of_flight
-from uavbatt.telemetry.drawn import loaded_A
 
 MODES = {
     Mode.MISSION: "mission", Mode.RETURN: "return", Mode.RETURN_BY_TRACK: "return", Mode.LAND: "land",
@@ -65,11 +65,10 @@ def _modes(flight: Flight) -> list[Event]:
 
 def _warnings(steps: Sequence[ReplayedRow], low_V: float) -> Iterator[Event]:
     """The first low voltage, the first alarm, and the first “turn back now”."""
-    time_s, volts, amps = (
-        np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V", "current_A")
-    )
+    time_s, volts = (np.array([getattr(s.estimate, name) for s in steps]) for name in ("time_s", "voltage_V"))
     if math.isfinite(low_V) and np.isfinite(volts).any():
-        current_A, least_A = (amps, loaded_A(amps)) if np.isfinite(amps).any() else (None, -math.inf)
+        air = in_air(steps)
+        current_A, least_A = (air.current_A, air.loaded_A) if math.isfinite(air.loaded_A) else (None, -math.inf)
         low_s = end_of_flight(time_s, volts, current_A, cutoff_V=low_V, min_current_A=least_A)
         if math.isfinite(low_s):
             yield Event(low_s, "low voltage", True)
