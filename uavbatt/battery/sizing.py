@@ -8,6 +8,7 @@ asked; the caller means what he says, so that there is no number for him but the
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,8 +119,11 @@ def size_of_pack(
     cells, cells_from, cells_notices = _cells(given, said, guess, seen, resting(battery))
     if cells_notices:  # a PX4 works its critical voltage out from its count of cells
         said = replace(said, critical_voltage_V=NAN)
+    why_not = why_no_capacity(battery, given, said)
+    if why_not:
+        raise UsageError(why_not)
     said, notices = believed(said, cells, seen)
-    capacity_Ah, capacity_from = _capacity(typed, given, said, notices)
+    capacity_Ah, capacity_from = _capacity(battery, given, said)
     (cutoff_V, cutoff_from), (low_V, low_from) = _endings(typed, given, said, cells)
     doubts = [
         ending_doubt("cut-off ", given.cutoff_V, cells, seen.rested_V),
@@ -148,6 +152,26 @@ def size_of_pack(
         refusal=next((doubt.words for doubt in doubts if doubt is not None and doubt.is_certain), ""),
         fullest_cell_V=fullest_V,
     )
+
+
+def why_no_capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> str:
+    """Return why nobody states the capacity, with what was not believed of the vehicle; empty where it is stated."""
+    doubt = capacity_doubt(said.capacity_Ah)
+    vehicle_Ah = said.capacity_Ah if doubt is None else NAN
+    if math.isfinite(_capacity(battery, given, replace(said, capacity_Ah=vehicle_Ah))[0]):
+        return ""
+    why = f"{CAPACITY} {doubt.words}: not used; " if doubt is not None else ""
+    by = _by(given.spelt.capacity)
+    return f"{why}capacity: neither the vehicle nor battery `{battery.battery.name}` states one: give {by}"
+
+
+def capacity_since_s(battery: BatteryFile, given: PackOptions, said: Iterable[tuple[float, PackFacts]]) -> float:
+    """Return since when the capacity is stated [s], by what the vehicle says in order of time; infinite if it never is.
+
+    A ground station records rows first, parameters after. Minus infinity where caller or battery file states it.
+    """
+    stated = ((-math.inf, PackFacts()), *said)
+    return next((time_s for time_s, facts in stated if not why_no_capacity(battery, given, facts)), math.inf)
 
 
 def counts_of_cells(
@@ -214,16 +238,11 @@ def believed(said: PackFacts, cells: int, seen: Seen = Seen()) -> tuple[PackFact
     return sound, tuple(d.words + ": not used" if d.is_certain else d.words for d in doubts)
 
 
-def _capacity(typed: Battery, given: PackOptions, said: PackFacts, notices: tuple[str, ...]) -> tuple[float, str]:
-    """The capacity [Ah] and where it came from; raises UsageError when nobody states it, with what was not believed."""
+def _capacity(battery: BatteryFile, given: PackOptions, said: PackFacts) -> tuple[float, str]:
+    """The capacity [Ah] and where it came from, `said` as it is believed."""
+    typed_Ah = battery.battery.capacity_Ah
     by = _by(given.spelt.capacity)
-    capacity_Ah, source = _first(
-        (given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed.capacity_Ah, "battery file")
-    )
-    if not math.isfinite(capacity_Ah):
-        why = "".join(f"{notice}; " for notice in notices if notice.startswith(CAPACITY))
-        raise UsageError(f"{why}capacity: neither the vehicle nor battery `{typed.name}` states one: give {by}")
-    return capacity_Ah, source
+    return _first((given.capacity_Ah, by), (said.capacity_Ah, "vehicle"), (typed_Ah, "battery file"))
 
 
 def _endings(

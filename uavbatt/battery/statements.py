@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.initial_state import IDLE_C_RATE
-from uavbatt.battery.sizing import PackOptions, PackSize, checked, counts_of_cells, size_of_pack
+from uavbatt.battery.sizing import PackOptions, PackSize, capacity_since_s, checked, counts_of_cells, size_of_pack
 from uavbatt.errors import UsageError
 from uavbatt.limits import (
     C_RATE,
@@ -258,7 +258,8 @@ def check_statements(battery: BatteryFile, options: PackOptions, flight: Flight)
     """Raise UsageError when the first rows of a flight make a statement of the caller about its pack impossible."""
     first = next((s for s in flight.samples if math.isfinite(s.voltage_V)), None)
     if first is not None:
-        size_from_rows(battery, options, flight, flight.facts_at(first.time_s + FIRST_ROWS_S))
+        until_s = max(first.time_s + FIRST_ROWS_S, capacity_since_s(battery, options, flight.facts))
+        size_from_rows(battery, options, flight, flight.facts_at(until_s))
 
 
 def check_whole(flight: Flight, pack: PackSize, resting: Resting) -> None:

@@ -11,7 +11,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import true_power
 from uavbatt.battery.scaling import installation_of
-from uavbatt.battery.sizing import PackOptions
+from uavbatt.battery.sizing import PackOptions, capacity_since_s
 from uavbatt.battery.vehicle_file import Phases, Speeds, Trace, VehicleFile
 from uavbatt.errors import NotEnoughData
 from uavbatt.estimator import Estimator
@@ -72,8 +72,9 @@ def trace(flight: Flight, battery: BatteryFile, options: PackOptions) -> Trace |
     sensors = installation_of(battery, 1, 1.0)
     estimator = Estimator(battery, options, ForecastSettings(forecast_period_s=math.inf))
     rows, ground_s, before_s = [], 0.0, math.inf
+    stated_s = capacity_since_s(battery, options, flight.facts)  # what is said late of the pack held from the start
     for sample in flight.samples:
-        estimator.update_facts(flight.facts_at(sample.time_s))
+        estimator.update_facts(flight.facts_at(max(sample.time_s, stated_s)))
         estimate, _ = estimator.step(sample)
         if sample.armed is False:  # between two flights of a log: no forecast counts that time
             ground_s += max(estimate.time_s - before_s, 0.0)

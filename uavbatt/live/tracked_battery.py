@@ -24,7 +24,8 @@ from uavbatt.live.saved import SavedBattery, implausible
 from uavbatt.navigation import NOWHERE, Navigation
 from uavbatt.prediction.flown import Flown
 from uavbatt.prediction.forecaster import ForecastSettings
-from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample, Status
+from uavbatt.prediction.pending import refused
+from uavbatt.records import NAN, Estimate, PackFacts, Remaining, Sample
 from uavbatt.telemetry.builder import MAX_CURRENT_A
 
 COUNTER_SLACK_AH = 0.02
@@ -169,10 +170,3 @@ def _current_at_belief(saved_A: float, now_A: float, drawn_Ah: float, gap_s: flo
         if mean_A <= MAX_CURRENT_A:  # else the counter is another's
             return 2.0 * mean_A - now_A
     return saved_A if math.isfinite(saved_A) else max(now_A, 0.0) if math.isfinite(now_A) else 0.0
-
-
-def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
-    """Return an estimate and a remaining time that say only why there is none."""
-    row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
-    estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
-    return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)

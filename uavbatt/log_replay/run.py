@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.remembered import PackHealth
-from uavbatt.battery.sizing import PackOptions, PackSize
+from uavbatt.battery.sizing import PackOptions, PackSize, why_no_capacity
 from uavbatt.battery.statements import check_statements
 from uavbatt.errors import UsageError
 from uavbatt.estimator import PLAIN, Engine, Estimator
 from uavbatt.prediction.forecaster import ForecastSettings
+from uavbatt.prediction.pending import refused
 from uavbatt.records import NAN, Estimate, Flight, PackFacts, Remaining, Route, Sample
 from uavbatt.telemetry.formats.mission_file import PlannedFlight
 
@@ -86,12 +87,24 @@ def with_mission(flight: Flight, planned: PlannedFlight) -> Flight:
 
 
 def steps(flight: Flight, estimator: Estimator) -> Iterator[ReplayedRow]:
-    """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row."""
+    """Yield estimate and forecast after each row of a flight; nothing of row k depends on a later row.
+
+    Rows at which nobody has stated the capacity yet are refused, as in flight. Raises UsageError if nobody ever does.
+    """
+    why_not, is_stated = "", False
     for facts, stretch in _stretches(flight):
-        estimator.update_facts(facts)
+        why_not = why_no_capacity(estimator.battery, estimator.options, facts)
+        is_stated = is_stated or not why_not
         samples, again = tee(stretch)
-        for sample, (estimate, remaining) in zip(again, estimator.run(samples, flight.navigation_at), strict=True):
+        if why_not:
+            found: Iterable[tuple[Estimate, Remaining]] = (refused(sample, why_not) for sample in samples)
+        else:
+            estimator.update_facts(facts)
+            found = estimator.run(samples, flight.navigation_at)
+        for sample, (estimate, remaining) in zip(again, found, strict=True):
             yield ReplayedRow(estimate, remaining, sample.armed)
+    if not is_stated and why_not:
+        raise UsageError(why_not)
 
 
 def _stretches(flight: Flight) -> Iterator[tuple[PackFacts, Iterator[Sample]]]:

@@ -73,3 +73,10 @@ def _finished(waiting: Sequence[Pending], answers: Answers) -> Iterator[tuple[Es
     ends = iter(answers([row.question for row in waiting if row.question is not None]))
     for row in waiting:
         yield row.finish(next(ends) if row.question is not None else None)
+
+
+def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
+    """Return an estimate and a remaining time that say only why there is none."""
+    row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
+    estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
+    return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)
