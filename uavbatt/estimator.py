@@ -164,13 +164,13 @@ class Estimator:
         return Past(self._followed.forecaster.memory, self._cleaner) if self._followed is not None else None
 
     def restore(
-        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None
-    ) -> None:
-        """Go on from a saved belief about the same pack; `current_A` [A] was drawn at the belief's time."""
+        self, belief: Belief, size: PackSize, facts: PackFacts, current_A: float = 0.0, past: Past | None = None,
+        consumed_Ah: float = NAN,
+    ) -> None:  # fmt: skip
+        """Go on from a saved belief; at its time `current_A` [A] was drawn, and the counter stood at `consumed_Ah`."""
         self._known = self._known._replace(facts=facts, size=size, rested_V=size.cells * size.fullest_cell_V)
-        if past is not None:
-            self._cleaner = past.cleaner
-        self._followed = self._begun()._replace(swap=SwapWatch(belief.time_s, current_A, belief, row_s=0.0))
+        self._cleaner = past.cleaner if past is not None else self._cleaner
+        self._followed = self._begun()._replace(swap=SwapWatch(belief.time_s, current_A, belief, 0.0, consumed_Ah))
         self._followed.filter.restore(belief, current_A)
         if past is not None:
             self._followed.forecaster.recall(past.forecaster)

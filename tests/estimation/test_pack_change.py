@@ -1,14 +1,15 @@
-"""A pack that is changed while the autopilot goes on: the voltage at rest leaps."""
+"""A pack that is changed: while the autopilot goes on, or unseen; the voltage at rest tells, or the counter."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from factories import generic_estimator
-from scoring.other_pack import Pack, Power, drawn, rested
+from scoring.other_pack import Pack, Power, drawn, flown, rested
 from scoring.scenarios import STATED, another
 
 from uavbatt.records import Sample
@@ -43,6 +44,51 @@ def test_a_pack_that_rests_after_a_flight_is_the_same(cells: int, air_C: float, 
     told = [e for e, _ in judge.run([noisy(row, dice) for row in before])][-1]
     for estimate, _ in judge.run([noisy(row, dice) for row in after]):
         assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.05  # of a new pack it is 0.1 more
+
+
+def unseen(first: Pack, air_s: int, silent_s: float, second: Pack, restarts: bool = True) -> list[Sample]:
+    """A flight that is lost from the air, and heard again when the next pack has been in the air for half a minute."""
+    before = rested(first, 15, 0.0)
+    before += flown(first, 15.0, air_s, before[-1].consumed_Ah)
+    drawn_Ah = 0.0 if restarts else before[-1].consumed_Ah
+    flown(second, 0.0, 30)
+    return before + flown(second, before[-1].time_s + 1.0 + silent_s, drawn_Ah=drawn_Ah)
+
+
+@pytest.mark.parametrize(("air_s", "silent_s", "soc"), [(60, 25.0, 0.35), (120, 60.0, 0.3), (120, 120.0, 0.6)])
+def test_a_pack_changed_behind_a_lost_link_is_told_by_the_counter(air_s: int, silent_s: float, soc: float) -> None:
+    """The link is back in the air: no rested voltage is seen. The time of the old pack was told for half a minute."""
+    rows = unseen(Pack(), air_s, silent_s, Pack(soc=soc))
+    said = list(generic_estimator(STATED, 1.0).run(rows))
+    lost_s, end_s = 15.0 + air_s, rows[-1].time_s
+    told = [e for e, _ in said if e.time_s < lost_s][-1]
+    back = [(e, r) for e, r in said if e.time_s > lost_s + silent_s + 3.0]
+    assert back[0][0].capacity_scale_sd > told.capacity_scale_sd + 0.02  # what the flight told of the old pack is gone
+    excess_s = [r.remaining_lo_s - (end_s - r.time_s) for _, r in back if math.isfinite(r.remaining_lo_s)]
+    assert max(excess_s) < 25.0
+
+
+def test_an_autopilot_that_starts_anew_in_the_air_changes_no_pack() -> None:
+    """Its counter falls as well; load and voltage go on as they were."""
+    pack = Pack()
+    before = [*rested(pack, 15, 0.0), *flown(pack, 15.0, 200)]
+    flown(pack, 0.0, 12)
+    after = flown(pack, before[-1].time_s + 13.0, 60)
+    judge = generic_estimator(STATED)
+    told = [e for e, _ in judge.run(before)][-1]
+    for estimate, _ in judge.run(after):
+        assert estimate.soc_sd < told.soc_sd + 0.02 and estimate.capacity_scale_sd < told.capacity_scale_sd + 0.02
+
+
+def test_one_row_with_another_counter_changes_no_pack() -> None:
+    pack = Pack()
+    before = [*rested(pack, 15, 0.0), *flown(pack, 15.0, 200)]
+    flown(pack, 0.0, 90)
+    after = flown(pack, before[-1].time_s + 91.0, 60, before[-1].consumed_Ah + 0.4)
+    after[0] = replace(after[0], consumed_Ah=0.0)
+    judge = generic_estimator(STATED)
+    told = [e for e, _ in judge.run(before)][-1]
+    assert all(e.capacity_scale_sd < told.capacity_scale_sd + 0.02 for e, _ in judge.run(after))
 
 
 def noisy(row: Sample, dice: np.random.Generator) -> Sample:

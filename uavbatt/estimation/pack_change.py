@@ -26,6 +26,8 @@ LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
+FLYING_C_RATE = 0.4
+COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # nobody changes a pack and takes off within a minute
 
 
 class Bounds(NamedTuple):
@@ -35,17 +37,39 @@ class Bounds(NamedTuple):
     high_V: float = math.inf
 
 
+class Silence(NamedTuple):
+    """Silence keeps what tells the old pack from another after a silence that was over at `over_s` [s].
+
+    counted_Ah : the autopilot's counter before it [Ah]; may_fly_on : it is short and began under a load that flies, and
+    the first row after it is as the old pack would be.
+    """
+
+    over_s: float
+    rested: Bounds
+    counted_Ah: float
+    may_fly_on: bool
+
+    def is_another_rested(self, cell_V: float) -> bool:
+        """Return True if a cell at rest shows a voltage [V] that the old pack cannot show."""
+        return not self.rested.low_V <= cell_V <= self.rested.high_V
+
+    def has_restarted(self, consumed_Ah: float) -> bool:
+        """Return True if the counter [Ah] fell: the autopilot started anew."""
+        return consumed_Ah < self.counted_Ah - COUNTER_SLACK_AH
+
+
 class SwapWatch(NamedTuple):
     """SwapWatch keeps the last row with a pack in the aircraft, and how many rows in turn have shown another pack.
 
-    seen_s, current_A, belief : time [s], current [A] and belief of that row.
+    seen_s, current_A, consumed_Ah, belief : time [s], current [A], counter [Ah] and belief of that row.
     """
 
     seen_s: float = NAN
     current_A: float = 0.0
     belief: Belief | None = None
     row_s: float = NAN  # the usual time between two rows
-    bounds: Bounds | None = None  # after a silence, until the pack is loaded
+    consumed_Ah: float = NAN
+    silence: Silence | None = None  # until the pack is loaded
     rows: int = 0
     rested_V: float = NAN  # of a cell, over the last rested rows of the pack that is believed in
     rested_since_s: float = NAN
@@ -62,24 +86,35 @@ class SwapWatch(NamedTuple):
         if belief is None or not (cell_V > NO_PACK_CELL_V and math.isfinite(current_A)):
             return self
         gap_s = time_s - self.seen_s
-        row_s, bounds = self.row_s, self.bounds
+        row_s, silence = self.row_s, self.silence
         if math.isfinite(row_s) and gap_s > max(SILENCE_S, SILENT_ROWS * row_s):
-            bounds = self._bounds(gap_s, row.expected_V / cells, pack)
+            silence = self._silence(sample, row, pack)
         elif gap_s > 0.0:
             row_s = gap_s + (row_s - gap_s) * ROW_MEMORY if math.isfinite(row_s) else min(gap_s, LONGEST_ROW_S)
+        consumed_Ah = sample.consumed_Ah if math.isfinite(sample.consumed_Ah) else self.consumed_Ah
+        now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
-            return SwapWatch(time_s, current_A, belief, row_s)
+            is_another = silence is not None and silence.has_restarted(sample.consumed_Ah) and not silence.may_fly_on
+            return now._replace(silence=silence, rows=self.rows + 1) if is_another else now
         since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
         other = cell_V < self.rested_V - FALLEN_CELL_V
         if time_s - since_s > SLOWLY_AFTER_S:
             has_leapt = gap_s <= LEAPT_WITHIN_S and cell_V > self.rested_V + LEAPT_CELL_V
             other = other or has_leapt or row.innovation_V > FAR_CELL_V * cells
-        if bounds is not None:
-            other = other or not bounds.low_V <= cell_V <= bounds.high_V
+        if silence is not None:
+            other = other or silence.is_another_rested(cell_V) or silence.has_restarted(sample.consumed_Ah)
         if other:
-            return SwapWatch(time_s, current_A, belief, row_s, bounds, self.rows + 1, self.rested_V, since_s)
+            return now._replace(silence=silence, rows=self.rows + 1, rested_V=self.rested_V, rested_since_s=since_s)
         rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
-        return SwapWatch(time_s, current_A, belief, row_s, bounds, 0, rested_V, since_s)
+        return now._replace(silence=silence, rested_V=rested_V, rested_since_s=since_s)
+
+    def _silence(self, sample: Sample, row: Innovation, pack: Pack) -> Silence:
+        """Return what is known of the old pack after the silence that ends with this row."""
+        cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
+        gap_s = sample.time_s - self.seen_s
+        was_flying = self.current_A >= FLYING_C_RATE * capacity_Ah and gap_s <= RESTARTED_S
+        may_fly_on = was_flying and abs(row.innovation_V) <= ODD_CELL_V * cells
+        return Silence(sample.time_s, self._bounds(gap_s, row.expected_V / cells, pack), self.consumed_Ah, may_fly_on)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
         """Return the voltages that the old pack can show at rest after a silence of `gap_s` [s]."""

@@ -156,7 +156,7 @@ class TrackedBattery:
             at_s = sample.time_s - age_s
             belief = Belief(at_s, np.array(was.means), np.array(was.covariances), np.array(was.weights), was.ambient_C)
             before_A = _current_at_belief(was.current_A, sample.current_A, sample.consumed_Ah - was.consumed_Ah, age_s)
-            self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s))
+            self.estimator.restore(belief, pack, was.facts, before_A, was.past.moved(at_s), was.consumed_Ah)
         except Exception as error:  # nothing that a file can hold may end the process
             self.estimator = self._anew()
             return f"the saved state is damaged: {type(error).__name__}"
