@@ -3,9 +3,11 @@
 A reader pushes what it decodes, in log order; nothing here looks ahead, so that a log cut at any
 instant gives the same rows up to it.
 
-Time: seconds from the first timed record. A clock that falls back by 1 s or more is a reboot (or a
-ground clock set anew): time goes on 1 s after the last row. One that leaps a day ahead is treated in the same way, but
-not a monotonic clock, live or in a recording of `live`: there a step of days is a silence of days (`longest_step_s`).
+Time: seconds from the first timed record. A vehicle's clock that falls back by 1 s or more is a reboot. Nobody knows
+for how long it was off, or whether it has another pack since: time goes on after a gap that counts as a silence, and
+the estimate goes by the same rules as in flight (`estimation.pack_change`). A ground clock that is set anew (`.tlog`),
+or any clock that leaps a day ahead, is no silence: time goes on after 1 s. A monotonic clock, live or in a recording of
+`live`, does not leap: there a step of days is a silence of days (`longest_step_s`).
 
 These are the rules for one row; `column_rules` has the same for the columns that the readers of big logs decode.
 """
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
 REBOOT_STEP_S = 1.0
 LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup leaps years
-SEGMENT_GAP_S = 1.0
+CLOCK_GAP_S, REBOOT_GAP_S = 1.0, 10.0  # longer would count charge that an autopilot rebooted in the air did not draw
 MAX_VOLTAGE_V = 200.0
 MAX_CURRENT_A = 2000.0
 CARRYING = 0.4  # of the energy that the strongest battery gave: of two in parallel each gives about half
@@ -48,6 +50,7 @@ class LogBuilder:
     navigation: tuple[Navigation, ...] = ()
     now_s: float = 0.0
     longest_step_s: float = LEAP_S  # what steps further ahead is a leap of the clock
+    reboot_gap_s: float = REBOOT_GAP_S  # after a clock that fell back
     forecast_period_s: float = NAN  # of the process whose recording it is
     _raw_s: float = NAN
     _offset_s: float = NAN
@@ -66,9 +69,9 @@ class LogBuilder:
             return 0.0
         step_s = raw_s - self._raw_s
         if step_s <= -REBOOT_STEP_S or step_s > self.longest_step_s:
-            what = "reboot" if step_s < 0 else "clock leap"
-            self.notes.append(f"{what} at {self.now_s:.1f} s: time goes on after a gap of 1 s")
-            self._offset_s = self.now_s + SEGMENT_GAP_S - raw_s
+            what, gap_s = ("reboot", self.reboot_gap_s) if step_s < 0 else ("clock leap", CLOCK_GAP_S)
+            self.notes.append(f"{what} at {self.now_s:.1f} s: time goes on after a gap of {gap_s:g} s")
+            self._offset_s = self.now_s + gap_s - raw_s
             self._raw_s = raw_s
         self._raw_s = max(self._raw_s, raw_s)
         time_s = round(raw_s + self._offset_s, 6)  # microseconds are what the logs hold

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uavbatt.errors import UsageError
 from uavbatt.mavlink import fields
 from uavbatt.records import Identity
-from uavbatt.telemetry.builder import LEAP_S, LogBuilder, finite_or_nan
+from uavbatt.telemetry.builder import CLOCK_GAP_S, LEAP_S, LogBuilder, finite_or_nan
 from uavbatt.telemetry.column_rules import add_rows, times_s
 from uavbatt.telemetry.columns import UNKNOWN, Column, Columns, distinct, latest_before
 from uavbatt.telemetry.formats import tlog_payloads
@@ -51,7 +51,9 @@ def read_tlog(source: str, data: bytes | memoryview, system: int | None = None) 
     Raises UsageError when no autopilot of that system speaks of a battery in the log named `source`.
     """
     log = LogBuilder(
-        longest_step_s=math.inf if is_recording(data) else LEAP_S, forecast_period_s=forecast_period_s(data)
+        longest_step_s=math.inf if is_recording(data) else LEAP_S,
+        reboot_gap_s=CLOCK_GAP_S,  # its clock is the ground's
+        forecast_period_s=forecast_period_s(data),
     )
     found = frames(data)
     log.skipped_bytes = found.skipped_bytes
