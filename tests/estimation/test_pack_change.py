@@ -91,6 +91,38 @@ def test_one_row_with_another_counter_changes_no_pack() -> None:
     assert all(e.capacity_scale_sd < told.capacity_scale_sd + 0.02 for e, _ in judge.run(after))
 
 
+@pytest.mark.parametrize(("first_soc", "air_s", "soc"), [(1.0, 400, 0.9), (1.0, 100, 0.6), (0.6, 150, 0.95)])
+@pytest.mark.parametrize("idle_W", [6.0, 15.0, 28.0])
+def test_a_pack_changed_under_an_idle_load_is_another(idle_W: float, first_soc: float, air_s: int, soc: float) -> None:
+    """A payload or a companion draws up to 0.37 C on the ground; from 0.15 C on no change was seen."""
+    first = Pack(soc=first_soc)
+    rows = [*idle(first, idle_W, 0.0), *flown(first, 20.0, air_s)]
+    rows += idle(first, idle_W, rows[-1].time_s + 1.0)
+    rows = [replace(row, consumed_Ah=math.nan) for row in rows]
+    told = [e for e, _ in generic_estimator(STATED).run(rows)][-1]
+    second = [replace(r, consumed_Ah=math.nan) for r in idle(Pack(soc=soc), idle_W, rows[-1].time_s + 61.0)]
+    said = [e for e, _ in generic_estimator(STATED).run([*rows, *second])][len(rows) :]
+    assert abs(told.soc - soc) > 0.08 > abs(said[-1].soc - soc)
+    assert not any("the stated" in words for e in said for words in e.warnings)
+
+
+@pytest.mark.parametrize("idle_W", [6.0, 15.0, 28.0])
+def test_the_same_pack_under_an_idle_load_is_no_other_after_a_silence(idle_W: float) -> None:
+    pack = Pack()
+    rows = [*idle(pack, idle_W, 0.0), *flown(pack, 20.0, 300)]
+    rows += idle(pack, idle_W, rows[-1].time_s + 1.0)
+    judge = generic_estimator(STATED)
+    told = [e for e, _ in judge.run(rows)][-1]
+    idle(pack, idle_W, 0.0, 60)
+    for estimate, _ in judge.run(idle(pack, idle_W, rows[-1].time_s + 61.0, 300, rows[-1].consumed_Ah)):
+        assert estimate.capacity_scale_sd < told.capacity_scale_sd + 0.02
+
+
+def idle(pack: Pack, idle_W: float, from_s: float, seconds: int = 20, drawn_Ah: float = 0.0) -> list[Sample]:
+    """Rows on the ground, disarmed, with a load of its own."""
+    return list(drawn(pack, [idle_W] * seconds, from_s, drawn_Ah, armed=False).rows)
+
+
 def noisy(row: Sample, dice: np.random.Generator) -> Sample:
     """Return the row as a sensor with 10 mV of noise and a last digit of 20 mV shows it."""
     return replace(row, voltage_V=round((row.voltage_V + 0.01 * float(dice.standard_normal())) / 0.02) * 0.02)

@@ -65,15 +65,19 @@ class Means(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """Strain tells how long the voltage has been lower than the discharge explains [s], and how much [V a cell]."""
+    """Strain tells how long the voltage has been lower than the discharge explains [s], and how much [V a cell].
+
+    It lasts from the first row that shows it on: a silence before that row says nothing.
+    """
 
     lasting_s: float = 0.0
     mean_V: float = 0.0
 
     def after(self, strain_V: float, step_s: float) -> Strain:
         """Return the strain with one more row."""
-        keep = math.exp(-step_s / MINUTE_S) if self.lasting_s else 0.0
-        return Strain(self.lasting_s + step_s, strain_V + (self.mean_V - strain_V) * keep)
+        if self is NO_STRAIN:
+            return Strain(0.0, strain_V)
+        return Strain(self.lasting_s + step_s, strain_V + (self.mean_V - strain_V) * math.exp(-step_s / MINUTE_S))
 
 
 NO_LOAD, NO_STRAIN = Means(), Strain()

@@ -14,6 +14,7 @@ import math
 from typing import NamedTuple
 
 from uavbatt.battery import model
+from uavbatt.battery import state_space as b
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.recursion import Innovation
@@ -26,7 +27,7 @@ LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 
 SILENCE_S, SILENT_ROWS, SETTLED_S = 5.0, 4.0, 120.0
 NO_PACK_CELL_V = 2.0  # the autopilot lives on another supply
 ROW_MEMORY, LONGEST_ROW_S = 0.9, 30.0
-FLYING_C_RATE = 0.4
+FLYING_C_RATE, SHOWN_S = 0.4, 60.0  # below it the ground may draw; the first rows after a silence show whose pack it is
 COUNTER_SLACK_AH, RESTARTED_S = 0.02, 60.0  # nobody changes a pack and takes off within a minute
 
 
@@ -94,8 +95,8 @@ class SwapWatch(NamedTuple):
         consumed_Ah = sample.consumed_Ah if math.isfinite(sample.consumed_Ah) else self.consumed_Ah
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
-            is_another = silence is not None and silence.has_restarted(sample.consumed_Ah) and not silence.may_fly_on
-            return now._replace(silence=silence, rows=self.rows + 1) if is_another else now
+            is_shown = silence is not None and now._shows_another(silence, sample, pack)
+            return now._replace(silence=silence, rows=self.rows + 1) if is_shown else now._kept(silence, sample, pack)
         since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
         other = cell_V < self.rested_V - FALLEN_CELL_V
         if time_s - since_s > SLOWLY_AFTER_S:
@@ -108,13 +109,34 @@ class SwapWatch(NamedTuple):
         rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
         return now._replace(silence=silence, rested_V=rested_V, rested_since_s=since_s)
 
+    def _shows_another(self, silence: Silence, sample: Sample, pack: Pack) -> bool:
+        """Return True if a row that is not at rest shows another pack than the one before the silence."""
+        if silence.has_restarted(sample.consumed_Ah) and not silence.may_fly_on:
+            return True
+        if not _is_on_ground(silence, sample, pack):
+            return False
+        cells = float(pack.installation.cells)
+        return silence.is_another_rested((sample.voltage_V + self._drop_V(pack, sample.current_A)) / cells)
+
+    def _kept(self, silence: Silence | None, sample: Sample, pack: Pack) -> SwapWatch:
+        """Return the watch with the silence as long as the aircraft stands; a flight that goes on ends it."""
+        return self._replace(silence=silence) if silence and _is_on_ground(silence, sample, pack) else self
+
+    def _drop_V(self, pack: Pack, current_A: float) -> float:
+        """Return what a current takes of the pack's voltage at once [V], by the last belief."""
+        assert self.belief is not None
+        x = self.belief.mean
+        return float(b.voltage(pack, x, 0.0) - b.voltage(pack, x, current_A))
+
     def _silence(self, sample: Sample, row: Innovation, pack: Pack) -> Silence:
         """Return what is known of the old pack after the silence that ends with this row."""
         cells, capacity_Ah = float(pack.installation.cells), float(pack.installation.present_capacity_Ah)
-        gap_s = sample.time_s - self.seen_s
+        gap_s, expected_V = sample.time_s - self.seen_s, row.expected_V
+        if self.belief is not None and abs(sample.current_A) >= RESTED_C_RATE * capacity_Ah:
+            expected_V += self._drop_V(pack, sample.current_A)
         was_flying = self.current_A >= FLYING_C_RATE * capacity_Ah and gap_s <= RESTARTED_S
         may_fly_on = was_flying and abs(row.innovation_V) <= ODD_CELL_V * cells
-        return Silence(sample.time_s, self._bounds(gap_s, row.expected_V / cells, pack), self.consumed_Ah, may_fly_on)
+        return Silence(sample.time_s, self._bounds(gap_s, expected_V / cells, pack), self.consumed_Ah, may_fly_on)
 
     def _bounds(self, gap_s: float, predicted_V: float, pack: Pack) -> Bounds:
         """Return the voltages that the old pack can show at rest after a silence of `gap_s` [s]."""
@@ -126,3 +148,10 @@ class SwapWatch(NamedTuple):
         low_V = float(model.open_circuit_voltage(pack.cell, mean[X.SOC] - drawn - sd)) - lag_V
         high_V = float(model.open_circuit_voltage(pack.cell, min(mean[X.SOC] + sd, 1.0)))
         return Bounds(low_V - ODD_CELL_V, high_V + ODD_CELL_V)
+
+
+def _is_on_ground(silence: Silence, sample: Sample, pack: Pack) -> bool:
+    """Return True if a row soon after a silence has less load than a flight, and is not armed."""
+    capacity_Ah = float(pack.installation.present_capacity_Ah)
+    is_idle = abs(sample.current_A) < FLYING_C_RATE * capacity_Ah and sample.armed is not True
+    return is_idle and sample.time_s - silence.over_s <= SHOWN_S
