@@ -84,6 +84,49 @@ def test_slips_are_named(tmp_path: Path, text: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def whole_flight(step: float, per_A: float, counter: bool = False, begin_V: float = 16.6, end_V: float = 13.0) -> str:
+    """A table of 15 A for 1000 s, a row a second: `step` [s] in its unit of time, `per_A` of its unit of current."""
+    text = "time_s,voltage_V,current_A" + ",consumed_Ah" * counter + "\n"
+    for k in range(1000):
+        counted = f",{15.0 * k / 3600.0:.4f}" * counter
+        amps = 0.1 if k < 20 else 15.0 + k % 3
+        text += f"{step * k:.7f},{begin_V - (begin_V - end_V) * k / 999.0:.3f},{per_A * amps:g}{counted}\n"
+    return text
+
+
+@pytest.mark.parametrize("counter", [True, False])
+@pytest.mark.parametrize(
+    ("step", "per_A", "message"),
+    [
+        (1.0 / 60.0, 1.0, r"column time_s: expected seconds, found .* \(minutes( or hours)?\?\)"),
+        (1.0 / 3600.0, 1.0, r"column time_s: expected seconds, found .* \((minutes or )?hours\?\)"),
+        (1.0, 1000.0, r"column current_A: expected amperes, found .* \(milliamperes\?\)"),
+        (1000.0, 1.0, r"column time_s: expected seconds, found rows 1000 apart \(milliseconds\?\)"),
+    ],
+)
+def test_another_unit_is_named(tmp_path: Path, step: float, per_A: float, counter: bool, message: str) -> None:
+    """The first line of the replay was that of another flight, and nothing said so."""
+    with pytest.raises(BadInput, match=message) as caught:
+        read(tmp_path, whole_flight(step, per_A, counter))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("counter", [True, False])
+@pytest.mark.parametrize(
+    ("step", "per_A", "end_V"),
+    [
+        (1.0, 1.0, 13.0),
+        (0.06, 10.0, 13.0),  # a minute at 30 C
+        (1.0 / 60.0, 1.0, 15.8),  # 17 s of a flight
+        (1.0, 0.02, 13.0),  # a sensor that reads low
+        (20.0, 0.05, 13.0),  # an aeroplane of long endurance
+    ],
+)
+def test_no_plausible_flight_is_refused(tmp_path: Path, step: float, per_A: float, end_V: float, counter: bool) -> None:
+    text = whole_flight(step, per_A, counter and step == 1.0, end_V=end_V)
+    assert len(read(tmp_path, text).samples) == 1000
+
+
 def test_a_cut_last_row_is_left_out(tmp_path: Path) -> None:
     flight = read(tmp_path, "time_s,voltage_V,current_A\n0,16,1\n1,16,1\n2,1")
     assert len(flight.samples) == 2

@@ -31,6 +31,7 @@ LEAP_S = 86_400.0  # no flight log spans a day; a clock without battery backup l
 CLOCK_GAP_S, REBOOT_GAP_S = 1.0, 10.0  # longer would count charge that an autopilot rebooted in the air did not draw
 MAX_VOLTAGE_V = 200.0
 MAX_CURRENT_A = 2000.0
+IMPOSSIBLE_CURRENTS = "impossible currents set to unknown"
 CARRYING = 0.4  # of the energy that the strongest battery gave: of two in parallel each gives about half
 
 
@@ -93,7 +94,7 @@ class LogBuilder:
             self.counts["rows out of order dropped"] += 1
             return False
         if abs(sample.current_A) > MAX_CURRENT_A:
-            self.counts["impossible currents set to unknown"] += 1
+            self.counts[IMPOSSIBLE_CURRENTS] += 1
             sample = replace(sample, current_A=NAN)
         self.rows.setdefault(instance, kept).append(sample)
         return True

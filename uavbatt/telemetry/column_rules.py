@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavbatt.telemetry.builder import MAX_CURRENT_A, MAX_VOLTAGE_V, REBOOT_STEP_S, LogBuilder
+from uavbatt.telemetry.builder import IMPOSSIBLE_CURRENTS, MAX_CURRENT_A, MAX_VOLTAGE_V, REBOOT_STEP_S, LogBuilder
 from uavbatt.telemetry.columns import Column, Columns, distinct
 
 
@@ -40,7 +40,7 @@ def add_rows(log: LogBuilder, instance: NDArray[np.int64], rows: Columns) -> Non
     with np.errstate(invalid="ignore"):
         wild = kept & (np.abs(rows.current_A) > MAX_CURRENT_A)
     _count(log, ("rows without a possible voltage dropped", ~possible), ("rows out of order dropped", possible & ~kept),
-           ("impossible currents set to unknown", wild))  # fmt: skip
+           (IMPOSSIBLE_CURRENTS, wild))  # fmt: skip
     current_A = np.where(wild, np.nan, rows.current_A)
     cleaned = Columns(
         time_s, rows.voltage_V, current_A, rows.temp_C, rows.consumed_Ah, rows.reported_soc, rows.armed, rows.cells_V

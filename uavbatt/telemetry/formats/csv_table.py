@@ -1,7 +1,7 @@
 """Telemetry CSV: `time_s,voltage_V` and any of `current_A,temp_C,consumed_Ah,reported_soc,armed`.
 
 A table is made by hand or by a script, so it is checked strictly: what no sensor writes by itself (text, a missing
-voltage, time that runs back, millivolts, percent) is refused with row and column.
+voltage, time that runs back, millivolts, percent) is refused with row and column, another unit with its column.
 An empty cell or `nan` means "not measured" outside time and voltage. `time_s` may be seconds or ISO 8601.
 
 A table as `ulog2csv` writes it of PX4's battery_status (`timestamp` in microseconds, `voltage_v`, ...) is read as well.
@@ -17,13 +17,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import pairwise
-from statistics import median
 
 from uavbatt.errors import BadInput
-from uavbatt.limits import LONGEST_ROW_S
 from uavbatt.records import NAN, Sample
-from uavbatt.telemetry.builder import MAX_VOLTAGE_V, LogBuilder
+from uavbatt.telemetry.builder import IMPOSSIBLE_CURRENTS, MAX_VOLTAGE_V, LogBuilder
+from uavbatt.telemetry.formats.csv_units import check_units
 from uavbatt.telemetry.formats.px4_unknown import known
 
 REQUIRED = ("time_s", "voltage_V")
@@ -38,7 +36,6 @@ ULOG2CSV: dict[str, tuple[tuple[str, ...], float]] = {
     "reported_soc": (("remaining",), 1.0),
 }
 _MISSPELT_RATIO = 0.6
-_SEVERAL_STEPS = 5
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]")
 _ARMED = {"1": True, "true": True, "0": False, "false": False, "": None, "nan": None}
 
@@ -70,7 +67,7 @@ def read_csv(source: str, data: bytes) -> LogBuilder:
         start_s = before_s if start_s is None else start_s
         log.now_s = before_s - start_s  # a table states its time: no jump in it is taken for a reboot
         log.add(0, replace(sample, time_s=log.now_s))
-    _check_unit_of_time(source, log.rows.get(0, []))
+    check_units(source, log.rows.get(0, []), log.counts[IMPOSSIBLE_CURRENTS])
     return log
 
 
@@ -103,13 +100,6 @@ def _seconds(cell: str) -> str:
     except ValueError:
         return cell
     return repr((when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp())
-
-
-def _check_unit_of_time(source: str, rows: Sequence[Sample]) -> None:
-    """Rows that come minutes apart throughout are no telemetry: their time is in milliseconds."""
-    steps_s = [b.time_s - a.time_s for a, b in pairwise(rows)]
-    if len(steps_s) >= _SEVERAL_STEPS and median(steps_s) >= LONGEST_ROW_S:
-        raise BadInput(source, "column time_s", f"seconds, found rows {median(steps_s):g} apart (milliseconds?)")
 
 
 def _cells(line: str) -> list[str]:
