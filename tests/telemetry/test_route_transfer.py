@@ -178,6 +178,43 @@ def test_fences_and_rally_points_are_no_mission() -> None:
     assert not passing.listener.now.transferring
 
 
+@pytest.mark.parametrize("kind", [0, 255])
+def test_a_clearing_of_everything_clears_the_mission(kind: int) -> None:
+    """A type of 255 is every type; the route stayed in force for ever."""
+    passing = Passing().said(*downloaded(ROUTE)).heard(dialect.MAVLink_mission_clear_all_message(*VEHICLE, kind))
+    assert passing.mission is not None and passing.mission.items
+    passing.said(ack(kind=kind))
+    assert passing.mission is not None and passing.mission.items == () and not passing.listener.now.transferring
+
+
+def test_a_clearing_of_everything_that_is_refused_clears_nothing() -> None:
+    passing = Passing().said(*downloaded(ROUTE)).heard(dialect.MAVLink_mission_clear_all_message(*VEHICLE, 255))
+    passing.said(ack(1, 255))
+    assert passing.mission is not None and passing.mission.items and passing.mission.reason == ""
+
+
+def test_rally_points_on_the_link_make_the_way_home_unknown() -> None:
+    """Those that another station writes count once they are acknowledged, those that the autopilot tells at once."""
+    place = (3, 5100, 47.0, 8.1, 40.0)
+    written = (count(2, VEHICLE, 2), *(item(seq, place, VEHICLE, 2) for seq in range(2)))
+    passing = Passing().said(*downloaded(ROUTE)).heard(*written)
+    assert passing.listener.now.settings.return_reason == ""
+    passing.said(ack(kind=2))
+    assert passing.listener.now.settings.return_reason.startswith("the vehicle has rally points (2)")
+    assert passing.mission is not None and passing.mission.reason == ""
+    passing.heard(dialect.MAVLink_mission_clear_all_message(*VEHICLE, 255)).said(ack(kind=255))
+    assert passing.listener.now.settings.return_reason == ""
+    passing.said(count(1, kind=2))
+    assert "rally points (1)" in passing.listener.now.settings.return_reason
+    passing.said(count(0, kind=2))
+    assert passing.listener.now.settings.return_reason == ""
+
+
+def test_rally_points_that_were_refused_are_none() -> None:
+    passing = Passing().heard(count(2, VEHICLE, 2)).said(ack(1, 2), ack(kind=2))
+    assert passing.listener.now.settings.return_reason == ""
+
+
 def test_an_upload_that_nobody_heard_makes_the_mission_unknown() -> None:
     passing = Passing().said(*downloaded(ROUTE))
     passing.said(ack(), after_s=30.0)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from uavbatt.navigation import NAN, NOWHERE, Home, Mission, Mode, Navigation, Position, Wind
@@ -27,6 +28,7 @@ class NavigationBuilder:
         self._built: Navigation | None = NOWHERE
         self._kept: list[Navigation] | None = [] if keeps_all else None
         self._parameters: dict[str, float] = {}
+        self._stated, self._rally_points = NOWHERE.settings, 0  # by the parameters alone, and by the mission protocol
         self._airspeed_ms, self._airspeed_at_s = NAN, -math.inf
 
     @property
@@ -95,7 +97,20 @@ class NavigationBuilder:
 
     def settings(self, time_s: float, parameters: Mapping[str, float]) -> None:
         """Take all parameters that are known by now."""
-        found = settings.return_settings(parameters)
+        self._stated = settings.return_settings(parameters)
+        self._settle(time_s)
+
+    def rally(self, time_s: float, points: int) -> None:
+        """Take how many rally points the autopilot holds: with some of them nobody knows where it will return to."""
+        self._rally_points = points
+        self._settle(time_s)
+
+    def _settle(self, time_s: float) -> None:
+        """Join what is stated of the way home with the rally points that have passed."""
+        found = self._stated
+        if self._rally_points > 0 and not found.return_reason:
+            words = f"the vehicle has rally points ({self._rally_points}): it may return to one of them"
+            found = replace(found, return_reason=words)
         if not _is_same(found, self._known["settings"]):
             self._change(time_s, settings=found)
 

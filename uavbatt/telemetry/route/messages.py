@@ -36,7 +36,7 @@ _TO_SOMEBODY = frozenset(
 SOURCE = "link"
 _E7 = 1e7
 _UNKNOWN_INT = 0x7FFFFFFF
-_MISSION = 0  # MAV_MISSION_TYPE; fences and rally points travel by the same messages
+_MISSION, _RALLY, _ALL = 0, 2, 255  # MAV_MISSION_TYPE; fences and rally points travel by the same messages
 _ON_GROUND, _UNDEFINED = 1, 0
 _NO_TOTAL = (0, 0xFFFF)
 
@@ -54,6 +54,7 @@ class NavigationListener:
         self._is_outdated = False
         self._is_px4 = False
         self._mission_id = 0
+        self._rally_to_come: int | None = None  # points that another station writes, until they are acknowledged
         self._take: dict[int, Callable[[float, Any], None]] = {
             HEARTBEAT: self._heartbeat, GLOBAL_POSITION_INT: self._position, VFR_HUD: self._speed, WIND: self._wind,
             WIND_COV: self._wind_cov, HOME_POSITION: self._home, MISSION_CURRENT: self._current,
@@ -91,7 +92,10 @@ class NavigationListener:
         self.builder.transferring(time_s, self.transfer.is_open)
 
     def _transfers(self, time_s: float, message_id: int, message: Any, is_upload: bool) -> None:
-        if message.mission_type != _MISSION:
+        is_all = message.mission_type == _ALL and message_id == MISSION_CLEAR_ALL
+        if is_all or message.mission_type == _RALLY:
+            self._rally(time_s, message_id, message, is_upload)
+        if not is_all and message.mission_type != _MISSION:
             return
         if message_id == MISSION_COUNT:
             self.transfer.begins(time_s, message.count, is_upload)
@@ -103,6 +107,15 @@ class NavigationListener:
             self.transfer.takes(time_s, mission_item(_fields(message_id, message), self._is_px4), is_upload)
         self._hold(time_s, self.transfer.whole(SOURCE, not self._is_px4))
 
+    def _rally(self, time_s: float, message_id: int, message: Any, is_upload: bool) -> None:
+        """Count the rally points that pass: what is written to the autopilot counts once it has acknowledged it."""
+        if message_id == MISSION_CLEAR_ALL:
+            self._rally_to_come = 0
+        elif message_id == MISSION_COUNT and is_upload:
+            self._rally_to_come = message.count
+        elif message_id == MISSION_COUNT:
+            self.builder.rally(time_s, message.count)
+
     def _part(self, time_s: float, message: Any) -> None:
         """Begin a transfer in which another station writes some items of the known mission anew."""
         known = self.builder.held
@@ -111,7 +124,11 @@ class NavigationListener:
             self.transfer.begins(time_s, len(known.items), True, kept)
 
     def _ack(self, time_s: float, message: Any) -> None:
-        if message.mission_type != _MISSION:
+        if message.mission_type in (_RALLY, _ALL):
+            if message.type == ACCEPTED and self._rally_to_come is not None:
+                self.builder.rally(time_s, self._rally_to_come)
+            self._rally_to_come = None
+        if message.mission_type not in (_MISSION, _ALL):
             return
         is_unheard = message.type == ACCEPTED and not self.transfer.explains_acknowledgement(time_s)
         self._hold(time_s, self.transfer.acknowledged(message.type, SOURCE, not self._is_px4))
