@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from factories import generic_estimator
 from scoring.other_pack import Pack, Power, drawn, flown, rested
-from scoring.scenarios import STATED, another
+from scoring.scenarios import STATED, another, flight
 
 from uavbatt.records import Sample
 
@@ -126,3 +126,20 @@ def idle(pack: Pack, idle_W: float, from_s: float, seconds: int = 20, drawn_Ah: 
 def noisy(row: Sample, dice: np.random.Generator) -> Sample:
     """Return the row as a sensor with 10 mV of noise and a last digit of 20 mV shows it."""
     return replace(row, voltage_V=round((row.voltage_V + 0.01 * float(dice.standard_normal())) / 0.02) * 0.02)
+
+
+@pytest.mark.parametrize("late_rows", [3, 6])
+def test_a_current_that_comes_late_at_take_off_is_no_other_pack(late_rows: int) -> None:
+    """At 10 Hz three rows are 0.3 s: the voltage fell under a load that the sensor had not yet shown."""
+    rows: list[Sample] = []
+    drawn_Ah = 0.0
+    for second, row in enumerate(flight(Pack())[:120]):
+        before_A = rows[-1].current_A if rows else row.current_A
+        for tenth in range(10):
+            current_A = before_A if tenth < late_rows else row.current_A
+            drawn_Ah += current_A / 36_000.0
+            rows.append(replace(row, time_s=second + 0.1 * tenth, current_A=current_A, consumed_Ah=drawn_Ah))
+    said = [estimate for estimate, _ in generic_estimator(STATED).run(rows)]
+    falls = [before.soc - after.soc for before, after in itertools.pairwise(said)]
+    assert max(map(abs, falls)) < 0.01  # an estimate that begins anew under load falls by 0.05
+    assert said[-1].soc == pytest.approx(1.0 - drawn_Ah / 5.0, abs=0.03)

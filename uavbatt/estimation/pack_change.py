@@ -20,7 +20,8 @@ from uavbatt.battery.state_space import Belief, X
 from uavbatt.estimation.recursion import Innovation
 from uavbatt.records import NAN, Sample
 
-RESTED_C_RATE, SWAP_ROWS = 0.15, 3
+# Rows that show another pack, and how long: a current that comes 0.3 s late shows one at every take-off, at 10 Hz.
+RESTED_C_RATE, SWAP_ROWS, SWAP_LASTS_S = 0.15, 3, 1.9
 FAR_CELL_V, ODD_CELL_V, FALLEN_CELL_V = 0.12, 0.05, 0.05
 # A pack that has rested for SLOWLY_AFTER_S rises by 1 mV a second: in cold air, worn, by three.
 LEAPT_CELL_V, LEAPT_WITHIN_S, SLOWLY_AFTER_S, RESTED_MEMORY = 0.035, 3.0, 15.0, 0.7
@@ -72,13 +73,14 @@ class SwapWatch(NamedTuple):
     consumed_Ah: float = NAN
     silence: Silence | None = None  # until the pack is loaded
     rows: int = 0
+    other_since_s: float = NAN  # the first of these rows
     rested_V: float = NAN  # of a cell, over the last rested rows of the pack that is believed in
     rested_since_s: float = NAN
 
     @property
     def is_another(self) -> bool:
         """Return True if enough rows have shown another pack."""
-        return self.rows >= SWAP_ROWS
+        return self.rows >= SWAP_ROWS and self.seen_s - self.other_since_s >= SWAP_LASTS_S
 
     def after(self, sample: Sample, row: Innovation, belief: Belief | None, pack: Pack) -> SwapWatch:
         """Return the watch after one more sample, with `row`, the sample against the model, and the belief after it."""
@@ -96,7 +98,7 @@ class SwapWatch(NamedTuple):
         now = SwapWatch(time_s, current_A, belief, row_s, consumed_Ah)
         if abs(current_A) >= RESTED_C_RATE * capacity_Ah:
             is_shown = silence is not None and now._shows_another(silence, sample, pack)
-            return now._replace(silence=silence, rows=self.rows + 1) if is_shown else now._kept(silence, sample, pack)
+            return self._other(now, silence) if is_shown else now._kept(silence, sample, pack)
         since_s = self.rested_since_s if math.isfinite(self.rested_since_s) else time_s
         other = cell_V < self.rested_V - FALLEN_CELL_V
         if time_s - since_s > SLOWLY_AFTER_S:
@@ -105,9 +107,14 @@ class SwapWatch(NamedTuple):
         if silence is not None:
             other = other or silence.is_another_rested(cell_V) or silence.has_restarted(sample.consumed_Ah)
         if other:
-            return now._replace(silence=silence, rows=self.rows + 1, rested_V=self.rested_V, rested_since_s=since_s)
+            return self._other(now, silence)._replace(rested_V=self.rested_V, rested_since_s=since_s)
         rested_V = cell_V if math.isnan(self.rested_V) else cell_V + (self.rested_V - cell_V) * RESTED_MEMORY
         return now._replace(silence=silence, rested_V=rested_V, rested_since_s=since_s)
+
+    def _other(self, now: SwapWatch, silence: Silence | None) -> SwapWatch:
+        """Return the watch `now` with one row more that shows another pack."""
+        since_s = self.other_since_s if self.rows else now.seen_s
+        return now._replace(silence=silence, rows=self.rows + 1, other_since_s=since_s)
 
     def _shows_another(self, silence: Silence, sample: Sample, pack: Pack) -> bool:
         """Return True if a row that is not at rest shows another pack than the one before the silence."""
