@@ -133,7 +133,7 @@ def test_a_current_that_comes_late_at_take_off_is_no_other_pack(late_rows: int) 
     """At 10 Hz three rows are 0.3 s: the voltage fell under a load that the sensor had not yet shown."""
     rows: list[Sample] = []
     drawn_Ah = 0.0
-    for second, row in enumerate(flight(Pack())[:120]):
+    for second, row in enumerate(flight(Pack(resistance=2.5))[:120]):
         before_A = rows[-1].current_A if rows else row.current_A
         for tenth in range(10):
             current_A = before_A if tenth < late_rows else row.current_A
