@@ -75,7 +75,8 @@ def fit(
         remark(f"fitting {len(datasets)} data set(s) and {len(flights)} flight(s) ...")
         found = fit_battery(size, datasets, flights)
         content = found.file
-        told = [*(f"  {line}" for line in found.known), *(f"not determined: {line}" for line in found.unknown)]
+        told = [f"  {line}" for line in found.known]
+        told += [f"doubtful: {line}" for line in found.doubtful] + [f"not determined: {line}" for line in found.unknown]
         for line in told if output is not None else []:  # a vehicle file alone says nothing of a battery
             say(line)
     if output is not None:

@@ -25,6 +25,8 @@ from uavbatt.records import Flight, PackFacts
 # Packs of one type, new to worn out; a fleet's own flights have shown part of the spread already.
 MAKE_RESISTANCE_SD, MAKE_CAPACITY_SD, FLEET_CAPACITY_SD = 0.06, 0.05, 0.04
 LEAST_GAIN = 0.8  # a posterior sd above this share of the prior's: the data said nothing
+FAR_SDS = 2.5  # of the prior: real packs and simulated ones stay within 2.2, a lithium-ion pack is at 2.9
+ELECTRIC = ("ocv_", "r0_", "polarisation_", "diffusion_ratio", "diffusion_tau_s")  # heat flows in many ways
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +49,12 @@ class RecordedPack:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """Fitted holds the battery file (not sealed) and, in words, what the data tell and do not tell."""
+    """Fitted holds the battery file (not sealed) and, in words, what the data tell, do not tell and make doubtful."""
 
     file: BatteryFile
     known: tuple[str, ...]
     unknown: tuple[str, ...]
+    doubtful: tuple[str, ...] = ()
 
 
 def fit_battery(
@@ -84,7 +87,7 @@ def fit_battery(
             cutoff_V=size.cutoff_V,
             low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
             source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
-            remarks=list(_unknown(found, stack, bool(bench))),
+            remarks=[*_doubtful(found), *_unknown(found, stack, bool(bench))],
         ),
         parameters=assemble.parameter_table(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
@@ -95,7 +98,7 @@ def fit_battery(
             statistics=_range_C(stack),
         ),
     )
-    return Fitted(file, _known(found), _unknown(found, stack, bool(bench)))
+    return Fitted(file, _known(found), _unknown(found, stack, bool(bench)), _doubtful(found))
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:
@@ -179,6 +182,14 @@ def _measured_C(stack: Stack) -> tuple[float, float] | None:
     temps = stack.temp_C[stack.compare]
     temps = temps[np.isfinite(temps)]
     return (float(np.percentile(temps, 1.0)), float(np.percentile(temps, 99.0))) if temps.size else None
+
+
+def _doubtful(found: BatteryFit) -> tuple[str, ...]:
+    """Say in words which quantities no LiPo cell has: what was fitted is then a detour around something else."""
+    names = [slot.name for slot, u in zip(found.slots, found.u, strict=True) if abs(u) > FAR_SDS]
+    far = [name for name in names if name.startswith(ELECTRIC)]
+    why = "another chemistry, or other cells, capacity or currents than stated? Do not trust it beyond these records"
+    return (f"{', '.join(far)} lie far from those of LiPo cells: {why}",) if far else ()
 
 
 def _unknown(found: BatteryFit, stack: Stack, has_bench: bool) -> tuple[str, ...]:
