@@ -136,12 +136,11 @@ def test_a_pack_of_another_chemistry_is_doubted_and_no_lipo_is() -> None:
     """A lithium-ion pack's voltages were met by a diffusion eight times as large as any LiPo's, without a word."""
     volts = (2.0, 2.6, 2.78, 2.98, 3.13, 3.26, 3.36, 3.43, 3.53, 3.61, 3.69, 3.78, 3.89, 3.985, 4.06, 4.10, 4.18)
     lithium_ion = Make("lithium-ion", volts, 0.06, 0.7, 0.025, 40.0, 0.7, 90.0)
-    logs = [
-        flight(
-            OtherPack(8.4, size_Ah=8.4, make=lithium_ion, cells=6, air_C=air_C), Power(watts), cutoff_V=18.0
-        ).flight()
-        for air_C, watts in ((22.0, 200.0), (28.0, 240.0), (15.0, 260.0))
+    flown = [
+        flight(OtherPack(8.4, size_Ah=8.4, make=lithium_ion, cells=6), Power(watts, climb=0.3), cutoff_V=18.0)
+        for watts in (150.0, 280.0, 330.0)
     ]
+    logs = [made.flight(f"{number}") for number, made in enumerate(flown)]
     doubted = fit_battery(RecordedPack("mine", 6, 8.4, 18.0), [], logs)
     assert "diffusion_ratio" in doubted.doubtful[0] and "another chemistry" in doubted.doubtful[0]
     assert doubted.doubtful[0] in doubted.file.battery.remarks
