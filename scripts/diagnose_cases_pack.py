@@ -17,6 +17,7 @@ from uavbatt.estimator import Engine
 from uavbatt.fitting.observed import Observed, from_flight
 from uavbatt.log_replay.run import engine_for
 from uavbatt.telemetry import read_log
+from uavbatt.telemetry.plausibility import MAX_CELL_C
 
 CELLS, CAPACITY_AH, CUTOFF_V = 4, 5.016, 13.2
 
@@ -46,7 +47,7 @@ def ready(path: Path) -> Ready:
 
 def records(logs: list[Path]) -> list[Observed]:
     """Read flights of the simulated pack."""
-    return [from_flight(read_log(path), CELLS, CAPACITY_AH) for path in logs]
+    return [from_flight(read_log(path), CELLS, CAPACITY_AH, hottest_start_C=MAX_CELL_C) for path in logs]
 
 
 def flights(folder: Path) -> list[Observed]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from uavbatt.battery.model import Array
+from uavbatt.cli.diagnose_records import observed_of
 from uavbatt.errors import NotEnoughData
 from uavbatt.fitting.observed import HELD_WINDOW_S, Observed, from_flight, held_load, stack
 from uavbatt.telemetry import read_log
@@ -26,6 +27,14 @@ def written(folder: Path, temp_C: Array) -> Observed:
 @pytest.mark.parametrize("everywhere_C", [298.15, 1e9, 0.0, 55.0], ids=["kelvin", "damaged", "not set", "of a board"])
 def test_a_temperature_that_no_cell_has_is_not_measured(tmp_path: Path, everywhere_C: float) -> None:
     assert np.isnan(written(tmp_path, np.full(ROWS, everywhere_C)).temp_C).all()
+
+
+def test_a_diagnosis_takes_a_sensor_that_begins_hot_as_it_is(tmp_path: Path) -> None:
+    """A pack at 36 °C under a sensor that reads 8 K too much was taken for a board, and its offset could not be named."""
+    written(tmp_path, np.linspace(44.0, 55.0, ROWS))
+    flown = read_log(tmp_path / "flight.csv")
+    assert np.isfinite(observed_of(flown, 4, 5.0).temp_C).all()
+    assert np.isnan(from_flight(flown, 4, 5.0).temp_C).all()
 
 
 @pytest.mark.parametrize("once_C", [1e9, 655.35, -273.0, 60.0])

@@ -46,10 +46,11 @@ def one_size(sizes: set[Size]) -> Size:
 def observed_of(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
     """Return the rows of a flight as a record. Raises NotEnoughData when it has no current."""
     from uavbatt.fitting import observed
+    from uavbatt.telemetry.plausibility import MAX_CELL_C
 
     if not any(math.isfinite(s.current_A) for s in flight.samples):
         raise NotEnoughData(f"{flight.source}: no row has a current: nothing can be traced without it")
-    return observed.from_flight(flight, cells, capacity_Ah)
+    return observed.from_flight(flight, cells, capacity_Ah, hottest_start_C=MAX_CELL_C)
 
 
 def distinct(flights: list[Flight]) -> list[Flight]:

@@ -19,6 +19,7 @@ from uavbatt.dataset import DataSet
 from uavbatt.errors import NotEnoughData
 from uavbatt.records import NAN, Flight
 from uavbatt.telemetry.cleaning import Cleaner
+from uavbatt.telemetry.plausibility import BOARD_START_C
 
 BIN_S = 5.0
 # The model's residuals wander together for about a minute: rows closer than that share one piece of evidence.
@@ -103,17 +104,18 @@ def held_load(time_s: Array, current_A: Array) -> Array:
     return held_A
 
 
-def from_flight(flight: Flight, cells: int, capacity_Ah: float) -> Observed:
+def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C: float = BOARD_START_C) -> Observed:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
     A temperature that a replay would not use (impossible, a board's, the motor controllers') is not measured here.
-    Rows of one time become their mean: a slope between them would divide by zero.
+    Rows of one time become their mean: a slope between them would divide by zero. hottest_start_C : at which a sensor in
+    the pack may begin [°C]; a diagnosis, which asks what is wrong with the sensor, takes any that a cell may have.
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < LEAST_ROWS:
         said = f"{len(rows)} rows with voltage and current: expected at least {LEAST_ROWS}"
         raise NotEnoughData(f"{flight.source}: {said}")
-    cleaner = Cleaner().told(flight.facts_at(rows[-1].time_s))
+    cleaner = Cleaner(hottest_start_C=hottest_start_C).told(flight.facts_at(rows[-1].time_s))
     temp_C = []
     for row in rows:
         cleaner, cleaned = cleaner.clean(row)

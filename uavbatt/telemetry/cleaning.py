@@ -33,6 +33,7 @@ class Cleaner(NamedTuple):
     odd_V: float = NAN  # of the last row, where it leapt: used if the next row repeats it
     temp_C: float = NAN
     temp_s: float = NAN
+    hottest_start_C: float = BOARD_START_C  # of a sensor in the pack
     is_board_sensor: bool = False
     reads_escs: bool = False  # the temperature is that of the motor controllers
     current_A: float = NAN
@@ -90,7 +91,7 @@ class Cleaner(NamedTuple):
         temp_C = plausible_temperature_C(sample.temp_C, self.temp_C, sample.time_s - self.temp_s)
         if not math.isfinite(temp_C):
             return self, NAN
-        is_board = self.is_board_sensor or (not math.isfinite(self.temp_C) and temp_C > BOARD_START_C)
+        is_board = self.is_board_sensor or (not math.isfinite(self.temp_C) and temp_C > self.hottest_start_C)
         now = self._replace(temp_C=temp_C, temp_s=sample.time_s, is_board_sensor=is_board)
         return now, NAN if is_board or self.reads_escs else temp_C
 
