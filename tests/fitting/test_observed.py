@@ -30,7 +30,7 @@ def test_a_temperature_that_no_cell_has_is_not_measured(tmp_path: Path, everywhe
 
 
 def test_a_diagnosis_takes_a_sensor_that_begins_hot_as_it_is(tmp_path: Path) -> None:
-    """A pack at 36 °C under a sensor that reads 8 K too much was taken for a board, and its offset could not be named."""
+    """A pack at 36 °C under a sensor that reads 8 K too much was taken for a board: its offset had no name."""
     written(tmp_path, np.linspace(44.0, 55.0, ROWS))
     flown = read_log(tmp_path / "flight.csv")
     assert np.isfinite(observed_of(flown, 4, 5.0).temp_C).all()

@@ -108,8 +108,10 @@ def from_flight(flight: Flight, cells: int, capacity_Ah: float, hottest_start_C:
     """Return the rows of a flight that have both voltage and current; raises NotEnoughData for fewer than 10.
 
     A temperature that a replay would not use (impossible, a board's, the motor controllers') is not measured here.
-    Rows of one time become their mean: a slope between them would divide by zero. hottest_start_C : at which a sensor in
-    the pack may begin [°C]; a diagnosis, which asks what is wrong with the sensor, takes any that a cell may have.
+    Rows of one time become their mean: a slope between them would divide by zero.
+
+    hottest_start_C : at which a sensor in the pack may begin [°C]; a diagnosis asks what is wrong with the sensor, and
+    takes any that a cell may have
     """
     rows = [s for s in flight.samples if np.isfinite(s.voltage_V) and np.isfinite(s.current_A)]
     if len(rows) < LEAST_ROWS:
