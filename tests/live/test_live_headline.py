@@ -175,6 +175,18 @@ def test_a_second_pack_that_takes_the_load_over_takes_the_headline() -> None:
     assert order == [1, 0]
 
 
+def test_a_pack_that_lifted_the_aircraft_and_rests_does_not_speak_for_it() -> None:
+    """A quadplane hovers on one pack and cruises on another, at a seventh of the power: the first for minutes."""
+    headline = Headline()
+    lift = replace(report(0, 300.0, 0.05), flown_J=190_000.0, flown_s=150.0)
+    lift = replace(lift, estimate=replace(lift.estimate, power_W=0.8))
+    cruise = replace(report(1, 1500.0, 12.0), flown_J=1_000.0, flown_s=150.0)
+    cruise = replace(cruise, estimate=replace(cruise.estimate, power_W=190.0))
+    for k in range(12):
+        order = numbers(headline, float(k), *(replace(r, received_s=float(k)) for r in (lift, cruise)))
+    assert order == [1, 0]
+
+
 def test_what_was_given_is_forgotten_on_the_ground() -> None:
     """The next flight may be another pack's, under another number."""
     headline = Headline()

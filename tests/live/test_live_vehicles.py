@@ -171,6 +171,16 @@ def test_a_vehicle_that_fell_silent_in_the_air_is_followed_again() -> None:
     assert bench.daemon.board.reports[0].rows == rows + 31
 
 
+def test_a_vehicle_that_fell_silent_is_awaited_for_an_hour() -> None:
+    bench = Bench()
+    other_flies(bench, 20.0, first=True)
+    other_flies(bench, 15.0)
+    bench.now_s += 3700.0
+    other_flies(bench, 5.0)
+    other_flies(bench, 3.0, first=True)
+    assert bench.daemon.board.reports[0].system == 42
+
+
 def test_a_vehicle_that_landed_in_silence_is_not_followed_again() -> None:
     bench = Bench()
     other_flies(bench, 20.0, first=True)

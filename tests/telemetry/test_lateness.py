@@ -100,3 +100,14 @@ def test_the_clock_is_read_from_the_bytes(is_v1: bool) -> None:
         frame = bytes(made(milliseconds).pack(link, force_mavlink1=is_v1))
         number = framing.header(frame).message_id
         assert number in BOOT_TIME_AT and boot_time_s(frame, number) == milliseconds / 1000.0
+
+
+def test_an_autopilot_that_restarts_behind_a_late_link_is_not_late() -> None:
+    """Its clock fell back by more than the silence was long, as a later way of the same frames does."""
+    lateness = Lateness()
+    for at_s, boot_s in [*fresh(100.0), *later(fresh(20.0, 100.0), 5.0)]:
+        lateness = lateness.after(at_s, boot_s)
+    assert lateness.late_s(125.0) == pytest.approx(5.0, abs=0.2)
+    for second in range(60):
+        lateness = lateness.after(126.0 + second, 3.0 + second)
+    assert lateness.late_s(185.0) < 1.0

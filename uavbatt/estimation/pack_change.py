@@ -4,8 +4,10 @@ A pack is changed on the ground, and the telemetry is silent meanwhile. After a 
 can show at rest has two bounds. The upper one: it rested all along, so the open-circuit voltage at its last charge.
 The lower one: the load went on to the end of the silence, and the overpotentials are still there. When the rested
 voltage is outside these bounds for several rows, it is another pack. After a silence of minutes the old pack would
-have settled, so both bounds are close to its predicted voltage. Without a silence three things tell another pack: a
-fall of the rested voltage (a pack at rest only rises), and, once it rises slowly, a leap of it or far too much voltage.
+have settled, so both bounds are close to its predicted voltage. An idle load on the ground does not hide that, and the
+autopilot's counter that has fallen tells another pack as well, unless the flight evidently went on. Without a silence
+three things tell another pack: a fall of the rested voltage (a pack at rest only rises), and, once it rises slowly, a
+leap of it or far too much voltage.
 """
 
 from __future__ import annotations

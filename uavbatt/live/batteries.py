@@ -151,7 +151,8 @@ class Batteries:
         if self._keeper is not None:
             self._keeper.look_after(now_s)
         path = self._config.state.file
-        batteries = self._saved(now_s) if path else {}
+        is_own = self._reader.awaited is None  # else the state in the file is of the vehicle that is awaited
+        batteries = self._saved(now_s) if path and is_own else {}
         if not batteries:
             return
         known = self._reader.parameters.items()

@@ -2,7 +2,8 @@
 
 A camera's pack lasts for hours after the pack of the motors is empty. When that one falls silent, loses its current or
 is refused, the time left is unknown; the camera's is no answer. What they gave counts, as in a replay
-(`default_instance`), so that a battery whose telemetry is lost is not forgotten while it flies on.
+(`default_instance`), so that a battery whose telemetry is lost is not forgotten while it flies on. One that is heard,
+believed and gives nothing is not lost: the pack that lifted an aeroplane rests while another flies it on.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from uavbatt.live.report import Report
+from uavbatt.records import Status
 from uavbatt.telemetry.builder import CARRYING
 
+RESTING_SHARE, RESTING_AFTER_S = 0.02, 5.0  # of the strongest; a current sensor that died is refused after 3 s
 TAKES_OVER_AFTER_S = 3.0  # with the load of a carrier: another id, a second pack that is switched to
 
 
@@ -30,6 +33,7 @@ class Carriers:
     def __init__(self) -> None:
         self._given: dict[int, Given] = {}
         self._loaded_since_s: dict[int, float] = {}
+        self._awake_s = -math.inf  # when a carrier was last lost or loaded
 
     def after(self, reports: Mapping[int, Report], now_s: float, is_armed: bool | None) -> frozenset[int]:
         """Return the numbers of those that carry the flight now; none on the ground, and before any gave energy.
@@ -46,9 +50,15 @@ class Carriers:
         most = max(self._given.values(), default=Given())
         if not most.energy_J > 0.0:
             return frozenset()
-        self._look_at_load(fresh, now_s, CARRYING * most.energy_J / most.time_s)
         gave = {number for number, given in self._given.items() if given.energy_J >= CARRYING * most.energy_J}
-        return frozenset(gave | {n for n, at_s in self._loaded_since_s.items() if now_s - at_s >= TAKES_OVER_AFTER_S})
+        strongest_W = max((r.estimate.power_W for r in fresh if r.estimate.power_W > 0.0), default=0.0)
+        resting = {r.instance for r in fresh if _is_resting(r, strongest_W)}
+        if not gave <= resting:
+            self._awake_s = now_s
+        is_left = now_s - self._awake_s >= RESTING_AFTER_S  # by all that gave: what flies it now gives less
+        self._look_at_load(fresh, now_s, CARRYING * (strongest_W if is_left else most.energy_J / most.time_s))
+        loaded = {n for n, at_s in self._loaded_since_s.items() if now_s - at_s >= TAKES_OVER_AFTER_S}
+        return frozenset(loaded - resting if is_left and loaded - resting else gave | loaded)
 
     def _look_at_load(self, fresh: list[Report], now_s: float, least_W: float) -> None:
         """Note which batteries have a carrier's load; of one whose load is unknown the last word holds."""
@@ -58,3 +68,8 @@ class Carriers:
                 self._loaded_since_s.setdefault(report.instance, now_s)
             elif power_W < least_W:
                 self._loaded_since_s.pop(report.instance, None)
+
+
+def _is_resting(report: Report, strongest_W: float) -> bool:
+    """Return True if the battery is believed, and gives nothing beside the strongest [W]."""
+    return report.estimate.status is not Status.REFUSED and report.estimate.power_W < RESTING_SHARE * strongest_W

@@ -43,6 +43,7 @@ class LinkSection(Section, frozen=True):
     request: bool = False
     request_rate_Hz: Rate = 10.0
     request_mission: bool = False
+    clock: bool = True  # the vehicle's clock tells how late its frames come; a simulation's may run slowly
     signing_key_file: str = ""
 
 

@@ -34,7 +34,9 @@ class Listener:
 
     def __init__(self, config: Config, key: bytes | None) -> None:
         self.counts = {"frames": 0, "bad_checksums": 0, "rejected_signatures": 0}
-        self.reader = LiveReader(config.link.system, config.link.component, config.link.own_component)
+        self.reader = LiveReader(
+            config.link.system, config.link.component, config.link.own_component, has_clock=config.link.clock
+        )
         if config.pack.mission:
             self.reader.planned = read_mission(config.pack.mission)
         self._is_good = checksum()

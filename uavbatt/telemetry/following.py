@@ -25,6 +25,8 @@ class Following:
     def look_at(self, vehicle: Vehicle, stamp_s: float) -> bool:
         """Take in that a vehicle is heard at `stamp_s` [s]; return True if it is followed from now on."""
         old = self.vehicle
+        if self.awaited is not None and stamp_s - self.awaited.heard_s > AWAITED_S:
+            self.awaited = None
         if old is vehicle:
             return False
         if old is None:
@@ -37,7 +39,7 @@ class Following:
                 return False
             self._begin(vehicle, f"System {vehicle.system} is heard again and followed")
         elif vehicle.speaks and not (old.speaks and stamp_s - old.heard_s <= VEHICLE_SILENT_S):
-            if old.speaks and old.armed and not self._is_awaiting(stamp_s):
+            if old.speaks and old.armed and self.awaited is None:
                 self.awaited = old
             words = f"System {old.system} is silent: following system {vehicle.system}"
             self._begin(vehicle, words if old.speaks else "")
@@ -46,6 +48,3 @@ class Following:
     def _begin(self, vehicle: Vehicle, words: str) -> None:
         self.vehicle, self.words = vehicle, words
         self.changes += 1
-
-    def _is_awaiting(self, stamp_s: float) -> bool:
-        return self.awaited is not None and stamp_s - self.awaited.heard_s <= AWAITED_S

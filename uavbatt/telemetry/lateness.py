@@ -4,8 +4,9 @@
 
 The base is the least offset that was ever seen, as fresh as this link gets; it rises by DRIFT, since no two clocks run
 alike. A link that was late from its first frame on therefore looks fresh. A clock that stands tells nothing. One that
-falls back to less than the time for which nothing was heard has begun anew (a reboot, or 49.7 days are over), and so
-does the base; one that falls back to more is a later way of the same frames.
+falls back to less than the time for which nothing was heard, or to its first minute, has begun anew (a reboot, or 49.7
+days are over), and so does the base; one that falls back to more is a later way of the same frames. A clock that is off
+by more than a link holds back is another's: a log that is played again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ BOOT_TIME_BYTES = 4  # milliseconds
 DRIFT = 2e-4  # of a cheap crystal in the cold
 LOOK_S = 2.0  # one frame that comes late, or by another way, is no late link
 BEGUN_S = 1.0  # of a boot that was heard a little earlier than it can have been: the frames before it were late
-LONGEST_S = 600.0
+JUST_BOOTED_S = 60.0
+LONGEST_S = 200.0  # that a link is late
 KNOWN_S = 30.0  # without a word of the clock nothing is known of it
 
 
@@ -61,7 +63,7 @@ class Lateness(NamedTuple):
         """Return True if the clock has begun anew, or is no longer the one that was heard."""
         assert self.base is not None
         silent_s = seen.at_s - self.recent[-1].at_s
-        has_begun = boot_s < self.boot_s and boot_s <= silent_s + BEGUN_S
+        has_begun = boot_s < self.boot_s and boot_s <= max(silent_s + BEGUN_S, JUST_BOOTED_S)
         return has_begun or seen.offset_s - self.base.offset_s > LONGEST_S
 
     def late_s(self, now_s: float) -> float:

@@ -68,9 +68,14 @@ class LiveReader:
     """LiveReader takes frames in order of reception, follows one vehicle, and says whom it heard."""
 
     def __init__(
-        self, system: int | None = None, component: int | None = None, own_component: int | None = None
+        self,
+        system: int | None = None,
+        component: int | None = None,
+        own_component: int | None = None,
+        *,
+        has_clock: bool = True,
     ) -> None:
-        self._asked, self._own_component = (system, component), own_component
+        self._asked, self._own_component, self._has_clock = (system, component), own_component, has_clock
         self._decode = decoder()
         self._vehicles: dict[tuple[int, int], Vehicle] = {}
         self._heard: dict[int, None] = {}  # systems of autopilots, in order
@@ -122,8 +127,10 @@ class LiveReader:
 
     @property
     def late_s(self) -> float:
-        """Return how late the followed vehicle's frames come, by its own clock [s]."""
-        return self.followed.lateness.late_s(self._now_s) if self.followed is not None else 0.0
+        """Return how late the followed vehicle's frames come, by its own clock [s]; 0 where that is not to be asked."""
+        if self.followed is None or not self._has_clock:
+            return 0.0
+        return self.followed.lateness.late_s(self._now_s)
 
     @property
     def navigation(self) -> Navigation:
