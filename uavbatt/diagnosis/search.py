@@ -92,7 +92,8 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
         if not beside.rivals:  # refitted beside the other, it stands at a bound or is worth nothing
             return []
         found = finding(problem, beside, earned_beside(problem, pair.fit.candidate, is_explained=True))
-        both.append(replace(found, probability=min(found.probability, pair.share(found.name))))
+        share = max(pair.share(member.candidate.name) for member in found.members)
+        both.append(replace(found, probability=min(found.probability, share)))
     if any(f.worth.value < EARNED_EACH for f in both):
         return []
     return sorted(both, key=lambda f: -f.worth.value)
