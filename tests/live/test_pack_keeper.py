@@ -55,6 +55,13 @@ def settled(kept):
     kept._worker.submit(lambda: None).result()
 
 
+def assert_saved_whole(path, rows):
+    with Ledger(path) as ledger:
+        (found,) = ledger.flights("A")
+        assert airborne.left_over(ledger) == []
+    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+
+
 def test_a_damaged_ledger_is_a_note_and_no_end(tmp_path, rows):
     path = tmp_path / "packs.sqlite"
     flown(keeper(path), rows).close(rows[-1].time_s)
@@ -89,10 +96,7 @@ def test_a_process_that_dies_in_the_air_loses_seconds(tmp_path, rows):
     died = flown(keeper(path), rows[:half])
     died._worker.shutdown()  # what it had written is written, the rest is lost
     flown(keeper(path), rows[half + 15 :]).close(rows[-1].time_s)
-    with Ledger(path) as ledger:
-        (found,) = ledger.flights("A")
-        assert airborne.left_over(ledger) == []
-    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+    assert_saved_whole(path, rows)
 
 
 @pytest.mark.parametrize("utc_s", (math.nan, UTC_S + 86_400.0), ids=("no_clock", "a_day_later"))
@@ -121,10 +125,7 @@ def test_a_flight_that_another_process_still_flies_is_left_to_it(tmp_path, rows,
     first.close(rows[-1].time_s)
     second.close(rows[-1].time_s)
     assert "flight remembered" in first.note and second.note == ""
-    with Ledger(path) as ledger:
-        (found,) = ledger.flights("A")
-        assert airborne.left_over(ledger) == []
-    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+    assert_saved_whole(path, rows)
 
 
 def test_a_flight_whose_process_never_came_back_is_saved_by_the_next_one(tmp_path, rows):
@@ -234,10 +235,7 @@ def test_a_flight_is_saved_whole_though_the_ledger_was_locked(tmp_path, rows, lo
     unlock()
     flown(kept, rows[last:]).look_after(rows[-1].time_s)
     kept.close(rows[-1].time_s)
-    with Ledger(path) as ledger:
-        (found,) = ledger.flights("A")
-        assert airborne.left_over(ledger) == []
-    assert found.flight.duration_s > 0.95 * (rows[-1].time_s - 40.0)
+    assert_saved_whole(path, rows)
 
 
 def test_a_pack_that_is_forgotten_in_the_air_is_not_tried_for_ever(tmp_path, rows):

@@ -1,4 +1,4 @@
-"""What there is to say about the size of a pack: what is odd, and what the battery file does not cover."""
+"""Remarks on the size of a pack: odd statements of it, and sizes that the battery file does not cover."""
 
 from __future__ import annotations
 

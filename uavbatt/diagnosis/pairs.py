@@ -1,4 +1,4 @@
-"""Which two effects explain the records where one does not: every promising pair is refitted as a pair.
+"""The pair of effects that explains the records where one does not: every promising pair is refitted as a pair.
 
 Each of the two has to earn its place beside the other. Among the pairs that do, that family of pairs is taken which is
 the likeliest in all: one more name for the same two causes is one more way in which they can be the truth.
@@ -60,8 +60,8 @@ def best_pair(
         return None
     likely = likeliness(problem, earned)
     kinds = tuple(frozenset(family(name) for name in fit.candidate.names) for fit in earned)
-    in_all = [sum(w for w, other in zip(likely, kinds, strict=True) if other == kind) for kind in kinds]
-    of_kind = np.where([kind == kinds[int(np.argmax(in_all))] for kind in kinds], likely, 0.0)
+    likeliest = max(kinds, key=lambda kind: float(np.sum(likely[[other == kind for other in kinds]])))
+    of_kind = np.where([kind == likeliest for kind in kinds], likely, 0.0)
     return Pair(earned[int(np.argmax(of_kind))], kinds, likely)
 
 

@@ -1,4 +1,4 @@
-"""What each single effect is worth beside what the model has, which of them are rivals, and how likely each is."""
+"""A trial of single effects: their worth beside what the model has, the rivals among them, and how likely each is."""
 
 from __future__ import annotations
 

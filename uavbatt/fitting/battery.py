@@ -78,6 +78,7 @@ def fit_battery(
     left = assemble.discrepancy(stack, shown, size.cells, held_out=False, source=source)
     typical = range(len(bench), len(stack.names)) if len(flown) > 1 else range(len(stack.names))
     left = msgspec.structs.replace(left, wander=wander.learn(stack, shown, list(typical), size.cells))
+    doubtful, unknown = _doubtful(found), _unknown(found, stack, bool(bench))
     file = BatteryFile(
         battery=Battery(
             name=size.name,
@@ -87,7 +88,7 @@ def fit_battery(
             cutoff_V=size.cutoff_V,
             low_V=assemble.rounded(max(LOW_CELL_V * size.cells, size.cutoff_V)),
             source=f"fitted to {len(bench)} bench tests and {len(flown)} flights",
-            remarks=[*_doubtful(found), *_unknown(found, stack, bool(bench))],
+            remarks=[*doubtful, *unknown],
         ),
         parameters=assemble.parameter_table(found.slots, found.x, error, max(spread, MAKE_RESISTANCE_SD), capacity_sd),
         effects=assemble.effect_entries(found.slots, found.x, error, found.effects),
@@ -98,7 +99,7 @@ def fit_battery(
             statistics=_range_C(stack),
         ),
     )
-    return Fitted(file, _known(found), _unknown(found, stack, bool(bench)), _doubtful(found))
+    return Fitted(file, _known(found), unknown, doubtful)
 
 
 def _freedom(tests: int, flights: int) -> tuple[tuple[str, ...], list[OwnPrior]]:

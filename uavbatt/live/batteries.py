@@ -29,6 +29,7 @@ from uavbatt.records import Estimate, PackFacts, Remaining, Status
 from uavbatt.telemetry.live import LiveReader, LiveRow
 from uavbatt.telemetry.parameters import BATTERY_NAMES
 from uavbatt.telemetry.route.settings import NAMES
+from uavbatt.telemetry.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from uavbatt.live.pack_keeper import PackKeeper
@@ -56,7 +57,7 @@ class Batteries:
         self._reader, self._clocks, self._start_s = reader, clocks, now_s
         self.reports: dict[int, Report] = {}
         self.tracked: dict[int, TrackedBattery] = {}
-        self._put_by: dict[tuple[int, int] | None, tuple[dict[int, TrackedBattery], dict[int, Report]]] = {}
+        self._put_by: dict[Vehicle | None, tuple[dict[int, TrackedBattery], dict[int, Report]]] = {}
         self._facts: dict[int, tuple[tuple[int, int], PackFacts]] = {}
         self._note_until_s = now_s + NOTE_S  # so long the notes say how the estimate began
         self._problem = ""
@@ -69,13 +70,11 @@ class Batteries:
         Those of the last one are forgotten, unless it is awaited: then its estimates go on when it is heard again.
         """
         last, reader = (self.tracked, self.reports), self._reader
-        source = None if reader.followed is None else (reader.followed.system, reader.followed.component)
-        awaited = None if reader.awaited is None else (reader.awaited.system, reader.awaited.component)
-        self.tracked, self.reports = self._put_by.pop(source, ({}, {}))
+        self.tracked, self.reports = self._put_by.pop(reader.followed, ({}, {}))
         self._facts = {}
-        self._put_by = {key: kept for key, kept in self._put_by.items() if key == awaited}
-        if awaited is not None:
-            self._put_by.setdefault(awaited, last)
+        self._put_by = {vehicle: kept for vehicle, kept in self._put_by.items() if vehicle is reader.awaited}
+        if reader.awaited is not None:
+            self._put_by.setdefault(reader.awaited, last)
         if self._keeper is not None:
             self._keeper.begin_vehicle()
 

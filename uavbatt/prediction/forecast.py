@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.records import ALARM_RISK, Estimate, Remaining, Route
+from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Status
 
 STEADY_TAU_S = 20.0
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
@@ -66,3 +66,8 @@ def quantile(ordered: Array, level: float) -> float:
     below = int(position)
     above = min(below + 1, ordered.size - 1)
     return float(ordered[below] + (position - below) * (ordered[above] - ordered[below]))
+
+
+def no_forecast(time_s: float, reason: str) -> Remaining:
+    """Return the remaining time of a row at `time_s` [s] that says only why there is none."""
+    return Remaining(time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)

@@ -23,7 +23,7 @@ from uavbatt.prediction import route_forecast, sampling
 from uavbatt.prediction.batch import Question, end_times
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.flown import Flown
-from uavbatt.prediction.forecast import LEVELS, Forecast, quantile
+from uavbatt.prediction.forecast import LEVELS, Forecast, no_forecast, quantile
 from uavbatt.prediction.load import SLOW_ROW_S, ConstantLoad, Load, Now
 from uavbatt.prediction.load_library import UnknownAircraft
 from uavbatt.prediction.route_ahead import way_of
@@ -153,7 +153,7 @@ class Forecaster:
             self._last = self._forecast(*answered)
         if refusal or self._last is None:
             self._last = None
-            return _refused(sample.time_s, refusal)
+            return no_forecast(sample.time_s, refusal)
         return self._last.counted_down(sample.time_s, estimate)
 
     def question(self, belief: Belief, time_s: float, navigation: Navigation = NOWHERE) -> Question | None:
@@ -285,7 +285,3 @@ def _spread(question: Question, times_s: Array) -> Array:
     """Return the ends of the samples [s], each moved within its step: a step does not say when in it a load comes."""
     within_s = question.unresolved_s * sampling.within_step()
     return np.asarray(np.where(times_s > 0.0, np.maximum(times_s + within_s, 0.0), times_s))
-
-
-def _refused(time_s: float, reason: str) -> Remaining:
-    return Remaining(time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from uavbatt.prediction.batch import SIDE_BY_SIDE, Answers, Question
+from uavbatt.prediction.forecast import no_forecast
 from uavbatt.prediction.forecaster import Forecaster
 from uavbatt.prediction.time_to_end import EndTimes
 from uavbatt.prediction.voltage_bound import ALARM_SHARE, FALLS_FASTER, bounded
@@ -36,7 +37,7 @@ class Pending(NamedTuple):
         """Return the estimate and the remaining time; `ends` answers the question, if there is one."""
         sample, found = self.sample, self.estimate
         if self.forecaster is None:
-            return found, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, self.refusal)
+            return found, no_forecast(sample.time_s, self.refusal)
         answered = (self.question, ends) if self.question is not None and ends is not None else None
         remaining = bounded(self.forecaster.finish(sample, found, self.refusal, answered), self.voltage_left_s)
         if remaining.reason == FALLS_FASTER:
@@ -79,4 +80,4 @@ def refused(sample: Sample, reason: str) -> tuple[Estimate, Remaining]:
     """Return an estimate and a remaining time that say only why there is none."""
     row = (sample.voltage_V, sample.current_A, sample.temp_C, sample.voltage_V * sample.current_A)
     estimate = Estimate(sample.time_s, NAN, NAN, *row, NAN, NAN, Status.REFUSED, reason)
-    return estimate, Remaining(sample.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, reason)
+    return estimate, no_forecast(sample.time_s, reason)

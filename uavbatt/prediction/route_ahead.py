@@ -103,7 +103,7 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
 def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
     """The rest of a return that is flown: one that ends in the air has no touchdown."""
     home = home_now(progress, navigation, time_s)
-    if isinstance(home, str):
+    if isinstance(home, str) or not navigation.settings.return_final_m > 0.0:
         return home
     flown = returned(list(_legs_home(home.begin, navigation)), navigation.settings)
     return Ahead(home.begin, way_of(progress).pieces(flown.table), flown.lands) if flown.legs else home

@@ -123,6 +123,8 @@ class Progress(NamedTuple):
 
     def _paused(self, row_s: float) -> Progress:
         """Another mode than the mission's for `row_s` [s]: the clock of the leg stands still and tells nothing."""
+        if not self.is_on_path:
+            return self
         return self._replace(
             leg_since_s=self.leg_since_s + row_s, behind_s=self.behind_s + row_s, arrived_s=NAN, is_timed=False
         )

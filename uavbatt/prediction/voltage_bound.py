@@ -22,6 +22,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.scaling import Pack
 from uavbatt.battery.state_space import Belief, X
+from uavbatt.prediction.forecast import no_forecast
 from uavbatt.records import NAN, Remaining, Sample, Status
 
 WINDOWS_S, BIN_S = (40.0, 60.0), 1.0
@@ -198,7 +199,7 @@ def bounded(said: Remaining, left_s: float) -> Remaining:
         return now
     if now.remaining_hi_s <= 0.0:
         return replace(now, status=Status.CONVERGING, reason=AT_CUTOFF)
-    return Remaining(now.time_s, NAN, NAN, NAN, NAN, Status.REFUSED, NO_END)
+    return no_forecast(now.time_s, NO_END)
 
 
 def _at_most(said: Remaining, left_s: float) -> Remaining:
