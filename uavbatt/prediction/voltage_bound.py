@@ -59,6 +59,11 @@ class FallBin(NamedTuple):
         """Return True if the current is known."""
         return math.isfinite(self.current_A)
 
+    @property
+    def reach_V(self) -> float:
+        """Return how far above its cut-off a cell may be for its fall to say something [V]."""
+        return WITHIN_REACH_V if self.is_metered else BLIND_REACH_V
+
     def with_row(self, voltage_V: float, current_A: float) -> FallBin:
         """Return the bin with one more row in its means."""
         share = 1.0 / (self.rows + 1)
@@ -81,36 +86,17 @@ class Fall(NamedTuple):
         first = next((k for k, row in enumerate(before) if time_s - row.begin_s <= max(WINDOWS_S)), len(before))
         return Fall((*before[first:], FallBin(time_s, voltage_V, current_A, lag_V)))
 
-    def of_one_kind(self) -> Fall:
-        """Return the bins with a current; while it is unknown all of them, none with a current or the lag that it left.
-
-        A current of nothing in every bin leaves the fit no sag.
-        """
-        if self.bins and self.bins[-1].is_metered:
-            return Fall(tuple(row for row in self.bins if row.is_metered))
-        return Fall(tuple(row._replace(current_A=0.0, lag_V=0.0) for row in self.bins))
-
-    def _is_level(self, cutoff_V: float) -> bool:
-        """True if the voltage fell too little over the window to reach the cut-off in sight, as in most of a flight."""
-        part = len(self.bins) // 4
-        first_V = sum(row.voltage_V for row in self.bins[:part]) / part
-        last_V = sum(row.voltage_V for row in self.bins[-part:]) / part
-        over_s = 0.75 * (self.bins[-1].begin_s - self.bins[0].begin_s)
-        return (last_V - cutoff_V) * over_s > LEVEL * SIGHT_S * max(first_V - last_V, 0.0)
-
-    def time_left_s(self, cells: float, cutoff_V: float, reach_V: float = WITHIN_REACH_V) -> float:
-        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it.
-
-        reach_V : so far above its cut-off a cell may be [V].
-        """
-        judged = self.bins[-JUDGED_BINS:]
-        if not judged or judged[-1].voltage_V - cutoff_V > reach_V * cells:
-            return math.inf
+    def time_left_s(self, cells: float, cutoff_V: float) -> float:
+        """Return the seconds until the pack's voltage is at `cutoff_V` [V]; infinite where no fall shows it."""
+        if not self.bins or self.bins[-1].voltage_V - cutoff_V > self.bins[-1].reach_V * cells:
+            return math.inf  # as in most of a flight
+        bins = self._of_one_kind()
+        judged = bins[-JUDGED_BINS:]
         if len(judged) == JUDGED_BINS and sum(row.voltage_V for row in judged) < JUDGED_BINS * cutoff_V:
             return 0.0  # over, by the rule that ends a flight
-        if len(self.bins) < FEWEST_BINS or self._is_level(cutoff_V):
+        if len(bins) < FEWEST_BINS or _is_level(bins, cutoff_V):
             return math.inf
-        rows = np.array([row[:4] for row in self.bins])
+        rows = np.array([row[:4] for row in bins])
         rows[:, 0] -= rows[-1, 0]
         left_s = 0.0
         for window_s in WINDOWS_S:
@@ -118,6 +104,24 @@ class Fall(NamedTuple):
             if left_s > SIGHT_S:
                 return math.inf
         return left_s
+
+    def _of_one_kind(self) -> tuple[FallBin, ...]:
+        """The bins with a current; while it is unknown all of them, none with a current or the lag that it left.
+
+        A current of nothing in every bin leaves the fit no sag.
+        """
+        if self.bins[-1].is_metered:
+            return tuple(row for row in self.bins if row.is_metered)
+        return tuple(row._replace(current_A=0.0, lag_V=0.0) for row in self.bins)
+
+
+def _is_level(bins: tuple[FallBin, ...], cutoff_V: float) -> bool:
+    """True if the voltage fell too little over the window to reach the cut-off in sight."""
+    part = len(bins) // 4
+    first_V = sum(row.voltage_V for row in bins[:part]) / part
+    last_V = sum(row.voltage_V for row in bins[-part:]) / part
+    over_s = 0.75 * (bins[-1].begin_s - bins[0].begin_s)
+    return (last_V - cutoff_V) * over_s > LEVEL * SIGHT_S * max(first_V - last_V, 0.0)
 
 
 def _fallen_s(rows: Array, window_s: float, cutoff_V: float) -> float:
@@ -176,9 +180,7 @@ class VoltageBound(NamedTuple):
             lag_V = cells * float(belief.weights @ belief.means[:, [X.POLARISATION, X.DIFFUSION]].sum(axis=1))
         fall = self.fall.with_bin(time_s, volts, amps, lag_V)  # once a second is often enough to look
         cutoff_V = float(pack.at_weakest_cell(below_V).cutoff_V)
-        reach_V = WITHIN_REACH_V if math.isfinite(amps) else BLIND_REACH_V
-        left_s = fall.of_one_kind().time_left_s(cells, cutoff_V, reach_V)
-        return VoltageBound(fall, (*self.ends_s[1:], time_s + left_s))
+        return VoltageBound(fall, (*self.ends_s[1:], time_s + fall.time_left_s(cells, cutoff_V)))
 
     def left_s(self, time_s: float) -> float:
         """Return the seconds until the measured voltage is at the cut-off; infinite where it does not fall."""
