@@ -248,3 +248,48 @@ def test_a_minute_without_power_in_a_past_flight_scales_nothing() -> None:
         odd = library(past(level), past(level), past(glides)).scenarios(at, STEP_S, 60)
         assert np.isfinite(odd.power_W).all()
         assert middle_W(odd)[:, :2] == pytest.approx(middle_W(plain)[:, :2], rel=0.15)
+
+
+# --- past flights like this one ----------------------------------------------------------------------------------
+
+UP_AND_DOWN = [420.0, 420.0, 420.0, 420.0, 240.0, 240.0, 240.0, 240.0]  # 40 s each: a survey in wind
+STEADY = [330.0] * 8
+
+
+def flown_like(powers_W: list[float], since_s: float, missing_s: float = 0.0) -> Now:
+    """A flight that asked these powers again and again, a row every 10 s, none for `missing_s` in its middle."""
+    recent, rows = RecentLoad(), round(since_s / 10.0)
+    for k in range(rows + 1):
+        late_s = missing_s if k > rows // 2 else 0.0
+        recent = recent.after(10.0 * k + late_s, powers_W[k % len(powers_W)])
+    return Now(since_s + missing_s, since_s + missing_s, 0.5, 330.0, recent)
+
+
+def share_of_first(load: LearnedLoad, at: Now) -> float:
+    return float(load.scenarios(at, STEP_S, 5).weight[:3].sum())
+
+
+def test_a_past_flight_that_went_like_this_one_counts_most() -> None:
+    """Both had a mean of 330 W; only the first went up and down where this one does, and ends in a climb."""
+    load = library(past(UP_AND_DOWN * 11 + [600.0] * 12), past(STEADY * 11 + [330.0] * 12))
+    assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0)) > 0.9
+    assert share_of_first(load, flown_like(STEADY, 600.0)) < 0.1
+    assert share_of_first(load, flown_like(STEADY, 20.0)) == pytest.approx(0.5)  # nothing shown yet
+
+
+def test_no_past_flight_is_forgotten() -> None:
+    load = library(past(UP_AND_DOWN * 12), past(STEADY * 12))
+    assert 0.04 < share_of_first(load, flown_like(STEADY, 600.0)) < 0.06
+
+
+def test_the_likeness_does_not_hang_on_the_level() -> None:
+    """A payload of a fifth scales both past flights; what went up and down stays the more like."""
+    load = library(past(UP_AND_DOWN * 12), past(STEADY * 12))
+    heavier = flown_like([1.2 * W for W in UP_AND_DOWN], 600.0)._replace(flight_W=396.0)
+    assert share_of_first(load, heavier) > 0.9
+
+
+def test_a_flight_with_a_gap_is_like_any_other() -> None:
+    """After five minutes without rows nobody knows where the powers before them belong."""
+    load = library(past(UP_AND_DOWN * 20), past(STEADY * 20))
+    assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0, missing_s=300.0)) == pytest.approx(0.5)

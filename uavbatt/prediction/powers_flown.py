@@ -59,18 +59,29 @@ class PowersFlown(NamedTuple):
             piece_s *= 2.0
         return PowersFlown(piece_s, pieces_W=pieces_W)
 
+    def blocks_W(self, block_s: float, most: int) -> Array:
+        """Return the mean powers [W] of the last blocks of `block_s` [s], at most `most`; they end at `length_s`."""
+        count, (at_s, drawn_J) = min(most, int(self.length_s / block_s)), self._drawn()
+        edges_s = self.length_s - block_s * np.arange(count, -1, -1)
+        return np.asarray(np.diff(np.interp(edges_s, at_s, drawn_J)) / block_s)
+
     def again(self, edges_s: Array, count: int) -> Array:
         """Return the power between `edges_s` [steps + 1] [s] of `count` flights like this one, [steps, count].
 
         It is relative to the mean, 1 where the flight has shown nothing yet.
         """
-        drawn_J = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
+        at_s, drawn_J = self._drawn()
         if not drawn_J[-1] > 0.0:
             return np.ones((edges_s.size - 1, count))
         turns, within_s = np.divmod(edges_s[:, None] + self.length_s * _begins(count), self.length_s)
-        passed_J = turns * drawn_J[-1] + np.interp(within_s, self.piece_s * np.arange(drawn_J.size), drawn_J)
+        passed_J = turns * drawn_J[-1] + np.interp(within_s, at_s, drawn_J)
         mean_W = drawn_J[-1] / self.length_s
         return np.asarray(np.diff(passed_J, axis=0) / (mean_W * np.diff(edges_s)[:, None]))
+
+    def _drawn(self) -> tuple[Array, Array]:
+        """The ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
+        drawn_J = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
+        return self.piece_s * np.arange(drawn_J.size), drawn_J
 
     @property
     def minute_sd(self) -> float:
