@@ -80,8 +80,8 @@ class PowersFlown(NamedTuple):
 
     def _drawn(self) -> tuple[Array, Array]:
         """The ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
-        drawn_J = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
-        return self.piece_s * np.arange(drawn_J.size), drawn_J
+        drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
+        return self.piece_s * np.arange(float(drawn_J.size)), drawn_J
 
     @property
     def minute_sd(self) -> float:
