@@ -183,6 +183,11 @@ def manager_at(path: Path) -> Iterator[list[bytes]]:
         thread.join(PATIENCE_S)
 
 
+def descriptors(pid: int) -> list[int]:
+    """The open descriptors of a process."""
+    return [int(name) for name in os.listdir(f"/proc/{pid}/fd")]
+
+
 def until(condition: Callable[[], Any]) -> Any:
     """The first true value of `condition`, asked every 50 ms."""
     end_s = time.monotonic() + PATIENCE_S

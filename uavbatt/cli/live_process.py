@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -33,6 +32,7 @@ def run(config: Config) -> None:
     """Run the companion process until SIGTERM or SIGINT."""
     load_filterpy()
     from uavbatt.battery import battery_file
+    from uavbatt.live import clock
     from uavbatt.live.daemon import Daemon
 
     content = battery_file.read_battery(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
@@ -47,7 +47,7 @@ def run(config: Config) -> None:
     if config.http.listen:
         from uavbatt.live.web import serve
 
-        serve(config.http, lambda: daemon.board, time.monotonic)
+        serve(config.http, lambda: daemon.board, clock.now_s)
     said = f"uavbatt: waiting for telemetry from {config.link.endpoint}; {_feeds(config)}"
     print(terminal_line(said), file=sys.stderr, flush=True)
     daemon.run(lambda: bool(stopped))

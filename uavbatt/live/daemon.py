@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.live import state
+from uavbatt.live import clock, state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
 from uavbatt.live.headline import Headline
@@ -55,7 +55,7 @@ class Daemon:
         link: Link,
         stations: Sequence[Link] = (),
         *,
-        clock_s: Callable[[], float] = time.monotonic,
+        clock_s: Callable[[], float] = clock.now_s,
         wall_s: Callable[[], float] = time.time,
         is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:

@@ -23,11 +23,11 @@ import signal
 import socket
 import struct
 import sys
-import time
 from contextlib import suppress
 from typing import NamedTuple
 
 from uavbatt.errors import UavbattError, terminal_line
+from uavbatt.live import clock
 from uavbatt.live.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import Frames, Splitter, header
@@ -273,7 +273,7 @@ def main() -> int:
         return 2
     while not (stopped or proxy.is_asked_to_quit):
         proxy.wait()
-        proxy.turn(time.monotonic())
+        proxy.turn(clock.now_s())
     proxy.close()
     return 0
 

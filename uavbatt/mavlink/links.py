@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
-from uavbatt.mavlink.pipe import LARGEST_READ, Pipe
+from uavbatt.mavlink.pipe import LARGEST_READ, Pipe, watched
 from uavbatt.mavlink.resolver import Resolver
 from uavbatt.mavlink.tcp_server import TcpServer
 
@@ -165,7 +165,7 @@ class StreamLink:
     def write(self, data: bytes, now_s: float) -> None:
         """Send the bytes, opening the line if it is closed; what cannot be sent is lost."""
         pipe = self._opened(now_s)
-        if pipe is not None and not pipe.write(data):
+        if pipe is not None and not pipe.offer(data, now_s):
             self._broken(now_s, f"lost {self._name}")
 
     def close(self) -> None:
@@ -212,8 +212,7 @@ class StreamLink:
         if code not in (0, errno.EISCONN):
             raise OSError(code, os.strerror(code))
         made, self._connecting = self._connecting, None
-        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return Pipe(made.fileno(), made)
+        return watched(made)
 
 
 def _speed(at: Endpoint) -> int:
