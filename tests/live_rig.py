@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import pty
 import socket
 import subprocess
 import sys
 import threading
 import time
+import tty
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -116,6 +118,22 @@ def connecting(port: int) -> Callable[[], socket.socket]:
         return made
 
     return connect
+
+
+class Pty:
+    """The vehicle's end of a serial line that is none."""
+
+    def __init__(self) -> None:
+        self.fd, self._line = pty.openpty()
+        tty.setraw(self.fd)
+        os.set_blocking(self.fd, False)
+        self.name = os.ttyname(self._line)
+
+    def sendall(self, data: bytes) -> None:
+        os.write(self.fd, data)
+
+    def recv(self, size: int) -> bytes:
+        return os.read(self.fd, size)
 
 
 class Station:

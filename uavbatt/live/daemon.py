@@ -82,6 +82,11 @@ class Daemon:
         self._headline = Headline()
         self._status_s = self._state_s = self._watch_s = -math.inf
 
+    @property
+    def armed(self) -> bool | None:
+        """Return the armed bit of the followed vehicle's last heartbeat; None before it."""
+        return self._reader.armed
+
     def run(self, is_stopped: Callable[[], bool]) -> None:
         """Run the loop until told to stop, then write out what is held."""
         notify("READY=1")

@@ -226,18 +226,26 @@ def _speed(at: Endpoint) -> int:
 
 
 def _serial(at: Endpoint) -> int:
-    """A raw, non-blocking serial line; OSError when it is not there or is no serial line."""
+    """A raw, non-blocking serial line; OSError when it is not there, is no serial line, or another program reads it.
+
+    Of two readers each would get a part of every frame.
+    """
+    import fcntl
     import termios
     import tty
 
     speed = _speed(at)
     fd = os.open(at.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         tty.setraw(fd)
         mode = termios.tcgetattr(fd)
         mode[2] = (mode[2] | termios.CLOCAL | termios.CREAD) & ~termios.CRTSCTS
         mode[4] = mode[5] = speed
         termios.tcsetattr(fd, termios.TCSANOW, mode)
+    except BlockingIOError:
+        os.close(fd)
+        raise OSError(errno.EBUSY, "another program has it open") from None
     except termios.error as error:
         os.close(fd)
         raise OSError(errno.ENOTTY, f"no serial line ({error.args[-1]})") from None
