@@ -41,10 +41,10 @@ def run(config: Config) -> None:
         tell(f"{config.pack.battery}: {content.caveat}")
     options, settings = stated(config.pack)
     link, stations = _links(config)
-    told: set[int] = set()
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda signum, frame: told.add(signum))
     daemon = Daemon(config, content, options, settings, link, stations)
+    told: set[int] = set()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # until here each ends the process, whatever it reads
+        signal.signal(number, lambda signum, frame: told.add(signum))
     if config.http.listen:
         from uavbatt.live.web import serve
 
