@@ -82,3 +82,12 @@ def test_where_it_is_says_that_it_flies() -> None:
     assert not at(30.0, 0.0).is_aloft(200.0)  # long ago
     assert not NOWHERE.is_aloft(0.0)
     assert Navigation(landed=False).is_aloft(0.0) and not Navigation(landed=True).is_aloft(0.0)
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_a_flag_that_is_wrong_for_a_moment_under_full_load_begins_no_flight(rows: int) -> None:
+    """One damaged heartbeat took the learned load away: the time left leapt by half, and for minutes."""
+    flown = after(Flown(), 300, 300.0, armed=True)
+    flapped = after(after(flown, rows, 300.0, armed=False), 5, 300.0, armed=True)
+    assert flapped.took_off_s == flown.took_off_s and flapped.flown_s == flown.flown_s + rows + 5
+    assert flapped.load.variance == pytest.approx(after(flown, rows + 5, 300.0, armed=True).load.variance)

@@ -89,12 +89,12 @@ def _overridden(config: Config, given: dict[str, dict[str, Any]]) -> Config:
 
 
 def _check_places(config: Config) -> None:
-    """UsageError when the folder of the recordings is a file, the state's file a folder, or its folder not there."""
+    """UsageError when the folder of the recordings is a file, the state's file is none, or its folder not there."""
     folder, state = config.record.folder, config.state.file
     if folder and Path(folder).exists() and not Path(folder).is_dir():
         raise UsageError(f"--record {folder}: expected a folder, it is a file")
-    if state and Path(state).is_dir():
-        raise UsageError(f"--state {state}: expected a file, it is a folder")
+    if state and Path(state).exists() and not Path(state).is_file():  # the new state takes its place
+        raise UsageError(f"--state {state}: expected a file, it is a folder, a device or a pipe")
     if state and not Path(state).parent.is_dir():
         raise UsageError(f"--state {state}: expected an existing folder to write into")
 

@@ -5,11 +5,15 @@ Whoever connects takes a descriptor of the process that flies, before any token 
 sends its header a byte at a time. In a full table the newcomer gets the place of the connection that has been without
 a request for longest, else of the oldest stream (a browser opens its stream again): idle connections, however many,
 keep nobody from the page.
+
+Little is held for a reader that is slower than its stream (SENT_AHEAD): what waits in a buffer is late, so that the
+stream waits instead, and goes on with what is known then.
 """
 
 from __future__ import annotations
 
 import asyncio
+import socket
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -17,6 +21,7 @@ MOST_CONNECTIONS = 64
 MOST_WAITING = 256  # connections not yet accepted; the server accepts all of them at once
 REQUEST_WITHIN_S = 10.0
 LOOK_PERIOD_S = 1.0
+SENT_AHEAD = 4096  # bytes, some events; the system takes twice as much for its own needs
 
 
 class Connection(H11Protocol):
@@ -30,6 +35,8 @@ class Connection(H11Protocol):
             min(self.table, key=lambda other: (other.is_asking, self.table[other])).drop()
         self.table[self] = self.loop.time()
         super().connection_made(transport)
+        transport.set_write_buffer_limits(high=0)
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT_AHEAD)
         self.loop.call_later(LOOK_PERIOD_S, self._look)
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -4,7 +4,8 @@ Alarms are sent by `announced`.
 
 Names: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1] of the first battery, where a route or home is known TURN_S [s] and
 HOME_SOC [0..1], seconds until the turn-back and charge after turning now; `_N` behind it for battery N. What is not
-known is NaN, never 0. Who is first may change in flight (`headline`): names that fall away then are NaN once.
+known is NaN, never 0. Who is first may change in flight (`headline`): names that fall away then stay NaN, for a ground
+station keeps what it heard last, and what is sent once may be lost.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ class NamedFeed:
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
         self._next_s = -math.inf
-        self._names: dict[str, None] = {}  # that were sent last, in order
+        self._names: dict[str, None] = {}  # that were sent so far, in order
 
     def frames(self, now_s: float, reports: Sequence[Report], out: Outgoing) -> list[bytes]:
         """Return the frames that are due; `now_s` on the monotonic clock [s]."""
@@ -41,10 +42,9 @@ class NamedFeed:
             }
             if (route := report.route_at(now_s)) is not None:
                 values |= {f"TURN_S{tail}": route.turn_back_s, f"HOME_SOC{tail}": route.home_soc}
-        # A ground station keeps what it heard last: a name that nobody fills any more is unknown.
-        gone = dict.fromkeys((name for name in self._names if name not in values), math.nan)
+        values = dict.fromkeys(self._names, math.nan) | values
         self._names = dict.fromkeys(values)
-        return [out.named_value(name, value, int(now_s * 1000)) for name, value in (values | gone).items()]
+        return [out.named_value(name, value, int(now_s * 1000)) for name, value in values.items()]
 
     def ended(self, now_s: float, out: Outgoing) -> list[bytes]:
         """Return the frames that make every name unknown which was sent for a vehicle that is followed no longer."""

@@ -3,7 +3,7 @@
     {"version", "boot_id", "monotonic_s", "wall_s", "is_clock_set", "battery_sha256", "link",
      "vehicle": {"system", "component", "hardware"}, "parameters": {...}, "batteries": {id: {...}}}
 
-Its age is told by the monotonic clock within one boot, across boots by the wall clock, if that was set at both ends: a
+Its age is told by the boot's clock within one boot, across boots by the wall clock, if that was set at both ends: a
 computer without a battery-backed clock goes on after hours without power where it stopped. What is damaged, too old, of
 another battery file or of another process (which listens elsewhere) is not resumed, and the reason is said.
 """

@@ -74,10 +74,14 @@ class Flown(NamedTuple):
         )
 
     def _with_flag(self, sample: Sample) -> Flown:
-        """Return the past with the row's armed flag. An arming begins a flight: the load before it was a payload's."""
+        """Return the past with the row's armed flag.
+
+        An arming begins a flight, for the load before it was a payload's, unless the load carries the aircraft: then
+        the flag was wrong for a moment (one damaged heartbeat).
+        """
         if sample.armed is None or sample.armed is self.armed:
             return self
-        if self.armed is False:
+        if self.armed is False and not math.isfinite(self.flying_since_s):
             self = Flown(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
         return self._replace(armed=sample.armed, armed_since_s=sample.time_s)
 

@@ -2,11 +2,12 @@
 
     offset = time of reception - time since its boot     late = least offset of LOOK_S - base
 
-The base is the least offset that was ever seen, as fresh as this link gets; it rises by DRIFT, since no two clocks run
-alike. A link that was late from its first frame on therefore looks fresh. A clock that stands tells nothing. One that
-falls back to less than the time for which nothing was heard, or to its first minute, has begun anew (a reboot, or 49.7
-days are over), and so does the base; one that falls back to more is a later way of the same frames. A clock that is off
-by more than a link holds back is another's: a log that is played again.
+The base is the least offset that two frames in a row have shown, as fresh as this link gets: one damaged frame with a
+good checksum would make all others late. It rises by DRIFT, since no two clocks run alike. A link that was late from
+its first frame on therefore looks fresh. A clock that stands tells nothing. One that falls back to less than the time
+for which nothing was heard, or to its first minute, has begun anew (a reboot, or 49.7 days are over), and so does the
+base; one that falls back to more is a later way of the same frames. A clock that is off by more than a link holds
+back is another's: a log that is played again.
 """
 
 from __future__ import annotations
@@ -53,21 +54,21 @@ class Lateness(NamedTuple):
         seen = Seen(at_s, at_s - boot_s)
         if boot_s == self.boot_s:
             return self
-        if self.base is None or self._is_another(seen, boot_s):
-            return Lateness(boot_s, seen, (seen,))
-        risen_s = self.base.offset_s + DRIFT * (at_s - self.base.at_s)
+        if not self.recent or self._is_another(seen, boot_s):
+            return Lateness(boot_s, None, (seen,))
+        shown_twice_s = max(seen.offset_s, self.recent[-1].offset_s)
+        risen_s = self.base.offset_s + DRIFT * (at_s - self.base.at_s) if self.base is not None else math.inf
         lower = (was for was in self.recent if at_s - was.at_s <= LOOK_S and was.offset_s < seen.offset_s)
-        return Lateness(boot_s, Seen(at_s, min(risen_s, seen.offset_s)), (*lower, seen))
+        return Lateness(boot_s, Seen(at_s, min(risen_s, shown_twice_s)), (*lower, seen))
 
     def _is_another(self, seen: Seen, boot_s: float) -> bool:
         """Return True if the clock has begun anew, or is no longer the one that was heard."""
-        assert self.base is not None
-        silent_s = seen.at_s - self.recent[-1].at_s
-        has_begun = boot_s < self.boot_s and boot_s <= max(silent_s + BEGUN_S, JUST_BOOTED_S)
-        return has_begun or seen.offset_s - self.base.offset_s > LONGEST_S
+        last, base = self.recent[-1], self.base or self.recent[-1]
+        has_begun = boot_s < self.boot_s and boot_s <= max(seen.at_s - last.at_s + BEGUN_S, JUST_BOOTED_S)
+        return has_begun or seen.offset_s - base.offset_s > LONGEST_S
 
     def late_s(self, now_s: float) -> float:
         """Return how late the frames come [s]; 0 where the clock has not been heard lately."""
         if self.base is None or now_s - self.recent[-1].at_s > KNOWN_S:
             return 0.0
-        return min(seen.offset_s for seen in self.recent) - self.base.offset_s
+        return max(min(seen.offset_s for seen in self.recent) - self.base.offset_s, 0.0)
