@@ -1,9 +1,9 @@
 """The `[powers]` of a vehicle file: power over airspeed and climb, from flights that logged both or flew a known route.
 
 Least squares with a prior (momentum theory and other aircraft), in shares of each flight's own hover power, which is
-found in turns with the shape: a flight with a payload teaches the shape as well as one without. The shape itself is
-never quite right: many blocks at one airspeed and climb count for no more than that error lets them, so that the few at
-high airspeed are heard.
+found in turns with the shape: a flight with a payload, which scales all but the drag, teaches the shape as well as one
+without. The shape itself is never quite right: many blocks at one airspeed and climb count for no more than that error
+lets them, so that the few at high airspeed are heard.
 """
 
 from __future__ import annotations
@@ -101,10 +101,10 @@ def _is_steady(before: Position | None, now: Position | None) -> bool:
 
 def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
     """The shape of all flights and the hover of each in turns; the misfit and the powers."""
-    columns = [terms(*rows[1:5], induced_ms) for rows in told]
+    columns = plain = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
     counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
-    design, count, crowd = np.concatenate(columns), np.concatenate(counts), _crowds(told, counts)
+    count, crowd = np.concatenate(counts), _crowds(told, counts)
     ends = np.cumsum([len(c) for c in columns])[:-1]
     hovers_W, noise = np.ones(len(told)), NOISE
     for _ in range(TURNS):
@@ -116,6 +116,8 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
                 for r, c, w in zip(told, columns, np.split(weight, ends), strict=True)
             ]
         )
+        columns = [_dragged(c, h / hovers_W.mean()) for c, h in zip(plain, hovers_W, strict=True)]
+        design = np.concatenate(columns)
         seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W, strict=True)])
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
         shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
@@ -133,6 +135,11 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
         flights=len(told),
         seconds=_rounded(sum(float(r.length_s.sum()) for r in told), 0),
     )
+
+
+def _dragged(columns: Array, level: float) -> Array:
+    """The columns of a flight at this level, per hover power of its own: the air drags at a payload's no more."""
+    return columns / np.where(np.array(TERMS) == "drag", level, 1.0)
 
 
 def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:

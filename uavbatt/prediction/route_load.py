@@ -38,7 +38,7 @@ class RouteLoad:
     @property
     def piece_W(self) -> Array:
         """Return the middle power of each piece [W]."""
-        return self.level * power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms))
+        return power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms), self.level)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.battery.powers import Powers, power, terms
+from uavbatt.battery.powers import Powers, level_of, terms
 from uavbatt.navigation import Home, Mission, Mode, Navigation, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
@@ -60,7 +60,7 @@ class Progress(NamedTuple):
         moved = moved._replace(told_s=time_s)
         if flown is None or not told_s > 0.0:
             return moved
-        ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
+        ratio = level_of(powers, terms(*flown, powers.induced_ms), power_W)
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
 
     def _on_path(self, time_s: float, navigation: Navigation) -> Progress:

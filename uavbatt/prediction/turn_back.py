@@ -1,9 +1,9 @@
 """The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
 
 Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
-voltage's least height above the cut-off on that way home is noted: as it turns and speeds up, and then under the
-highest power of each step; a charge near the reserve counts as such a height, for it ends a flight as well. A draw's
-turn-back is the last t at which it has not met its end before and that height is not negative.
+voltage's least height above the cut-off on that way home is noted, under the highest power of gusts: as it turns and
+speeds up, and then in each step; a charge near the reserve counts as such a height, for it ends a flight as well. A
+draw's turn-back is the last t at which it has not met its end before and that height is not negative.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def _fly_home(
     levels, _, stretch = scenarios
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))
-    least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels, reserve_soc), np.empty(at_turn.bias_V.shape)
+    turn_W = (home.turn_W * (1.0 + ROUGH * home.rough[0]))[:, None] * levels
+    least_V, soc = _turning_V(at_turn, turn_W, reserve_soc), np.empty(at_turn.bias_V.shape)
     flying = np.arange(turn_at_s.size)  # the turns whose ways are not over yet: each has a length of its own
     for k in range(int(steps.max()) + 1):
         is_asked = _is_asked(least_V)[flying]
@@ -164,7 +165,7 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
     length_s, power_W, fast, rough = told[:, index]  # a way that is over goes on as it ended, in no time
     speeds_ms = np.array([_speed_home_ms(those) for those in legs])
-    turn_W = load.level * turning_power(load.powers, speeds_ms)
+    turn_W = turning_power(load.powers, speeds_ms, load.level)
     return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough, turn_W)
 
 
