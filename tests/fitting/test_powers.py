@@ -84,9 +84,9 @@ def test_a_turn_asks_for_the_kinetic_energy_with_the_efficiency_of_the_hover() -
     """It was asked for with the induced power alone, which leaves out what the rotors lose: half of it was missing."""
     quad, efficiency = msgspec.structs.replace(UNKNOWN, hover_W=TRUE.hover_W), 0.6
     mass_kg = efficiency * TRUE.hover_W / (GRAVITY_MS2 * UNKNOWN.induced_ms)
-    assert float(turning_power(quad, 0.0)) == TRUE.hover_W
-    steady_W = 0.5 * (TRUE.hover_W + asked_W(quad, 12.0, 0.0))
-    gained_J = (float(turning_power(quad, 12.0)) - steady_W) * TURN_S
+    flown_W = np.array(asked_W(quad, 12.0, 0.0))
+    steady_W = 0.5 * (TRUE.hover_W + flown_W)
+    gained_J = (float(turning_power(quad, flown_W, 12.0)) - steady_W) * TURN_S
     assert gained_J * efficiency == pytest.approx(0.5 * mass_kg * 12.0**2)
 
 

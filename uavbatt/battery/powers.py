@@ -119,8 +119,11 @@ def _shares(powers: Powers, columns: Array) -> tuple[Array, Array]:
     return np.asarray(1.0 + columns @ powers.shares - dragged), np.asarray(dragged)
 
 
-def turning_power(powers: Powers, speed_ms: ArrayLike, level: float = 1.0) -> Array:
-    """Return the mean power [W] over TURN_S in which an aircraft turns and gains the ground speed `speed_ms` [m/s]."""
-    hover_W, flown_W = (power(powers, terms(v, 0.0, 0.0, 0.0, powers.induced_ms), level) for v in (0.0, speed_ms))
-    gained = np.square(speed_ms) / (2.0 * GRAVITY_MS2 * powers.induced_ms * TURN_S)
+def turning_power(powers: Powers, flown_W: Array, gained_ms: ArrayLike, level: float = 1.0) -> Array:
+    """Return the mean power [W] over TURN_S in which an aircraft turns and speeds up from rest.
+
+    flown_W : the power at its new speed [W]; gained_ms : that speed over ground [m/s]
+    """
+    hover_W = powers.hover_W * level
+    gained = np.square(gained_ms) / (2.0 * GRAVITY_MS2 * powers.induced_ms * TURN_S)
     return np.asarray(0.5 * (hover_W + flown_W) + hover_W * gained)
