@@ -7,7 +7,7 @@ did from that charge. Measured on held-out aircraft, the library is the gain; ho
 and scaled is second order (36 to 46 s of error against 67 to 94 s for "as recently", six to one minutes before).
 
 Without one: two flights of three end in a stretch of higher power (the way home, wind, the landing), that begins
-anywhere in what is left; the power before it is that of this flight so far, and widely spread.
+anywhere in what is left; the power before it is that of this flight so far, flown again, and widely spread.
 """
 
 from __future__ import annotations
@@ -20,8 +20,16 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, Load, Now, Scenarios, equal_levels, swinging
-from uavbatt.prediction.swings import MEAN_TAU_S
+from uavbatt.prediction.load import (
+    LOWEST_POWER_W,
+    MEAN_TAU_S,
+    ConstantLoad,
+    Load,
+    Now,
+    Scenarios,
+    equal_levels,
+    flown_again,
+)
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -36,6 +44,7 @@ LEVELS = 3
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 FLIGHT_SPREAD = 0.06
+CHANGE_SD = 0.1  # by which the load of a flight changes in earnest, as ln
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,17 +173,26 @@ class UnknownAircraft:
     powers: Powers = UNKNOWN
 
     def typical_W(self, now: Now) -> float:
-        """Return the middle between the mean powers of the flight so far and of its last minute [W], at least 1 W."""
-        return max(0.5 * (now.flight_W + now.recent.mean_W), LOWEST_POWER_W)
+        """Return the mean power of the flight so far [W], unless its last minute shows another; at least 1 W.
+
+        The minutes of a flight differ by chance, those of one whose motor runs by turns by much. A minute of far more
+        than that is another load; one of less may be a descent.
+        """
+        by_chance = now.recent.flown.minute_sd
+        away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W)
+        share = CHANGE_SD**2 / (CHANGE_SD**2 + by_chance**2)
+        if away > 0.0:
+            share += (1.0 - share) * _real_share(away, math.hypot(LEAST_USUAL, USUAL_SDS * by_chance))
+        return max(now.flight_W * math.exp(share * away), LOWEST_POWER_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
-        swings = now.recent.swings
-        spread = float(np.hypot(FLIGHT_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
-        levels = self.typical_W(now) * equal_levels(spread, LEVELS)
+        flown = now.recent.flown
+        known_sd = CHANGE_SD * flown.minute_sd / math.hypot(CHANGE_SD, flown.minute_sd)
+        levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)
         weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
-        return swinging(Scenarios(power_W, weight, np.full(steps, dt_s)), swings)
+        return flown_again(Scenarios(power_W, weight, np.full(steps, dt_s)), flown)
