@@ -56,6 +56,14 @@ def test_waiting_armed_on_the_ground_is_no_part_of_the_flight(watts: float) -> N
     assert is_flying(untold) and untold.mean_W > 250.0
 
 
+def test_a_burst_in_the_first_minutes_is_no_new_flight() -> None:
+    """A racer: each burst was taken for the take-off, and the charge of the take-off with it."""
+    past = after(Flown(), 20, 100.0, armed=True)
+    for _ in range(10):
+        past = after(after(past, 5, 800.0, armed=True), 10, 50.0, armed=True)
+    assert past.took_off_s < 30.0 and past.mean_W == pytest.approx(300.0, rel=0.1)
+
+
 def test_an_aeroplane_that_climbs_is_no_new_flight() -> None:
     cruising = after(Flown(), 900, 40.0, armed=True, is_aloft=True)
     assert after(cruising, 20, 300.0, armed=True, is_aloft=True).mean_W < 60.0

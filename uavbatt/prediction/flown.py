@@ -16,6 +16,7 @@ FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
+NEW_PIECES = 2  # of the powers flown: they may hold the rise itself
 WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
 
@@ -108,8 +109,12 @@ class Flown(NamedTuple):
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
     def _spooled_up(self, power_W: float, times: float) -> Flown:
-        """Begin the flight at this row if the power is so many times the mean: all before was spool-up, or waiting."""
-        if not self.load.gust_W * self.flown_s > times * self.flown_J:
+        """Begin the flight at this row if the power is so many times any before: that was spool-up, or waiting.
+
+        The mean alone would be exceeded by every burst of a motor that runs by turns.
+        """
+        before_W = max((self.mean_W, *self.load.flown.pieces_W[:-NEW_PIECES]))
+        if not (self.flown_s > 0.0 and self.load.gust_W > times * before_W):
             return self
         fresh = RecentLoad().after(self.time_s, power_W)
         return self._replace(load=fresh, took_off_s=self.time_s, flown_s=0.0, flown_J=0.0)
