@@ -166,7 +166,7 @@ def rate_doubt(what: str, c_rate: float) -> Doubt | None:
     if c_rate <= USUAL_C_RATE[1]:
         return None
     is_certain = c_rate > C_RATE[1]
-    return Doubt(f"{what} {c_rate:.0f} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
+    return Doubt(f"{what} {c_rate:.4g} C: a pack gives less than {C_RATE[1]:g} C for a minute", is_certain)
 
 
 def check_stated(

@@ -137,6 +137,7 @@ REFUSED: dict[str, Use] = {
     "99 999 W": Use(
         ("plan", "--cells", "4", *STATED, "--power-w", "99999"), 2, ("99999 W on 4S 5 Ah", "1351 C", "60 C")
     ),
+    "1e308 W": Use(("plan", "--cells", "4", *STATED, "--power-w", "1e308"), 2, ("1e+308 W on 4S 5 Ah", "60 C")),
     "a data set in mV": Use(("validate", "mv"), 1, ("discharge.csv", "line 2", "voltage_v", "(millivolts?)")),
     "a data set of one cell": Use(("validate", "cell"), 1, ("discharge.csv", "4.15 V at most for 4", "per cell?")),
     "a data set that leads away": Use(

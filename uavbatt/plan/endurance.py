@@ -98,14 +98,14 @@ def make_plan(
     def at(ambients_C: Sequence[float]) -> tuple[Endurance, ...]:
         return tuple(endurance(battery, resolved, load[0], t, start_soc, reserve_soc, remembered) for t in ambients_C)
 
-    curve = at(CURVE_C)
-    rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
     doubt = None
     if isinstance(load[0], ConstantLoad):
         at_rate = load[0].power_W / (NOMINAL_CELL_V * resolved.cells * resolved.capacity_Ah)
         doubt = rate_doubt(f"{load[1]} on {resolved.cells}S {resolved.capacity_Ah:g} Ah is", at_rate)
     if doubt is not None and doubt.is_certain:
         raise UsageError(doubt.words)
+    curve = at(CURVE_C)
+    rows = tuple(e for e in curve if e.ambient_C in TABLE_C)
     warnings = (*filter(None, (resolved.uncertified, doubt.words if doubt is not None else "")), *resolved.notices)
     return Plan(resolved, load[1], start_soc, _headline(battery, at([ambient_C])[0]), rows, curve, warnings)
 
