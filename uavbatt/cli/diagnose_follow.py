@@ -1,4 +1,4 @@
-"""`uavbatt diagnose --follow`: flights of one pack in order of time; which effect began when, and is it growing?"""
+"""`uavbatt diagnose --follow`: which effect began in which flight of a pack, and does it grow?"""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """Asked says which flights to follow, and which effects to leave out."""
+class FollowOptions:
+    """FollowOptions says which flights to follow, and which effects to leave out."""
 
     instance: int | None
     without: tuple[str, ...]
@@ -34,11 +34,11 @@ def follow_and_tell(
     sources: Sequence[Path],
     content: BatteryFile,
     stated: PackOptions,
-    asked: Asked,
+    asked: FollowOptions,
     json_file: Path | None,
     report: Path | None,
 ) -> None:
-    """Follow the flights and write what was found. Raises NotEnoughData with the reason, which is in the JSON, too."""
+    """Follow the flights and write the result. Raises NotEnoughData with the reason, which is also in the JSON."""
     from uavbatt.files import write_json
 
     flights = _in_order(_read(sources, asked), asked)
@@ -57,8 +57,8 @@ def follow_and_tell(
         say(f"report: {report}", json_file, report)
 
 
-def _read(sources: Sequence[Path], asked: Asked) -> list[Flight]:
-    """The logs that are named, and those in the folders, each once."""
+def _read(sources: Sequence[Path], asked: FollowOptions) -> list[Flight]:
+    """Read the logs that are named, and those in folders, each once."""
     from uavbatt.fleet.logs import find_logs
     from uavbatt.telemetry import read_log
 
@@ -70,8 +70,8 @@ def _read(sources: Sequence[Path], asked: Asked) -> list[Flight]:
     return distinct([read_log(path, asked.instance) for path in dict.fromkeys(paths)])
 
 
-def _in_order(flights: list[Flight], asked: Asked) -> list[Flight]:
-    """The flights in order of time: the ledger's, else the logs' own clocks, else as they were named."""
+def _in_order(flights: list[Flight], asked: FollowOptions) -> list[Flight]:
+    """Return the flights in order of time: by the ledger, else by the logs' clocks, else as they were named."""
     if asked.packs is not None:
         return _of_the_ledger(flights, asked.packs, asked.pack)
     if asked.pack:
@@ -79,12 +79,12 @@ def _in_order(flights: list[Flight], asked: Asked) -> list[Flight]:
     starts = [f.identity.start_utc_s for f in flights]
     if all(math.isfinite(s) for s in starts):
         return sorted(flights, key=lambda f: f.identity.start_utc_s)
-    remark("not every log tells when it was flown: they are taken in the order in which they are named")
+    remark("some logs have no date: the logs are taken in the order in which they are named")
     return flights
 
 
 def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight]:
-    """The flights that the ledger knows of the pack, in its order."""
+    """Return those flights that are in the ledger under this pack, in its order."""
     from uavbatt.packs.ledger import Ledger
     from uavbatt.packs.remembering import key_of
 
@@ -98,7 +98,8 @@ def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight
     logs = [[f for key, f in keyed if was.is_of(key, f.identity.start_utc_s)] for was in every]
     its = [same[-1] for same in logs if same]
     if len(its) < len(flights):
-        remark(f"{len(flights) - len(its)} of {len(flights)} logs are not flights that the ledger knows of {pack}")
+        left_out = f"{len(flights) - len(its)} of {len(flights)} logs are left out"
+        remark(f"{left_out}: the ledger has no such flight of {pack}")
     return its
 
 
@@ -117,7 +118,7 @@ def _follow(flights: list[Flight], content: BatteryFile, stated: PackOptions, wi
 
 
 def _dates(found: Follow, flights: list[Flight]) -> tuple[str, ...]:
-    """The day of each followed flight, empty where its log does not tell."""
+    """Return the day of each followed flight; empty if its log has no date."""
     starts = {f.source: f.identity.start_utc_s for f in flights}
     return tuple(
         datetime.fromtimestamp(starts[name], UTC).date().isoformat() if math.isfinite(starts[name]) else ""
@@ -126,14 +127,14 @@ def _dates(found: Follow, flights: list[Flight]) -> tuple[str, ...]:
 
 
 def _lines(found: Follow, dates: Sequence[str]) -> list[str]:
-    """The course of each effect for a person."""
+    """Return the course of each effect as lines of text."""
     from uavbatt.diagnosis.follow_words import course_words, size_words
     from uavbatt.diagnosis.words import MEANING
 
     said = {
-        "no_missing_effect": "nothing has begun: every flight is as this battery's model has it",
-        "effect_found": "something has begun",
-        "undeclared_effect": "something is missing, and what is named does not explain all of it",
+        "no_missing_effect": "no effect has begun: the model explains every flight as well as it can",
+        "effect_found": "an effect has begun",
+        "undeclared_effect": "something is missing, and the effects below do not explain all of it",
     }
     lines = [f"{found.verdict}: {said[found.verdict]} ({len(found.flights)} flights)"]
     for one in found.effects:
@@ -148,7 +149,7 @@ def _lines(found: Follow, dates: Sequence[str]) -> list[str]:
 
 
 def _as_json(found: Follow, dates: Sequence[str], status: str) -> dict[str, Any]:
-    """The keys of a diagnosis, with the course of each class."""
+    """Return the result for JSON: the keys of a diagnosis, with the course of each class."""
     flights = [{"file": name, "date": day or None} for name, day in zip(found.flights, dates, strict=True)]
     return {
         "verdict": found.verdict,

@@ -60,7 +60,7 @@ def replay(
     packs: PacksOption = None,
     pack: PackOption = "",
     mission: Annotated[
-        Path | None, typer.Option("--mission", help="What it was to fly: a .waypoints or .plan file.")
+        Path | None, typer.Option("--mission", help="The planned mission: a .waypoints or .plan file.")
     ] = None,
     jsonl: Annotated[Path | None, typer.Option("--jsonl", help="Estimates as JSON Lines.")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Estimates as CSV.")] = None,
@@ -68,13 +68,13 @@ def replay(
     report: Annotated[Path | None, typer.Option("--report", help="HTML report, opens offline.")] = None,
     png: Annotated[Path | None, typer.Option("--png", help="The chart of the time left as PNG.")] = None,
     svg: Annotated[Path | None, typer.Option("--svg", help="The same as SVG.")] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="Say only what a pilot asks, in sentences.")] = False,
+    plain: Annotated[bool, typer.Option("--plain", help="Only a few sentences for the pilot.")] = False,
 ) -> None:
-    """Replay flight logs: state of charge and remaining time at every row, and how good it was.
+    """Replay flight logs: state of charge and remaining time at every row, and how accurate they were.
 
-    With several logs, --jsonl, --csv, --report, --png and --svg name folders (one file a log) and --json holds a list;
-    a log that cannot be replayed is told, the others are replayed, and the exit code is 1.
-    With --packs each flight begins with what is remembered of its pack, and is remembered itself.
+    With several logs, --jsonl, --csv, --report, --png and --svg name folders (one file a log) and --json holds a list.
+    If a log cannot be replayed, the reason is printed, the others are replayed, and the exit code is 1.
+    With --packs each flight begins with the health of its pack in the ledger, and is added to the ledger.
 
     Example: uavbatt replay flight.BIN --report flight.html
     """
@@ -134,7 +134,7 @@ def _one(
     planned: PlannedFlight | None,
     is_plain: bool,
 ) -> dict[str, Any]:
-    """One log: its lines, table and page written, its summary told and given back."""
+    """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt import output
     from uavbatt.log_replay.outcome import outcome
     from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, steps, with_mission
@@ -148,7 +148,7 @@ def _one(
         flight = with_mission(flight, planned)
     to_come = stated_load(load[0], flight, load[1], content)
     settings = ForecastSettings(to_come, reserve_soc, recorded_period_s(flight))
-    health = memory.recalled(flight, content)
+    health = memory.health_before(flight, content)
     estimator = estimator_for(flight, content, options, settings, health)
     run = []
     with ExitStack() as stack:
@@ -179,7 +179,7 @@ def _one(
 
 
 def _with_progress(rows: Any, total: int, name: str) -> Any:
-    """A progress bar on stderr when it is a terminal and the log is long enough to wait for."""
+    """Return the rows with a progress bar on stderr, if that is a terminal and the log is long."""
     if not sys.stderr.isatty() or total < 2000:
         return rows
     from rich.console import Console
@@ -189,7 +189,7 @@ def _with_progress(rows: Any, total: int, name: str) -> Any:
 
 
 def _endings(*paths: Path | None) -> list[tuple[Path | None, str]]:
-    """Each output, in the order of the options, with the ending of its file."""
+    """Return each output, in the order of the options, with the ending of its file."""
     return list(zip(paths, (".jsonl", ".csv", ".html", ".png", ".svg"), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Open descriptors: a stream with the bytes it has not taken yet, and how a loop waits.
+"""Open descriptors: a stream with its bytes that wait to be sent, and how a loop waits.
 
 Waiting is `poll`: `select` raises for a descriptor above 1023, which any process may reach whose limit is higher.
 """
@@ -30,7 +30,7 @@ def takes_bytes(descriptor: int) -> bool:
 
 
 class Pipe:
-    """A pipe is one open stream: a descriptor with the bytes it has not taken yet."""
+    """Pipe is one open stream: a descriptor, with the bytes that wait to be sent."""
 
     def __init__(self, fd: int, owner: socket.socket | None = None) -> None:
         self.fd, self._owner, self._pending = fd, owner, b""

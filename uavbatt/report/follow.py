@@ -1,4 +1,4 @@
-"""The page of followed flights: what has begun, since which flight, each flight's own value as a picture."""
+"""The page of followed flights: which effect has begun, since which flight, and the value of each flight as a chart."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _title(one: Followed) -> str:
 
 
 def _told(one: Followed, found: Follow, dates: Sequence[str]) -> Html:
-    """One effect with its course, its rivals, and what to check."""
+    """Return the part on one effect: its course, its rivals, and what to check."""
     course, size = course_words(one, found.flights, dates), f"{size_words(one)}."
     sure = f"The cause is among what is named with a probability of {one.found.probability:.0%}."
     return element("div", *suspect(one.found.members, course, sure, "flights", size))
