@@ -77,7 +77,7 @@ class Belief:
 
 
 def mixed_covariance(means: Array, covariances: Array, weights: Array) -> Array:
-    """Return the covariance [9, 9] of a sum of Gaussians from its members' means, covariances and weights."""
+    """Return the covariance of a sum of Gaussians from its members' means, covariances and weights, whose sum is 1."""
     apart = means - weights @ means
     return np.asarray(np.tensordot(weights, covariances, 1) + (apart.T * weights) @ apart)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavbatt.cli.diagnose_records import ProgressLine, distinct, flown_size, observed_of, one_size, reason_written
 from uavbatt.cli.options import remark, say
+from uavbatt.cli.pack_memory import open_memory, unknown_pack
 from uavbatt.errors import NotEnoughData, UsageError
 from uavbatt.records import Flight
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
     from uavbatt.diagnosis.follow import Follow, Followed
+    from uavbatt.packs.ledger import Ledger
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +74,11 @@ def _read(sources: Sequence[Path], asked: FollowOptions) -> list[Flight]:
 
 def _in_order(flights: list[Flight], asked: FollowOptions) -> list[Flight]:
     """Return the flights in order of time: by the ledger, else by the logs' clocks, else as they were named."""
-    if asked.packs is not None:
-        return _of_the_ledger(flights, asked.packs, asked.pack)
-    if asked.pack:
-        raise UsageError(f"--pack {asked.pack}: expected --packs FILE as well, the ledger that remembers it")
+    if asked.packs is not None and not asked.pack:
+        raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
+    with open_memory(asked.packs, asked.pack, only_read=True) as memory:
+        if memory.ledger is not None:
+            return _of_the_ledger(flights, memory.ledger, asked.pack)
     starts = [f.identity.start_utc_s for f in flights]
     if all(math.isfinite(s) for s in starts):
         return sorted(flights, key=lambda f: f.identity.start_utc_s)
@@ -83,17 +86,13 @@ def _in_order(flights: list[Flight], asked: FollowOptions) -> list[Flight]:
     return flights
 
 
-def _of_the_ledger(flights: list[Flight], packs: Path, pack: str) -> list[Flight]:
+def _of_the_ledger(flights: list[Flight], ledger: Ledger, pack: str) -> list[Flight]:
     """Return those flights that are in the ledger under this pack, in its order."""
-    from uavbatt.packs.ledger import Ledger
     from uavbatt.packs.remembering import key_of
 
-    if not pack:
-        raise UsageError("--packs: expected --pack NAME as well, the pack to follow")
-    with Ledger(packs, only_read=True) as ledger:
-        every = [after.flight for after in ledger.flights(pack)]
+    every = [after.flight for after in ledger.flights(pack)]
     if not every:
-        raise UsageError(f"--pack {pack}: expected a pack of {packs}, found none of that name")
+        raise unknown_pack(ledger, pack)
     keyed = [(key_of(f.samples), f) for f in flights]
     logs = [[f for key, f in keyed if was.is_of(key, f.identity.start_utc_s)] for was in every]
     its = [same[-1] for same in logs if same]

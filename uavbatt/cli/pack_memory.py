@@ -52,7 +52,7 @@ class PackMemory:
             raise UsageError("--packs: expected --pack NAME as well, the pack that will fly")
         last = self.ledger.last(self.stated)
         if last is None:
-            raise UsageError(f"--pack {self.stated}: expected a pack of {self.ledger.path}, found none of that name")
+            raise unknown_pack(self.ledger, self.stated)
         return prior(last, time.time(), battery.certificate.content_sha256)
 
     def learn(
@@ -89,6 +89,11 @@ class PackMemory:
         lines += [f"  pack       {name}: {finding.words}" for finding in after.findings]
         kinds = [finding.kind for finding in after.findings]
         return LearnedFlight(tuple(lines), {"pack": name, "pack_flights": seen.flights, "pack_findings": kinds})
+
+
+def unknown_pack(ledger: Ledger, name: str) -> UsageError:
+    """Return the error for a name that the ledger does not have."""
+    return UsageError(f"--pack {name}: expected a pack of {ledger.path}, found none of that name")
 
 
 @contextmanager

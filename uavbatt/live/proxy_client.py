@@ -80,23 +80,26 @@ class ProxyClient:
             self._hello_s = now_s + HELLO_PERIOD_S
             self._tell(proxy.HELLO, b"")
         found: list[Chunk] = []
-        while self._pipe is not None:
-            data = self._pipe.read()
+        while self._pipe is not None and (data := self._pipe.read()) != b"":
             if data is None:
                 self._lost(now_s)
-            elif not data:
                 break
-            else:
-                for kind, body in self._messages.feed(data):
-                    if kind == proxy.TELEMETRY:
-                        found.append((body, self._from))
-                    elif kind == proxy.FROM:
-                        self._from = body.decode("ascii", "replace")
-                    elif kind == proxy.STATION:
-                        found.append((body, proxy.STATION))
-                    elif kind == proxy.STATS:
-                        self._stats(body)
+            for message in self._messages.feed(data):
+                found += self._chunks(message)
         return found
+
+    def _chunks(self, message: tuple[bytes, bytes]) -> list[Chunk]:
+        """Return the bytes that a message of the proxy carries, and take in what it says of the proxy."""
+        kind, body = message
+        if kind == proxy.TELEMETRY:
+            return [(body, self._from)]
+        if kind == proxy.STATION:
+            return [(body, proxy.STATION)]
+        if kind == proxy.FROM:
+            self._from = body.decode("ascii", "replace")
+        elif kind == proxy.STATS:
+            self._stats(body)
+        return []
 
     def write(self, data: bytes, now_s: float) -> None:
         """Send a frame to the autopilot; the proxy passes it on only if it was started for that."""

@@ -18,6 +18,7 @@ import numpy as np
 from uavbatt.battery.high_voltage import ORDINARY_FULL_V
 from uavbatt.battery.model import Array
 from uavbatt.battery.remembered import PackHealth
+from uavbatt.battery.state_space import mixed_covariance
 from uavbatt.packs import findings as odd
 from uavbatt.packs.records import FlightRecord, LedgerFlight, PackBelief, PackFinding
 
@@ -70,12 +71,9 @@ def _shares(likely: Array) -> Array:
 
 def _together(weight: Array, beliefs: Sequence[PackBelief]) -> PackBelief:
     """Return one belief with the mean and the covariance of a weighted mixture of beliefs."""
-    mean = np.asarray(sum(w * known.mean for w, known in zip(weight, beliefs, strict=True)))
-    covariance = np.zeros((4, 4))
-    for w, known in zip(weight, beliefs, strict=True):
-        apart = known.mean - mean
-        covariance += w * (known.covariance + np.outer(apart, apart))
-    return PackBelief(mean, covariance)
+    means = np.array([belief.mean for belief in beliefs])
+    covariance = mixed_covariance(means, np.array([belief.covariance for belief in beliefs]), weight)
+    return PackBelief(weight @ means, covariance)
 
 
 def _likelihood(known: PackBelief, flight: FlightRecord) -> float:
