@@ -18,7 +18,7 @@ from uavbatt.records import Flight
 if TYPE_CHECKING:
     from uavbatt.battery.battery_file import BatteryFile
     from uavbatt.battery.sizing import PackOptions
-    from uavbatt.diagnosis.follow import Follow, Followed
+    from uavbatt.diagnosis.follow import Follow, FollowedEffect
     from uavbatt.packs.ledger import Ledger
 
 
@@ -161,7 +161,7 @@ def _as_json(found: Follow, dates: Sequence[str], status: str) -> dict[str, Any]
     }
 
 
-def _class_json(one: Followed, flights: list[dict[str, str | None]]) -> dict[str, Any]:
+def _class_json(one: FollowedEffect, flights: list[dict[str, str | None]]) -> dict[str, Any]:
     from dataclasses import asdict
 
     since = {"flight": one.course.begins + 1, "earliest": one.earliest + 1, "latest": one.latest + 1}

@@ -42,8 +42,8 @@ def courses(flights: int) -> list[Course]:
 
 
 @dataclass(frozen=True, slots=True)
-class OwnValues:
-    """OwnValues holds each flight's change of an effect's first quantity from the file's, in order of time."""
+class FlightValues:
+    """FlightValues holds each flight's change of an effect's first quantity from the file's, in order of time."""
 
     change: Array
     sd: Array
@@ -54,7 +54,7 @@ class OwnValues:
         return float(np.sum(weight * shares * self.change) ** 2 / max(np.sum(weight * shares**2), 1e-12))
 
 
-def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValues:
+def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> FlightValues:
     """Return each flight's own values of the effect that a refit of all flights added last.
 
     order : the places of the flights among the records of the refit, in order of time.
@@ -65,7 +65,7 @@ def own_values(problem: Problem, whole: Refit, order: Sequence[int]) -> OwnValue
     known = np.maximum(whole.information[places, k, k], 1e-6)
     at = freed.value(whole.u[places, k])
     slope = freed.scale * at if freed.log else np.full(len(places), freed.scale)
-    return OwnValues(
+    return FlightValues(
         at + slope * whole.score[places, k] / known - problem.base[freed.index], np.abs(slope) / np.sqrt(known)
     )
 

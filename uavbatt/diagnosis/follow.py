@@ -15,7 +15,7 @@ from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
-from uavbatt.diagnosis.course import Course, OwnValues, courses, on_course, own_values
+from uavbatt.diagnosis.course import Course, FlightValues, courses, on_course, own_values
 from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, floor_V, left_per_number, options_of, problem_of
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
@@ -43,8 +43,8 @@ LEAST_FLIGHTS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
-    """Followed holds one effect with its course; flights are counted from 0 in order of time."""
+class FollowedEffect:
+    """FollowedEffect holds one effect with its course; flights are counted from 0 in order of time."""
 
     found: EffectClass
     course: Course
@@ -63,7 +63,7 @@ class Follow:
     verdict: Verdict
     flights: tuple[str, ...]
     left_out: tuple[str, ...]  # too short to tell anything
-    effects: tuple[Followed, ...]
+    effects: tuple[FollowedEffect, ...]
     reasons: tuple[str, ...]
 
 
@@ -124,7 +124,7 @@ class _Trace(NamedTuple):
     course: Course
     earliest: int
     latest: int
-    own: OwnValues
+    own: FlightValues
 
 
 def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequence[int]) -> _Trace | None:
@@ -155,14 +155,14 @@ def _next(problem: Problem, options: list[Candidate], before: Refit, order: Sequ
     return _Trace(effect, chosen.course, min(as_good), max(as_good), own)
 
 
-def _own_values(problem: Problem, free: list[Candidate], before: Refit, order: Sequence[int]) -> list[OwnValues]:
+def _own_values(problem: Problem, free: list[Candidate], before: Refit, order: Sequence[int]) -> list[FlightValues]:
     """The flights' own values of every effect, from a refit of each in which all flights have it."""
     tried = [before.candidate.plus(o) for o in free]
     fits = refit(problem, tried, start=[before] * len(tried), iterations=FURTHER_TURNS)
     return [own_values(problem, fit, order) for fit in fits]
 
 
-def _shortlist(free: list[Candidate], owns: list[OwnValues]) -> list[tuple[Candidate, Course]]:
+def _shortlist(free: list[Candidate], owns: list[FlightValues]) -> list[tuple[Candidate, Course]]:
     """The best beginning of every effect, steady and growing; the most promising of these."""
     found = []
     for option, own in zip(free, owns, strict=True):
@@ -204,7 +204,7 @@ def _chosen(tried: list[_Tried]) -> _Tried:
     return min(possible, key=lambda t: t.fit.total - (GROWS if not t.course.grows else 0.0))
 
 
-def _told(problem: Problem, trace: _Trace, sure: float) -> Followed:
+def _told(problem: Problem, trace: _Trace, sure: float) -> FollowedEffect:
     """A trace with each flight's own value, as it is shown."""
     fit = trace.effect.members[0]
     freed = fit.candidate.freed[fit.candidate.slice_of(trace.effect.name)][0]
@@ -216,4 +216,5 @@ def _told(problem: Problem, trace: _Trace, sure: float) -> Followed:
         for v, h in zip(values, half, strict=True)
     )
     told = class_of(problem, trace.effect, sure)
-    return Followed(told, trace.course, trace.earliest, trace.latest, own, name, float(off), trace.effect.worth.value)
+    course, saved = trace.course, trace.effect.worth.value
+    return FollowedEffect(told, course, trace.earliest, trace.latest, own, name, float(off), saved)
