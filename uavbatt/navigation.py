@@ -44,9 +44,7 @@ class Action(StrEnum):
     JUMP = "jump"  # jump_to, repeats
     DELAY = "delay"  # hold_s
     OTHER = "other"  # moves nothing and takes no time (camera, servo, region of interest)
-    UNKNOWN = (
-        "unknown"  # moves the aircraft in a way that is not modelled: the route is unknown, `reason` says why
-    )
+    UNKNOWN = "unknown"  # moves the aircraft in a way that is not modelled: the route is unknown, `reason` says why
 
 
 class Frame(StrEnum):

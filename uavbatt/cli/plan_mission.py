@@ -70,8 +70,6 @@ def plan_mission(
         write_json(summary, _summary(found, mission.name, conditions[2], content.certificate.content_sha256))
 
 
-
-
 def _lines(plan: MissionPlan, name: str) -> list[str]:
     here, route = plan.here, plan.here.route
     lines = [

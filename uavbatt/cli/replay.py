@@ -161,9 +161,7 @@ def replay(
         raise typer.Exit(1)
 
 
-def _one(
-    log: Path, asked: ReplayOptions, memory: PackMemory, outputs: Outputs, summary: Path | None
-) -> dict[str, Any]:
+def _one(log: Path, asked: ReplayOptions, memory: PackMemory, outputs: Outputs, summary: Path | None) -> dict[str, Any]:
     """Replay one log: write its outputs, print its result, and return its summary for JSON."""
     from uavbatt.log_replay.outcome import outcome
     from uavbatt.log_replay.run import estimator_for, recorded_period_s, size_of_replayed, with_mission
@@ -190,9 +188,7 @@ def _one(
     return {**flight_text.summary(flight, size, found, run, asked.battery), **learned.fields}
 
 
-def _written(
-    flight: Flight, estimator: Estimator, name: str, outputs: Outputs, stack: ExitStack
-) -> list[ReplayedRow]:
+def _written(flight: Flight, estimator: Estimator, name: str, outputs: Outputs, stack: ExitStack) -> list[ReplayedRow]:
     """Return the rows of the replay; write each line to the table files, which are complete when `stack` closes."""
     from uavbatt import output
     from uavbatt.log_replay.run import steps

@@ -44,8 +44,9 @@ def simulate(
         float, typer.Option("--start-soc", min=0.05, max=1.0, help="State of charge at take-off, 0..1.")
     ] = 1.0,
     effect: Annotated[list[str] | None, typer.Option("--effect", help="NAME=VALUE, may be repeated.")] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the noise: the same seed gives the same log.")] =
-    1,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Seed of the noise: the same seed gives the same log.")
+    ] = 1,
     rate_hz: Annotated[float, typer.Option("--rate-hz", min=0.05, max=50.0, help="Rows of telemetry a second.")] = 2.0,
     cells: CellsOption = 4,
     capacity_ah: CapacityOption = 5.0,

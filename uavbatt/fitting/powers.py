@@ -90,8 +90,7 @@ def _blocks(table: Array) -> PowerRows:
 
 
 def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """Return True if the aircraft keeps its velocity: in a corner the power is that of the turn, not of the airspeed.
-    """
+    """Return True if the aircraft keeps its velocity: in a corner the power is that of the turn, not of airspeed."""
     if before is None or now is None or not now.time_s > before.time_s:
         return now is None or now is before
     change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))

@@ -52,7 +52,7 @@ class Pending(NamedTuple):
 
     def _ends_unsaid(self, remaining: Remaining) -> bool:
         """Return True if there is no forecast in flight, and the voltage alone is near enough to its cut-off for an
-    alarm."""
+        alarm."""
         is_unsaid = not math.isfinite(remaining.remaining_s) and self.sample.armed is not False
         return is_unsaid and ALARM_SHARE * self.voltage_left_s <= ALARM_S
 

@@ -188,8 +188,6 @@ def _unknown(value: float) -> str:
     return "unbounded" if math.isinf(value) else DASH
 
 
-
-
 def celsius(temp_C: float) -> str:
     """Write an ambient temperature with its sign: `+25 °C`, `0 °C`, `−20 °C`."""
     return f"{number(temp_C, 0 if temp_C == round(temp_C) else 1, '°C', sign=temp_C > 0)}"
