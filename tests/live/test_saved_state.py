@@ -106,7 +106,7 @@ def certain() -> Callable[[dict[str, Any]], None]:
 
 
 NEGATIVE = 1.9 * np.eye(SIZE) - 0.9  # its sum is below zero
-# Of the memory of the forecaster: recent load (time_s, mean_W, window_W, variance, ...), energy, lessons of the route.
+# Of the memory of the forecaster: recent load (time_s, mean_W, gust_W, powers flown), energy, lessons of the route.
 LOAD, FLOWN_J, LESSONS = ("past", 0, 0, 0), ("past", 0, 0, 8), ("past", 0, 1)
 TAKE_OFF = ("past", 0, 2)  # when, power, ends, low-voltage warnings
 DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
@@ -155,7 +155,10 @@ DAMAGE: dict[str, Callable[[dict[str, Any]], None]] = {
     "past of another shape": of_battery("past", value=[[1], 2]),
     "load x 1e308": scaled("batteries", "0", *LOAD, 1, by=1e308),
     "load x 1000": scaled("batteries", "0", *LOAD, 1, by=1000.0),
-    "load variance negative": of_battery(*LOAD, 3, value=-1.0),
+    "powers in pieces of no length": of_battery(*LOAD, 3, 0, value=0.0),
+    "powers nan": of_battery(*LOAD, 3, 3, value=[math.nan]),
+    "powers without end": of_battery(*LOAD, 3, 3, value=[100.0] * 100_000),
+    "an open piece of an hour": of_battery(*LOAD, 3, 2, value=3600.0),
     "load time 1e12": of_battery(*LOAD, 0, value=1e12),
     "flown 1e12 J": of_battery(*FLOWN_J, value=1e12),
     "timing of legs that knows nothing": of_battery(*LESSONS, 0, value=[0.0] * 5),

@@ -387,3 +387,24 @@ def test_reference_flights(shared_data: Path) -> None:
     for path in sorted((shared_data / "truth/reference/r0").glob("*.tlog")):
         rows, refused = judge(path, battery_file.read_battery("lipo-generic"), PackOptions(), 60.0)
         assert rows > 200 and refused <= 0.05 * rows, path.name
+
+
+def said_after(medians_s: list[float], period_s: float = 5.0) -> float:
+    """The median that is shown after forecasts of these medians [s], each with ends from half to twice of it."""
+    shares = np.linspace(0.5, 1.5, 129)
+    shown = medians_s[0] * shares
+    for now, (_, median_s) in enumerate(pairwise(medians_s)):
+        last = Forecast(now * period_s, NAN, NAN, NAN, NAN, NAN, shown)
+        shown = last.steadied(median_s * shares, (now + 1) * period_s)
+    return float(np.median(shown))
+
+
+def test_one_odd_forecast_far_from_the_end_moves_little() -> None:
+    assert said_after([300.0, 295.0, 290.0 + 28.0]) == pytest.approx(290.0, abs=7.0)
+
+
+@pytest.mark.parametrize("fall", [0.4, 1.6])
+def test_near_the_end_nothing_lags(fall: float) -> None:
+    """Forecasts of the last minute that fall by less or more than the clock are shown as they are, to 2 s."""
+    fresh_s = [60.0 - fall * 5.0 * k for k in range(6)]
+    assert said_after(fresh_s) == pytest.approx(fresh_s[-1], abs=2.0)

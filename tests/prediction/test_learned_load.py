@@ -24,7 +24,7 @@ from uavbatt.prediction.load_library import (
     UnknownAircraft,
     learned_load,
 )
-from uavbatt.prediction.swings import GUST_MEMORY_S, MANOEUVRE_MEMORY_S, Swings, shown_shares
+from uavbatt.prediction.powers_flown import MOST_PIECES, PRIOR_MINUTE_SD, PowersFlown
 
 STEP_S = 5.0
 
@@ -158,47 +158,67 @@ def test_an_unknown_aircraft_expects_a_surge() -> None:
     ahead_W = made.power_W @ made.weight
     early_W, late_W = ahead_W[:10].mean(), ahead_W[45:55].mean()
     assert early_W == pytest.approx(300.0, rel=0.1) and 1.03 * early_W < late_W < 1.3 * early_W
-    assert UnknownAircraft().typical_W(now(flight_W=200.0, recent_W=400.0)) == pytest.approx(300.0)
 
 
-def shown(swings: Swings) -> RecentLoad:
-    """What a flight with these swings shows on average."""
-    slow, fast = shown_shares()
-    variance, gust_variance = slow * swings.manoeuvres**2 + fast * swings.gusts**2
-    return RecentLoad(300.0, 300.0, 300.0, float(variance), 300.0, float(gust_variance))
+def flown(*power_W: float, each_s: float = 5.0) -> PowersFlown:
+    """A flight that has asked these powers, each for so long."""
+    found = PowersFlown()
+    for watts in power_W:
+        found = found.after(watts, each_s)
+    return found
 
 
-@pytest.mark.parametrize("swings", [Swings(0.15, 0.1), Swings(0.0, 0.2), Swings(0.25, 0.0), Swings(0.05, 0.3)])
-def test_swings_are_what_the_averages_show_of_them(swings: Swings) -> None:
-    assert shown(swings).swings == pytest.approx(swings, abs=1e-9)
+def recent(*power_W: float) -> RecentLoad:
+    mean_W = float(np.mean(power_W))
+    return RecentLoad(0.0, mean_W, mean_W, flown(*power_W))
 
 
-def test_before_it_has_shown_any_a_flight_swings_a_little() -> None:
-    assert RecentLoad().swings == pytest.approx((0.15, 0.10), abs=0.005)
+def test_a_flight_is_flown_again_with_its_mean_and_its_highest_power() -> None:
+    """Twenty seconds of motor, eighty of glide: 1 to 0.05."""
+    again = flown(*([500.0] * 4 + [25.0] * 16) * 5).again(np.arange(0.0, 1000.0, 5.0), 45)
+    assert again.mean(axis=0) == pytest.approx(np.ones(45), rel=0.05)
+    assert np.quantile(again, [0.1, 0.9]) == pytest.approx([25.0 / 120.0, 500.0 / 120.0], rel=1e-6)
+    assert np.ptp(again[0]) > 3.0  # each from another place of it on
+    assert PowersFlown().again(np.arange(0.0, 50.0, 5.0), 7) == pytest.approx(1.0)
 
 
-def test_the_averages_show_the_share_that_is_claimed() -> None:
-    """Ten hours of a power that wanders with a memory of 40 s and of 8 s, followed row by row."""
-    random, memory = np.random.default_rng(4), np.exp(-1.0 / np.array([MANOEUVRE_MEMORY_S, GUST_MEMORY_S]))
-    swing, recent, found = np.zeros(2), RecentLoad(), []
-    for k, fresh in enumerate(random.standard_normal((36000, 2)) * np.sqrt(1.0 - memory**2)):
-        swing = memory * swing + fresh
-        recent = recent.after(float(k), 300.0 * (1.0 + 0.08 * float(swing[0]) + 0.05 * float(swing[1])))
-        found.append((recent.variance, recent.gust_variance))
-    seen = np.mean(found[1000:], axis=0)
-    expected = shown(Swings(0.08, 0.05))
-    assert seen == pytest.approx([expected.variance, expected.gust_variance], rel=0.12)
+def test_a_long_flight_keeps_its_energy_in_as_many_pieces() -> None:
+    power_W = 300.0 + 100.0 * np.random.default_rng(2).standard_normal(3600)
+    long = flown(*power_W.tolist(), each_s=1.0)
+    assert len(long.pieces_W) < MOST_PIECES and long.is_possible
+    assert sum(long.pieces_W) * long.piece_s + long.open_J == pytest.approx(power_W.sum())
+    assert flown(*power_W[::10].tolist(), each_s=10.0).length_s == pytest.approx(3600.0, abs=long.piece_s)
 
 
-def test_a_load_that_scatters_by_a_quarter_widens_the_forecast_of_an_unknown_aircraft_by_half() -> None:
-    """Against one that scatters by a twentieth, half of the variance in gusts and half in manoeuvres."""
-    calm, scattered = (
-        width(UnknownAircraft(), shown(Swings(sd / math.sqrt(2.0), sd / math.sqrt(2.0)))) for sd in (0.05, 0.25)
+def test_the_minutes_of_a_steady_flight_are_alike_and_those_of_a_glider_are_not() -> None:
+    assert PowersFlown().minute_sd == PRIOR_MINUTE_SD
+    assert flown(*[300.0] * 120).minute_sd < 0.05
+    assert flown(*([500.0] * 6 + [25.0] * 24) * 4).minute_sd > 0.4
+
+
+def test_another_load_in_the_last_minute_is_believed_unless_the_motor_runs_by_turns() -> None:
+    unknown = UnknownAircraft()
+
+    def typical_W(*power_W: float) -> float:
+        memory = recent(*power_W)._replace(mean_W=float(np.mean(power_W[-12:])))
+        return unknown.typical_W(Now(600.0, 600.0, 0.5, float(np.mean(power_W)), memory))
+
+    assert typical_W(*[300.0] * 108, *[600.0] * 12) == pytest.approx(600.0)
+    by_turns = ([600.0] * 12 + [30.0] * 24) * 4
+    assert typical_W(*by_turns) == pytest.approx(np.mean(by_turns), rel=0.1)  # it glides now
+
+
+def test_a_motor_that_runs_by_turns_ends_the_flight_while_it_runs() -> None:
+    """The same mean power, steady or by turns of four times the mean: the cut-off is met while the motor runs."""
+    steady, by_turns = (
+        forecast(UnknownAircraft(), recent(*watts)) for watts in ([280.0] * 96, [1120.0, *[0.0] * 3] * 24)
     )
-    assert scattered > 1.5 * calm
+    assert by_turns.lo_s < 0.75 * steady.lo_s
+    scattered = forecast(UnknownAircraft(), recent(*([210.0] * 4 + [350.0] * 4) * 12))
+    assert scattered.lo_s < steady.lo_s
 
 
-CALM = RecentLoad(0.0, 280.0, 280.0, 0.05**2)
+CALM = recent(*[280.0] * 96)
 
 
 def width(load: Load, recent: RecentLoad = CALM) -> float:
@@ -228,3 +248,48 @@ def test_a_minute_without_power_in_a_past_flight_scales_nothing() -> None:
         odd = library(past(level), past(level), past(glides)).scenarios(at, STEP_S, 60)
         assert np.isfinite(odd.power_W).all()
         assert middle_W(odd)[:, :2] == pytest.approx(middle_W(plain)[:, :2], rel=0.15)
+
+
+# --- past flights like this one ----------------------------------------------------------------------------------
+
+UP_AND_DOWN = [420.0, 420.0, 420.0, 420.0, 240.0, 240.0, 240.0, 240.0]  # 40 s each: a survey in wind
+STEADY = [330.0] * 8
+
+
+def flown_like(powers_W: list[float], since_s: float, missing_s: float = 0.0) -> Now:
+    """A flight that asked these powers again and again, a row every 10 s, none for `missing_s` in its middle."""
+    recent, rows = RecentLoad(), round(since_s / 10.0)
+    for k in range(rows + 1):
+        late_s = missing_s if k > rows // 2 else 0.0
+        recent = recent.after(10.0 * k + late_s, powers_W[k % len(powers_W)])
+    return Now(since_s + missing_s, since_s + missing_s, 0.5, 330.0, recent)
+
+
+def share_of_first(load: LearnedLoad, at: Now) -> float:
+    return float(load.scenarios(at, STEP_S, 5).weight[:3].sum())
+
+
+def test_a_past_flight_that_went_like_this_one_counts_most() -> None:
+    """Both had a mean of 330 W; only the first went up and down where this one does, and ends in a climb."""
+    load = library(past(UP_AND_DOWN * 11 + [600.0] * 12), past(STEADY * 11 + [330.0] * 12))
+    assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0)) > 0.9
+    assert share_of_first(load, flown_like(STEADY, 600.0)) < 0.1
+    assert share_of_first(load, flown_like(STEADY, 20.0)) == pytest.approx(0.5)  # nothing shown yet
+
+
+def test_no_past_flight_is_forgotten() -> None:
+    load = library(past(UP_AND_DOWN * 12), past(STEADY * 12))
+    assert 0.04 < share_of_first(load, flown_like(STEADY, 600.0)) < 0.06
+
+
+def test_the_likeness_does_not_hang_on_the_level() -> None:
+    """A payload of a fifth scales both past flights; what went up and down stays the more like."""
+    load = library(past(UP_AND_DOWN * 12), past(STEADY * 12))
+    heavier = flown_like([1.2 * W for W in UP_AND_DOWN], 600.0)._replace(flight_W=396.0)
+    assert share_of_first(load, heavier) > 0.9
+
+
+def test_a_flight_with_a_gap_is_like_any_other() -> None:
+    """After five minutes without rows nobody knows where the powers before them belong."""
+    load = library(past(UP_AND_DOWN * 20), past(STEADY * 20))
+    assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0, missing_s=300.0)) == pytest.approx(0.5)

@@ -45,7 +45,7 @@ PLAUSIBLE: dict[X, tuple[tuple[float, float], tuple[float, float]]] = {
 ASYMMETRY, INDEFINITE, ROUNDED = 1e-6, 1e-6, 1e-6  # of correlations and weights: errors of rounding
 # Ending of a field's name (its unit) -> largest possible value in the memory of a flight; longest endings first.
 LARGEST = {
-    "variance": 1e4, "_Ah": 1e4, "_A": 2000.0, "_W": 400_000.0, "_J": 1e11, "_V": 200.0, "_C": 200.0, "_s": 1e6,
+    "_Ah": 1e4, "_A": 2000.0, "_W": 400_000.0, "_J": 1e11, "_V": 200.0, "_C": 200.0, "_s": 1e6,
 }  # fmt: skip
 LARGEST_OTHER = 1e6
 
@@ -133,8 +133,8 @@ def _implausible_memory(was: SavedBattery) -> str:
     expected = was.past.forecaster.at_take_off
     if expected is not None and not expected.is_possible:
         return "a memory of a take-off that no forecast gives"
-    if flown.load.variance < 0.0 or flown.load.gust_variance < 0.0:
-        return "a memory of a load with a negative variance"
+    if not flown.load.flown.is_possible:
+        return "a memory of powers that no flight asks"
     return ""
 
 

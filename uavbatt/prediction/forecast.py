@@ -10,7 +10,9 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.records import ALARM_RISK, NAN, Estimate, Remaining, Route, Status
 
-STEADY_TAU_S = 20.0
+# Forecasts are averaged over 20 s for a person to read, near the end over a tenth of the time left: an average lags,
+# and in the last minute the lag of 20 s was a large part of the error.
+STEADY_TAU_S, STEADY_SHARE = 20.0, 0.1
 LARGEST_JITTER_S, LARGEST_JITTER = 30.0, 0.2
 LEVELS = (0.05, ALARM_RISK, 0.5, 0.95)
 
@@ -56,7 +58,8 @@ class Forecast(NamedTuple):
         aged_median_s = quantile(aged_s, 0.5)
         if abs(quantile(fresh_s, 0.5) - aged_median_s) > max(LARGEST_JITTER_S, LARGEST_JITTER * aged_median_s):
             return fresh_s
-        keep = math.exp(-age_s / STEADY_TAU_S)
+        tau_s = min(STEADY_TAU_S, STEADY_SHARE * aged_median_s)
+        keep = math.exp(-age_s / tau_s) if tau_s > 0.0 else 0.0
         return np.asarray(keep * aged_s + (1.0 - keep) * fresh_s)
 
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from uavbatt.battery.model import Array
 from uavbatt.navigation import NOWHERE, Navigation
-from uavbatt.prediction.swings import GUST_TAU_S, MEAN_TAU_S, WINDOW_TAU_S, Swings, swings_shown, swung
+from uavbatt.prediction.powers_flown import PowersFlown
+from uavbatt.prediction.swings import Swings, swung
 
-SPREAD_TAU_S = 240.0
-# Before a flight has shown its own: as manoeuvres of 15 % and gusts of 10 % would look.
-PRIOR_SPREAD, PRIOR_GUST = 0.062, 0.116
+MEAN_TAU_S, GUST_TAU_S = 60.0, 5.0  # of the averages
+UNSHOWN, SHOWN_S = Swings(manoeuvres=0.15, gusts=0.10), 600.0  # of a flight that has just begun
 STATED_SPREAD = 0.04  # an operator who states watts means about these watts
 SCENARIOS = 9
 SLOW_ROW_S = 5.0  # rows slower than this are judged one by one
@@ -67,29 +67,17 @@ class RecentLoad(NamedTuple):
 
     time_s: float = math.nan
     mean_W: float = math.nan
-    window_W: float = math.nan
-    variance: float = PRIOR_SPREAD**2  # of window / mean
     gust_W: float = math.nan
-    gust_variance: float = PRIOR_GUST**2  # of five seconds / mean
+    flown: PowersFlown = PowersFlown()
 
     def after(self, time_s: float, power_W: float) -> RecentLoad:
         """Return the memory with one more row; rows must come in order of time."""
         if not math.isfinite(self.time_s):
-            return RecentLoad(time_s, power_W, power_W, self.variance, power_W, self.gust_variance)
+            return RecentLoad(time_s, power_W, power_W)
         dt_s = max(time_s - self.time_s, 0.0)
-        means = ((self.mean_W, MEAN_TAU_S), (self.window_W, WINDOW_TAU_S), (self.gust_W, GUST_TAU_S))
-        mean_W, window_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
-        variances = [self.variance, self.gust_variance]
-        if mean_W > 0.0:
-            keep = math.exp(-dt_s / SPREAD_TAU_S)
-            shown = [(some_W / mean_W - 1.0) ** 2 for some_W in (window_W, gust_W)]
-            variances = [now + (was - now) * keep for was, now in zip(variances, shown, strict=True)]
-        return RecentLoad(time_s, mean_W, window_W, variances[0], gust_W, variances[1])
-
-    @property
-    def swings(self) -> Swings:
-        """Return the gusts and manoeuvres that the averages have shown."""
-        return swings_shown(self.variance, self.gust_variance)
+        means = ((self.mean_W, MEAN_TAU_S), (self.gust_W, GUST_TAU_S))
+        mean_W, gust_W = [power_W + (was_W - power_W) * math.exp(-dt_s / tau_s) for was_W, tau_s in means]
+        return RecentLoad(time_s, mean_W, gust_W, self.flown.after(power_W, dt_s))
 
 
 def equal_levels(spread: float, count: int) -> Array:
@@ -128,9 +116,9 @@ class RecentMean:
         return max(now.recent.mean_W, LOWEST_POWER_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Return powers around the recent mean, with swings as the flight has shown them."""
-        swings = now.recent.swings
-        return swinging(constant(self.typical_W(now), swings.mean_sd, dt_s, steps), swings)
+        """Return powers around the recent mean, which go up and down as they have so far."""
+        flown = now.recent.flown
+        return flown_again(constant(self.typical_W(now), flown.minute_sd, dt_s, steps), flown)
 
 
 def stretches_s(dt_s: Array) -> Array:
@@ -152,12 +140,19 @@ def constant(power_W: float, spread: float, dt_s: float, steps: int) -> Scenario
 
 
 def swinging(scenarios: Scenarios, swings: Swings) -> Scenarios:
-    """Return the scenarios with gusts and manoeuvres of their own on them; their mean power stays.
-
-    The swings are no larger than a flight can repeat again and again until its end.
-    """
+    """Return the scenarios with gusts and manoeuvres of their own on them; their mean power stays."""
     rough = swung(scenarios.dt_s, scenarios.power_W.shape[1], swings)
     return Scenarios(scenarios.power_W * rough, scenarios.weight, scenarios.dt_s)
+
+
+def flown_again(scenarios: Scenarios, flown: PowersFlown) -> Scenarios:
+    """Return the scenarios with the ups and downs of the flight so far, each from another place of it on.
+
+    What a flight has not shown in its first SHOWN_S is there as swings, less and less.
+    """
+    again = flown.again(stretches_s(scenarios.dt_s), scenarios.power_W.shape[1])
+    power_W = np.maximum(scenarios.power_W * again, LOWEST_POWER_W)
+    return swinging(scenarios._replace(power_W=power_W), UNSHOWN.times(max(1.0 - flown.length_s / SHOWN_S, 0.0)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,13 @@
 
 With a vehicle file: each past flight is used from the point that corresponds to the present one (half by time since
 take-off, half by state of charge). Its power is scaled half-way to this flight's own mean power, or fully if this
-flight differs more from all of them than flights of one aircraft usually do. After a landing it goes on as another past
-flight did from that charge. On held-out aircraft the library brings the gain; how it is matched and scaled matters less
-(36 to 46 s of error against 67 to 94 s for "as recently", six to one minutes before the end).
+flight differs more from all of them than flights of one aircraft usually do. A past flight counts more if this flight
+has been similar in its last ten minutes. For 30 real flights of held-out aircraft the error of the time left is 41, 39,
+32 and 28 s, at 360, 240, 120 and 60 s before the end; without that weighting it was 49, 44, 39 and 35 s. After its
+landing a past flight goes on as another past flight did from that charge.
 
 Without a vehicle file: two flights of three end with a period of higher power (the way home, wind, the landing), which
-begins anywhere in the rest; before it the power is that of this flight so far, with a wide spread.
+begins anywhere in the rest; before it this flight is flown again, at its own power, with a wide spread.
 """
 
 from __future__ import annotations
@@ -20,8 +21,16 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.powers import UNKNOWN, Powers
 from uavbatt.battery.vehicle_file import VehicleFile
-from uavbatt.prediction.load import LOWEST_POWER_W, ConstantLoad, Load, Now, Scenarios, equal_levels, swinging
-from uavbatt.prediction.swings import MEAN_TAU_S
+from uavbatt.prediction.load import (
+    LOWEST_POWER_W,
+    MEAN_TAU_S,
+    ConstantLoad,
+    Load,
+    Now,
+    Scenarios,
+    equal_levels,
+    flown_again,
+)
 
 LENGTH_S, GRID_S = 3600.0, 5.0
 STITCHES = 3
@@ -32,10 +41,15 @@ LEAST_MEAN, LEAST_SHOWN = 0.1, 0.5  # of a past flight's mean: a dropout or a gl
 MOST_TYPICAL = 1.5  # times this flight's own power: the horizon, twice what is typical, must hold its end
 OWN_SPREAD, FEW_SPREAD, FEW_FLIGHTS = 0.05, 0.12, 8
 LEVELS = 3
+# Two flights of one route differ by a tenth from half minute to half minute, and by more where one is late. With 0.13
+# and 0.25 the Matrice 100 flights gain as much.
+BLOCK_S, BLOCKS, BLOCK_SD = 30.0, 20, 0.18
+ANY_SHARE = 0.1  # of the weight belongs to all past flights alike: what went the same so far may part now
 
 SURGE_FACTORS = np.array([1.0, 1.12, 1.3])
 SURGE_BEGINS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 FLIGHT_SPREAD = 0.06
+CHANGE_SD = 0.1  # by which the load of a flight changes in earnest, as ln
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +67,10 @@ class LearnedLoad:
         return min(float(np.median(self.mean_W[:, -1])), MOST_TYPICAL * now.flight_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
-        """Return every flight of the library from the point that corresponds to the present, at three power levels."""
+        """Return every flight of the library from the point that corresponds to the present, at three power levels.
+
+        Each is weighted by its similarity to this flight.
+        """
         grid_s = GRID_S * np.arange(self.power_W.shape[1])
         ahead_s = dt_s * np.arange(steps)
         flights = self.power_W.shape[0]
@@ -65,11 +82,39 @@ class LearnedLoad:
             mean_W[i] = max(np.interp(start_s, grid_s, self.mean_W[i]), LEAST_MEAN * self.mean_W[i, -1])
             traces_W[:, i] = np.interp(start_s + ahead_s, grid_s, self.power_W[i])
             minute_W[i] = np.mean(np.interp(start_s - np.arange(0.0, MEAN_TAU_S, GRID_S), grid_s, self.power_W[i]))
-        traces_W *= own_scales(now.flight_W / mean_W, now.since_take_off_s) * late_scale(now, minute_W / mean_W)
+        scales = own_scales(now.flight_W / mean_W, now.since_take_off_s)
+        traces_W *= scales * late_scale(now, minute_W / mean_W)
         levels = equal_levels(OWN_SPREAD if flights >= FEW_FLIGHTS else FEW_SPREAD, LEVELS)
         power_W = (traces_W[:, :, None] * levels).reshape(steps, -1)
-        weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
+        weight = np.repeat(self._weights(now, scales) / LEVELS, LEVELS)
         return Scenarios(np.maximum(power_W, LOWEST_POWER_W), weight, np.full(steps, dt_s))
+
+    def _weights(self, now: Now, scales: Array) -> Array:
+        """Return the weights of the flights [flights], which are multiplied by `scales`, by their likeness to this one.
+
+        All weigh the same while nothing can be compared: a flight with a gap does not know where its powers belong.
+        """
+        flown, flights = now.recent.flown, self.power_W.shape[0]
+        own_W = flown.blocks_W(BLOCK_S, BLOCKS)
+        if own_W.size == 0 or now.since_take_off_s - flown.length_s - flown.open_s > BLOCK_S:
+            return np.full(flights, 1.0 / flights)
+        edges_s = flown.length_s - BLOCK_S * np.arange(own_W.size, -1, -1)
+        drawn_J = GRID_S * np.cumsum(np.insert(self.power_W, 0, 0.0, axis=1), axis=1)
+        at_s = GRID_S * np.arange(drawn_J.shape[1])
+        past_W = np.diff([np.interp(edges_s, at_s, past_J) for past_J in drawn_J]) / BLOCK_S * scales[:, None]
+        return likeness(own_W, past_W)
+
+
+def likeness(own_W: Array, past_W: Array) -> Array:
+    """Return the weights [flights] of past flights by how much their powers are like those of this one; their sum is 1.
+
+    own_W : mean power of each block of this flight [W], [blocks]; past_W : of each past flight [W], [flights, blocks].
+    The logarithms of their ratios are taken to be independent and normal, with BLOCK_SD.
+    """
+    apart = np.log(np.maximum(past_W, LOWEST_POWER_W) / np.maximum(own_W, LOWEST_POWER_W)) / BLOCK_SD
+    misfit = np.sum(np.square(apart), axis=1)
+    weight = np.exp(-0.5 * (misfit - misfit.min()))
+    return np.asarray((1.0 - ANY_SHARE) * weight / weight.sum() + ANY_SHARE / weight.size)
 
 
 def own_scales(ratio: Array, since_take_off_s: float) -> Array:
@@ -164,17 +209,26 @@ class UnknownAircraft:
     powers: Powers = UNKNOWN
 
     def typical_W(self, now: Now) -> float:
-        """Return the middle between the mean powers of the flight so far and of its last minute [W], at least 1 W."""
-        return max(0.5 * (now.flight_W + now.recent.mean_W), LOWEST_POWER_W)
+        """Return the mean power of the flight so far [W], unless its last minute shows another; at least 1 W.
+
+        The minutes of a flight differ by chance, those of one whose motor runs by turns by much. A minute of far more
+        than that is another load; one of less may be a descent.
+        """
+        by_chance = now.recent.flown.minute_sd
+        away = math.log(max(now.recent.mean_W, LOWEST_POWER_W) / now.flight_W)
+        share = CHANGE_SD**2 / (CHANGE_SD**2 + by_chance**2)
+        if away > 0.0:
+            share += (1.0 - share) * _real_share(away, math.hypot(LEAST_USUAL, USUAL_SDS * by_chance))
+        return max(now.flight_W * math.exp(share * away), LOWEST_POWER_W)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return every level with every surge factor and every place in the rest of the flight where a surge begins."""
-        swings = now.recent.swings
-        spread = float(np.hypot(FLIGHT_SPREAD, 0.5 * swings.mean_sd))  # the flight so far is the other half
-        levels = self.typical_W(now) * equal_levels(spread, LEVELS)
+        flown = now.recent.flown
+        known_sd = CHANGE_SD * flown.minute_sd / math.hypot(CHANGE_SD, flown.minute_sd)
+        levels = self.typical_W(now) * equal_levels(math.hypot(FLIGHT_SPREAD, known_sd), LEVELS)
         share = (np.arange(steps) + 0.5) / steps * 2.0  # the simulated horizon is twice the typical rest
         surging = share[:, None] >= SURGE_BEGINS
         shape = np.where(surging[:, None, :], SURGE_FACTORS[None, :, None], 1.0).reshape(steps, -1)
         power_W = (shape[:, :, None] * levels).reshape(steps, -1)
         weight = np.full(power_W.shape[1], 1.0 / power_W.shape[1])
-        return swinging(Scenarios(power_W, weight, np.full(steps, dt_s)), swings)
+        return flown_again(Scenarios(power_W, weight, np.full(steps, dt_s)), flown)

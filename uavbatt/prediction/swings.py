@@ -1,7 +1,6 @@
-"""The swings of the power around its mean: gusts, which last seconds, and manoeuvres, which last most of a minute.
+"""Swings of the power that no flight has shown yet: gusts, which last seconds, and manoeuvres, most of a minute.
 
-Both are Ornstein-Uhlenbeck processes. A flight shows parts of them as averages over different times (`swings_shown`),
-and flies on with what it has shown (`swung`).
+Both are Ornstein-Uhlenbeck processes around the mean.
 """
 
 from __future__ import annotations
@@ -15,74 +14,28 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.prediction.sampling import LONGEST, held
 
-MEAN_TAU_S, WINDOW_TAU_S, GUST_TAU_S = 60.0, 20.0, 5.0  # of the averages
 # A manoeuvre is a climb or wind on the nose: these end a flight early, near empty the cut-off lies a climb away.
 GUST_MEMORY_S, MANOEUVRE_MEMORY_S = 8.0, 40.0
-LARGEST_SWING, LARGEST_MANOEUVRES = 0.6, 0.4  # of both together, and of these alone
-SMALLEST_SPREAD = 0.03
+LARGEST_GUSTS = 0.6  # of a normal law around the mean
 STEPS_IN_BLOCK = 32
 
 
 class Swings(NamedTuple):
-    """Swings holds the relative sd of the power's two wandering parts: their own, not what an average shows of it."""
+    """Swings holds the relative sd of the power's two wandering parts."""
 
     manoeuvres: float
     gusts: float
 
-    @property
-    def mean_sd(self) -> float:
-        """Return the relative sd of the mean of a coming flight around that of the last minute, at least 3 %."""
-        left = MANOEUVRE_MEMORY_S / (MANOEUVRE_MEMORY_S + MEAN_TAU_S)
-        return math.hypot(SMALLEST_SPREAD, min(self.manoeuvres, 1.0) * math.sqrt(left))
-
-
-def shown_share(short_s: float, long_s: float, memory_s: float) -> float:
-    """Return the share of its variance that a process shows as one exponential average around a longer one.
-
-    The process is an Ornstein-Uhlenbeck process of this memory [s]; var(a) + var(b) - 2 cov(a, b) for averages over a
-    and b [s].
-    """
-
-    def shared(a_s: float, b_s: float) -> float:
-        """cov/σ² = (1/(1/a + 1/m) + 1/(1/b + 1/m))/(a + b)."""
-        return (1.0 / (1.0 / a_s + 1.0 / memory_s) + 1.0 / (1.0 / b_s + 1.0 / memory_s)) / (a_s + b_s)
-
-    return shared(short_s, short_s) + shared(long_s, long_s) - 2.0 * shared(short_s, long_s)
-
-
-@cache
-def shown_shares() -> tuple[Array, Array]:
-    """Return the shares of variance that averages over (WINDOW_TAU_S, GUST_TAU_S) [2] show of each process.
-
-    The processes are manoeuvres, and gusts.
-    """
-    slow, fast = (
-        np.array([shown_share(tau_s, MEAN_TAU_S, memory_s) for tau_s in (WINDOW_TAU_S, GUST_TAU_S)])
-        for memory_s in (MANOEUVRE_MEMORY_S, GUST_MEMORY_S)
-    )
-    return slow, fast
-
-
-def swings_shown(variance: float, gust_variance: float) -> Swings:
-    """Return the manoeuvres and gusts that two averages have shown parts of: least squares, none negative.
-
-    variance, gust_variance : of the averages over WINDOW_TAU_S and GUST_TAU_S, relative to the mean.
-    """
-    seen, (slow, fast) = np.array([variance, gust_variance]), shown_shares()
-    manoeuvres, gusts = np.linalg.solve(np.column_stack([slow, fast]), seen)
-    if manoeuvres < 0.0:
-        manoeuvres, gusts = 0.0, fast @ seen / (fast @ fast)
-    elif gusts < 0.0:
-        manoeuvres, gusts = slow @ seen / (slow @ slow), 0.0
-    return Swings(math.sqrt(manoeuvres), math.sqrt(gusts))
+    def times(self, factor: float) -> Swings:
+        """Return swings that are `factor` times as large."""
+        return Swings(self.manoeuvres * factor, self.gusts * factor)
 
 
 def swung(dt_s: Array, count: int, swings: Swings) -> Array:
     """Return gusts and manoeuvres of `count` scenarios as factors on the power, of mean 1, [steps, count]."""
-    manoeuvres = min(swings.manoeuvres, LARGEST_MANOEUVRES)
-    gusts = min(swings.gusts, math.sqrt(LARGEST_SWING**2 - manoeuvres**2))
-    exponent, processes = np.zeros((dt_s.size, count)), ((manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))
-    for process, (sd, memory_s) in enumerate(processes):
+    gusts = min(swings.gusts, LARGEST_GUSTS)
+    exponent = np.zeros((dt_s.size, count))
+    for process, (sd, memory_s) in enumerate(((swings.manoeuvres, MANOEUVRE_MEMORY_S), (gusts, GUST_MEMORY_S))):
         if sd > 0.0:
             variance = math.log1p(sd**2)  # of the logarithm of a factor that has mean 1 and this sd
             exponent += math.sqrt(variance) * _wandering(dt_s, count, memory_s, process) - 0.5 * variance

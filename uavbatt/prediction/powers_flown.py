@@ -1,0 +1,102 @@
+"""The powers that a flight has asked so far, in pieces of seconds: what it may ask again.
+
+A motor that runs by turns (a glider's, a racer's, the lift of a VTOL, hops from field to field) asks several times its
+mean for some seconds, and the end comes then. No normal law around the mean says so; the flight itself does. So the
+power to come is the flight flown again, each scenario from another place of it on.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from uavbatt.battery.model import Array
+
+SHORTEST_PIECE_S = 5.0  # the mean that ends a flight
+MOST_PIECES = 128
+LONGEST_ROW_S = 30.0  # nobody knows what was asked in a longer gap
+# Before a flight has shown its own: manoeuvres of 15 % move the mean of a minute by a tenth. It counts as two minutes.
+MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
+
+
+class PowersFlown(NamedTuple):
+    """PowersFlown holds the mean powers [W] of pieces of `piece_s` [s], the oldest first, and the open piece."""
+
+    piece_s: float = SHORTEST_PIECE_S
+    open_J: float = 0.0
+    open_s: float = 0.0
+    pieces_W: tuple[float, ...] = ()
+
+    @property
+    def is_possible(self) -> bool:
+        """Return True if a flight can have left this: a saved file may hold anything."""
+        is_known = all(math.isfinite(number) for number in (self.open_J, *self.pieces_W))
+        is_open = SHORTEST_PIECE_S <= self.piece_s < math.inf and 0.0 <= self.open_s < self.piece_s
+        return is_known and is_open and len(self.pieces_W) < MOST_PIECES
+
+    @property
+    def length_s(self) -> float:
+        """Return the time of all closed pieces [s]."""
+        return len(self.pieces_W) * self.piece_s
+
+    def after(self, power_W: float, dt_s: float) -> PowersFlown:
+        """Return the same with `dt_s` [s] more at `power_W` [W]."""
+        now, left_s = self, min(max(dt_s, 0.0), LONGEST_ROW_S)
+        while now.open_s + left_s >= now.piece_s:
+            part_s = now.piece_s - now.open_s
+            now = now._closed((now.open_J + part_s * power_W) / now.piece_s)
+            left_s -= part_s
+        return now._replace(open_J=now.open_J + left_s * power_W, open_s=now.open_s + left_s)
+
+    def _closed(self, piece_W: float) -> PowersFlown:
+        """Return the same with one more piece; where there are too many, two become one."""
+        pieces_W, piece_s = (*self.pieces_W, piece_W), self.piece_s
+        if len(pieces_W) == MOST_PIECES:
+            pieces_W = tuple(np.mean(np.reshape(pieces_W, (-1, 2)), axis=1).tolist())
+            piece_s *= 2.0
+        return PowersFlown(piece_s, pieces_W=pieces_W)
+
+    def blocks_W(self, block_s: float, most: int) -> Array:
+        """Return the mean powers [W] of the last blocks of `block_s` [s], at most `most`; they end at `length_s`."""
+        count, (at_s, drawn_J) = min(most, int(self.length_s / block_s)), self._drawn()
+        edges_s = self.length_s - block_s * np.arange(count, -1, -1)
+        return np.asarray(np.diff(np.interp(edges_s, at_s, drawn_J)) / block_s)
+
+    def again(self, edges_s: Array, count: int) -> Array:
+        """Return the power between `edges_s` [steps + 1] [s] of `count` flights like this one, [steps, count].
+
+        It is relative to the mean, 1 where the flight has shown nothing yet.
+        """
+        at_s, drawn_J = self._drawn()
+        if not drawn_J[-1] > 0.0:
+            return np.ones((edges_s.size - 1, count))
+        turns, within_s = np.divmod(edges_s[:, None] + self.length_s * _begins(count), self.length_s)
+        passed_J = turns * drawn_J[-1] + np.interp(within_s, at_s, drawn_J)
+        mean_W = drawn_J[-1] / self.length_s
+        return np.asarray(np.diff(passed_J, axis=0) / (mean_W * np.diff(edges_s)[:, None]))
+
+    def _drawn(self) -> tuple[Array, Array]:
+        """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
+        drawn_J = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
+        return self.piece_s * np.arange(drawn_J.size, dtype=float), drawn_J
+
+    @property
+    def minute_sd(self) -> float:
+        """Return the relative sd of a minute's mean power, by all but the last, which may be another load."""
+        pieces = max(round(MINUTE_S / self.piece_s), 1)
+        before_W = np.array(self.pieces_W[:-pieces])
+        if before_W.size < pieces or not before_W.mean() > 0.0:
+            return PRIOR_MINUTE_SD
+        means = np.convolve(before_W, np.full(pieces, 1.0 / pieces), mode="valid") / before_W.mean()
+        minutes = before_W.size / pieces
+        squares = PRIOR_MINUTES * PRIOR_MINUTE_SD**2 + minutes * float(np.mean((means - 1.0) ** 2))
+        return math.sqrt(squares / (PRIOR_MINUTES + minutes))
+
+
+@cache
+def _begins(count: int) -> Array:
+    """Return places 0..1 [count] in the flight from which it is flown again, in random order."""
+    return np.random.default_rng(count).permutation((np.arange(count) + 0.5) / count)
