@@ -165,12 +165,16 @@ def write_log(path: Path, samples: list[Sample], pack: Pack, route: RouteFlight 
     elif kind == ".bin":
         write_dataflash(path, samples, parameters, route=list(dataflash_records(flown)) if flown is not None else ())
     elif kind == ".csv":
-        with atomic_write(path) as stream:
-            stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
-            for s in samples:
-                stream.write(
-                    f"{s.time_s:.3f},{s.voltage_V:.3f},{s.current_A:.2f},{s.temp_C:.2f},{s.consumed_Ah:.4f},"
-                    f"{s.reported_soc:.3f},{int(bool(s.armed))}\n"
-                )
+        _write_csv(path, samples)
     else:
         raise UsageError(f"{path}: expected a name that ends in .tlog, .BIN or .csv")
+
+
+def _write_csv(path: Path, samples: list[Sample]) -> None:
+    with atomic_write(path) as stream:
+        stream.write("time_s,voltage_V,current_A,temp_C,consumed_Ah,reported_soc,armed\n")
+        for s in samples:
+            stream.write(
+                f"{s.time_s:.3f},{s.voltage_V:.3f},{s.current_A:.2f},{s.temp_C:.2f},{s.consumed_Ah:.4f},"
+                f"{s.reported_soc:.3f},{int(bool(s.armed))}\n"
+            )
