@@ -57,7 +57,7 @@ def _tables(sections: Iterable[str], is_quick: bool) -> list[Table]:
     flown: list[wrong_judged.Judged] = []
     faults: list[wrong_live.Heard] = []
     if "estimator" in sections:
-        cases = wrong_cases.issue() + wrong_cases.sampled(EACH_QUICK if is_quick else EACH)
+        cases = wrong_cases.every(EACH_QUICK if is_quick else EACH)
         flown = list(_each(wrong_judged.judged, cases, say, "estimator"))
         made += [wrong_tables.issue(flown), wrong_tables.groups(flown), wrong_tables.worst(flown)]
     if "live" in sections:
@@ -80,7 +80,7 @@ def _one(name: str) -> int:
     """The lines of one flight through the estimator, by its name in the tables."""
     from scoring import wrong_cases, wrong_judged
 
-    cases = {case.name: case for case in wrong_cases.issue() + wrong_cases.sampled(EACH)}
+    cases = {case.name: case for case in wrong_cases.every(EACH)}
     if name not in cases:
         print(f"wrong_packs: --flight {name}: expected one of {', '.join(cases)}", file=sys.stderr)
         return 2

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import pty
 import socket
 import subprocess
 import sys
 import threading
 import time
+import tty
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -118,6 +120,22 @@ def connecting(port: int) -> Callable[[], socket.socket]:
     return connect
 
 
+class Pty:
+    """The vehicle's end of a serial line that is none."""
+
+    def __init__(self) -> None:
+        self.fd, self._line = pty.openpty()
+        tty.setraw(self.fd)
+        os.set_blocking(self.fd, False)
+        self.name = os.ttyname(self._line)
+
+    def sendall(self, data: bytes) -> None:
+        os.write(self.fd, data)
+
+    def recv(self, size: int) -> bytes:
+        return os.read(self.fd, size)
+
+
 class Station:
     """A ground station that listens on UDP."""
 
@@ -181,6 +199,11 @@ def manager_at(path: Path) -> Iterator[list[bytes]]:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
             end.sendto(b"end", str(path))
         thread.join(PATIENCE_S)
+
+
+def descriptors(pid: int) -> list[int]:
+    """The open descriptors of a process."""
+    return [int(name) for name in os.listdir(f"/proc/{pid}/fd")]
 
 
 def until(condition: Callable[[], Any]) -> Any:

@@ -99,6 +99,22 @@ class Pack:
 
 
 @dataclass(frozen=True, slots=True)
+class Turns:
+    """Turns says how a motor runs by turns: `high` times the level power for some seconds, then `low` times."""
+
+    high: float
+    high_s: tuple[float, float]  # shortest and longest
+    low: float
+    low_s: tuple[float, float]
+
+    def phase(self, dice: np.random.Generator, before: float) -> tuple[float, float]:
+        """Return the next turn's power against the level, and how long it lasts [s]."""
+        if before == self.high:
+            return self.low, float(dice.uniform(*self.low_s))
+        return self.high, float(dice.uniform(*self.high_s))
+
+
+@dataclass(frozen=True, slots=True)
 class Power:
     """Power says what a flight asks: a level power with gusts and, where it manoeuvres, climbs and descents."""
 
@@ -106,13 +122,16 @@ class Power:
     gust: float = 0.04  # sd of ln power
     gust_s: float = 3.0
     climb: float = 0.0  # a climb asks so much more than level flight; a descent asks half of that less
+    turns: Turns | None = None  # instead of climbs
 
     def rows_W(self, seed: int) -> Iterator[float]:
         """Yield the power of each second [W], without end."""
         dice, gust, share = np.random.default_rng(seed), 0.0, math.exp(-ROW_S / self.gust_s)
         factor, left_s = 1.0, 20.0
         while True:
-            if self.climb > 0.0 and left_s <= 0.0:
+            if self.turns is not None and left_s <= 0.0:
+                factor, left_s = self.turns.phase(dice, factor)
+            elif self.climb > 0.0 and left_s <= 0.0:
                 factor, left_s = self._phase(dice, factor)
             left_s -= ROW_S
             gust = share * gust + math.sqrt(1.0 - share**2) * float(dice.standard_normal())

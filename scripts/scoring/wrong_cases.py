@@ -7,7 +7,7 @@ to, healthy ones and worn ones, at 0.85 to 1.9 times the make's.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from scoring.other_pack import (
     Pack,
     Power,
     Sensors,
+    Turns,
     flight,
 )
 from uavbatt.battery.battery_file import BatteryFile
@@ -34,6 +35,13 @@ GUSTY = Power()
 CAPACITIES = (("65..80 %", 0.65, 0.80), ("80..92 %", 0.80, 0.92), ("92..105 %", 0.92, 1.05))
 CHARGES = (("full", 0.97, 1.0), ("part", 0.60, 0.93))
 GAINS = (("current reads 0.5..0.8", 0.5, 0.8), ("current reads 1.1..1.3", 1.1, 1.3))
+# Motors that run by turns, and the level powers of such aircraft [W].
+BY_TURNS = (
+    ("glider", Turns(1.0, (15.0, 45.0), 0.05, (30.0, 85.0)), (450.0, 900.0)),
+    ("VTOL", Turns(4.0, (15.0, 35.0), 1.0, (60.0, 240.0)), (80.0, 140.0)),
+    ("hops", Turns(1.0, (50.0, 180.0), 0.03, (15.0, 70.0)), (220.0, 400.0)),
+    ("racer", Turns(1.7, (1.0, 5.0), 0.6, (2.0, 8.0)), (450.0, 900.0)),
+)
 GENERIC_OHMS, FITTED_OHMS = (0.4, 2.5), (0.85, 1.9)
 ISSUE_AH = (5.0, 4.5, 4.0, 3.5)
 # Healthy packs that a battery is fitted to: capacity / stated, ohms / make's, air [°C], level power [W], climbs.
@@ -84,6 +92,11 @@ class Case:
         )
 
 
+def every(each: int) -> list[Case]:
+    """Return the cases of the issue, and so many flights of every group."""
+    return issue() + sampled(each) + by_turns(each)
+
+
 def issue() -> list[Case]:
     """Return the cases of the issue's table: nothing else is wrong than the capacity."""
     return [
@@ -103,6 +116,19 @@ def sampled(each: int) -> list[Case]:
         for capacity, charge, gain in spans
         for number in range(each)
     ]
+
+
+def by_turns(each: int) -> list[Case]:
+    """Return so many flights of every kind of motor that runs by turns; their packs are those of `sampled`."""
+    found = []
+    for battery in (GENERIC, FITTED):
+        for name, turns, (low_W, high_W) in BY_TURNS:
+            for number in range(each):
+                case = _drawn(battery, (name, 0.75, 1.05), CHARGES[0], (1.0, 1.0), number)
+                share = (case.power.level_W - 200.0) / 180.0  # of the levels of `_drawn`
+                power = Power(low_W + share * (high_W - low_W), gust=0.05, turns=turns)
+                found.append(replace(case, power=power))
+    return found
 
 
 def _drawn(

@@ -152,7 +152,8 @@ def _at(instants_s: Sequence[float], every: Sequence[Judged], of: Callable[[Said
 
 
 def _is_metered(judged: Judged, battery: str) -> bool:
-    return judged.case.battery == battery and judged.case.sensors.current_gain == 1.0
+    case = judged.case
+    return case.battery == battery and case.sensors.current_gain == 1.0 and case.power.turns is None
 
 
 def _is_in_service(judged: Judged, battery: str) -> bool:

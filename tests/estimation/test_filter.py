@@ -440,6 +440,18 @@ def test_within_the_noise_a_reading_weighs_by_its_share_and_beyond_it_whole(shar
     """Two capacities, equally likely before; a share of 0.1 is that of a make that nobody tested."""
     even, variance_V2 = np.log([0.5, 0.5]), np.array([0.01, 0.01])
     within = recursion.weighed(even, np.array([0.0, 0.08]), variance_V2, share)
-    beyond = recursion.weighed(even, np.array([0.1, 0.3]), variance_V2, share)
+    beyond = recursion.weighed(even, np.array([0.2, 0.4]), variance_V2, share)
     assert within[0] - within[1] == pytest.approx(0.5 * share * 0.64, rel=1e-3)
-    assert beyond[0] - beyond[1] == pytest.approx(0.5 * 8.0, rel=1e-2)
+    assert beyond[0] - beyond[1] == pytest.approx(0.5 * 12.0, rel=2e-2)
+
+
+def test_noise_makes_a_make_that_nobody_tested_no_surer_of_a_capacity() -> None:
+    """Readings as noisy as the filter expects, either way; the second capacity is off by a tenth of the noise."""
+    noise_V, variance_V2 = 0.1 * np.random.default_rng(5).standard_normal(200), np.array([0.01, 0.01])
+    odds = []
+    for share in (1.0, 0.1):
+        log_weight = np.log([0.5, 0.5])
+        for volts in np.stack([noise_V, -noise_V]).T.ravel():
+            log_weight = recursion.weighed(log_weight, volts + np.array([0.0, 0.01]), variance_V2, share)
+        odds.append(log_weight[0] - log_weight[1])
+    assert odds[1] < 0.5 * odds[0] and odds[1] > 0.0

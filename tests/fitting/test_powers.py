@@ -10,27 +10,37 @@ import numpy as np
 import pytest
 from route_rig import HOME
 
-from uavbatt.battery.powers import GRAVITY_MS2, TURN_S, UNKNOWN, Powers, induced_ratio, power, terms, turning_power
+from uavbatt.battery.powers import (
+    GRAVITY_MS2,
+    TURN_S,
+    UNKNOWN,
+    Powers,
+    induced_ratio,
+    level_of,
+    power,
+    terms,
+    turning_power,
+)
 from uavbatt.battery.vehicle_file import Speeds
 from uavbatt.fitting.powers import powers
 from uavbatt.fitting.vehicle import speeds
 from uavbatt.navigation import Mode, Navigation, Position, ReturnSettings
 from uavbatt.records import Flight, Sample
 
-TRUE = msgspec.structs.replace(UNKNOWN, hover_W=250.0, induced=0.45, drag=0.2, climb=0.07, fast_climb=0.08)
+TRUE = msgspec.structs.replace(UNKNOWN, hover_W=250.0, induced=0.45, drag=0.2, climb=0.07, fast_climb=0.08, flights=4)
 
 
-def asked_W(of: Powers, airspeed_ms: float, climb_ms: float) -> float:
-    return float(power(of, terms(airspeed_ms, climb_ms, 0.0, 0.0, of.induced_ms)))
+def asked_W(of: Powers, airspeed_ms: float, climb_ms: float, level: float = 1.0) -> float:
+    return float(power(of, terms(airspeed_ms, climb_ms, 0.0, 0.0, of.induced_ms), level))
 
 
-def flight(scale: float = 1.0) -> Flight:
+def flight(level: float = 1.0) -> Flight:
     """A pilot's flight through every speed and climb, each held for half a minute."""
     held = [(v, c) for v in (0.0, 4.0, 8.0, 12.0, 15.0) for c in (-1.5, 0.0, 2.0)]
     samples, known = [], []
     for k in range(30 * len(held)):
         speed_ms, climb_ms = held[k // 30]
-        watts = scale * asked_W(TRUE, speed_ms, climb_ms)
+        watts = asked_W(TRUE, speed_ms, climb_ms, level)
         here = Position(float(k), HOME.lat_deg, HOME.lon_deg, 50.0, speed_ms, 0.0, climb_ms)
         samples.append(Sample(float(k), 15.0, watts / 15.0))
         known.append(Navigation(time_s=float(k), mode=Mode.MANUAL, home=HOME, position=here))
@@ -70,13 +80,38 @@ def test_an_unknown_aircraft_asks_more_in_a_climb_and_least_in_between() -> None
     assert asked_W(UNKNOWN, 8.0, -1.5) < middling < asked_W(UNKNOWN, 8.0, 2.0)
 
 
-def test_a_turn_asks_a_hover_and_the_kinetic_energy_that_is_gained() -> None:
-    """A hover of m g v_h induced watts tells the mass that speeds up."""
-    mass_kg = UNKNOWN.induced * TRUE.hover_W / (GRAVITY_MS2 * UNKNOWN.induced_ms)
-    quad = msgspec.structs.replace(UNKNOWN, hover_W=TRUE.hover_W)
-    assert float(turning_power(quad, 0.0)) == TRUE.hover_W
-    gained_J = (float(turning_power(quad, 12.0)) - TRUE.hover_W) * TURN_S
-    assert gained_J == pytest.approx(0.5 * mass_kg * 12.0**2)
+def test_a_turn_asks_for_the_kinetic_energy_with_the_efficiency_of_the_hover() -> None:
+    """It was asked for with the induced power alone, which leaves out what the rotors lose: half of it was missing."""
+    quad, efficiency = msgspec.structs.replace(UNKNOWN, hover_W=TRUE.hover_W), 0.6
+    mass_kg = efficiency * TRUE.hover_W / (GRAVITY_MS2 * UNKNOWN.induced_ms)
+    flown_W = np.array(asked_W(quad, 12.0, 0.0))
+    steady_W = 0.5 * (TRUE.hover_W + flown_W)
+    gained_J = (float(turning_power(quad, flown_W, 12.0)) - steady_W) * TURN_S
+    assert gained_J * efficiency == pytest.approx(0.5 * mass_kg * 12.0**2)
+
+
+def test_a_payload_is_lifted_and_the_air_does_not_see_it() -> None:
+    """The level of a hover was taken for that of fast flight: of an empty aircraft 4 % too little at 15 m/s."""
+    drag_W = TRUE.hover_W * TRUE.drag * 1.5**3
+    light_W, heavy_W = (asked_W(TRUE, 15.0, 0.0, level) for level in (0.9, 1.1))
+    assert (heavy_W - drag_W) / (light_W - drag_W) == pytest.approx(1.1 / 0.9)
+    assert level_of(TRUE, terms(15.0, 0.0, 0.0, 0.0, TRUE.induced_ms), heavy_W) == pytest.approx(1.1)
+
+
+def test_an_aircraft_that_nobody_knows_is_as_heavy_as_its_power() -> None:
+    fast_W = 200.0 * asked_W(UNKNOWN, 15.0, 0.0)
+    assert asked_W(UNKNOWN, 15.0, 0.0, level=200.0) == pytest.approx(fast_W)
+    assert level_of(UNKNOWN, terms(15.0, 0.0, 0.0, 0.0, UNKNOWN.induced_ms), fast_W) == pytest.approx(200.0)
+
+
+def test_a_loaded_flight_teaches_the_fast_flight_of_an_empty_one() -> None:
+    def flown(level: float, *speeds_ms: float) -> Flight:
+        return joined(*([(v, asked_W(TRUE, v, 0.0, level))] * 300 for v in speeds_ms))
+
+    found = powers([flown(1.3, 0.0, 4.0, 8.0, 12.0, 15.0), flown(0.8, 0.0, 4.0, 8.0)] * 3)
+    assert found is not None
+    empty = 0.8 * TRUE.hover_W / found.hover_W
+    assert asked_W(found, 15.0, 0.0, empty) == pytest.approx(asked_W(TRUE, 15.0, 0.0, 0.8), rel=0.03)  # 22 % before
 
 
 def test_a_minute_of_fast_flight_is_heard_beside_an_hour_of_slow_flight() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import resource
 import socket
 import sys
@@ -15,7 +14,18 @@ from typing import Any
 
 import pytest
 from daemon_bench import Bench
-from live_rig import PATIENCE_S, Station, StreamVehicle, Vehicle, connecting, free_port, listening, running, until
+from live_rig import (
+    PATIENCE_S,
+    Station,
+    StreamVehicle,
+    Vehicle,
+    connecting,
+    descriptors,
+    free_port,
+    listening,
+    running,
+    until,
+)
 
 from uavbatt.live.config import HttpSection
 from uavbatt.mavlink.links import open_autopilot, open_link
@@ -69,10 +79,6 @@ def now(port: int) -> dict[str, Any]:
             return dict(json.load(answer))
     except OSError:
         return {}
-
-
-def descriptors(pid: int) -> list[int]:
-    return [int(name) for name in os.listdir(f"/proc/{pid}/fd")]
 
 
 @pytest.mark.parametrize("feed", [pytest.param("named", marks=pytest.mark.slow), "proxy"])  # the second has both feeds

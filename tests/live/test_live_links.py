@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import itertools
 import os
-import pty
 import socket
 import subprocess
 import sys
 import time
-import tty
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -17,7 +15,7 @@ from typing import Any
 
 import pytest
 from daemon_bench import OPTIONS, Bench, FakeLink
-from live_rig import PATIENCE_S, ROOT, StreamVehicle, Vehicle, connecting, free_port, listening, until
+from live_rig import PATIENCE_S, ROOT, Pty, StreamVehicle, Vehicle, connecting, free_port, listening, until
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from uavbatt.battery import battery_file
@@ -52,22 +50,6 @@ class CalledVehicle(Vehicle):
         except (BlockingIOError, ConnectionRefusedError):
             return b""
         return data
-
-
-class Pty:
-    """The vehicle's end of a serial line that is none."""
-
-    def __init__(self) -> None:
-        self.fd, self._line = pty.openpty()
-        tty.setraw(self.fd)
-        os.set_blocking(self.fd, False)
-        self.name = os.ttyname(self._line)
-
-    def sendall(self, data: bytes) -> None:
-        os.write(self.fd, data)
-
-    def recv(self, size: int) -> bytes:
-        return os.read(self.fd, size)
 
 
 def at(kind: str) -> tuple[str, StreamVehicle | Vehicle]:

@@ -20,6 +20,8 @@ HERE = "udpin:127.0.0.1:{port}"
         ((HERE, "--gcs", "udpout:127.0.0.1:{port}"), "it is the autopilot's ENDPOINT"),
         ((HERE, "--http", "127.0.0.1:{taken}"), "--http 127.0.0.1:{taken}: Address already in use"),
         ((HERE, "--state", "gone/state.json"), "--state gone/state.json: expected an existing folder to write into"),
+        ((HERE, "--state", "."), "--state .: expected a file, it is a folder, a device or a pipe"),
+        ((HERE, "--state", "/dev/null"), "--state /dev/null: expected a file, it is a folder, a device or a pipe"),
         (("udpin:127.0.0.1:{taken_udp}",), "endpoint `udpin:127.0.0.1:{taken_udp}`: Address already in use"),
     ],
 )

@@ -22,6 +22,7 @@ from uavbatt.packs.ledger import AnotherSize, Ledger
 from uavbatt.records import Sample
 
 FLIGHTS = [flight(k, 1.0 + 0.02 * k, 1.0 - 0.01 * k) for k in range(4)]
+FLYING = airborne.Airborne("A", 1.79e9, 4, 5.0)
 
 
 def content(path: Path) -> list[tuple[object, ...]]:
@@ -225,6 +226,41 @@ def test_another_file_is_refused_and_left_as_it_is(tmp_path, made, words):
     made(path)
     with pytest.raises(BadInput, match=words):
         Ledger(path)
+
+
+def used(path):
+    """All that a command or `live` does with a ledger."""
+    for only_read in (True, False):
+        with Ledger(path, only_read=only_read) as ledger:
+            ledger.packs(), ledger.flights("A"), ledger.before("A", 1.8e9, "k"), airborne.left_over(ledger)
+            if not only_read:
+                ledger.save("A", FLIGHTS[1])
+                airborne.store_rows(ledger, airborne.store_flight(ledger, FLYING), [Sample(0.0, 15.0)])
+                ledger.forget("A")
+
+
+def test_bytes_that_are_damaged_are_named_or_do_no_harm(tmp_path):
+    """Names of columns and text that are no text any more ended commands in a traceback."""
+    path, dice, told = tmp_path / "packs.sqlite", random.Random(4), 0
+    with Ledger(path) as ledger:
+        ledger.save("A", FLIGHTS[0])
+        airborne.store_rows(ledger, airborne.store_flight(ledger, FLYING), [Sample(0.0, 15.0)])
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    whole = path.read_bytes()
+    for _ in range(150):
+        damaged = bytearray(whole)
+        for _ in range(dice.choice((3, 40, 200))):
+            damaged[dice.randrange(100, len(damaged))] = dice.randrange(256)
+        path.write_bytes(damaged)
+        try:
+            used(path)
+        except BadInput as error:
+            told += 1
+            assert str(path) in str(error) and "\n" not in str(error)
+        for left in (path, *tmp_path.glob("packs.sqlite-*")):
+            left.unlink()
+    assert told > 30
 
 
 def test_a_ledger_of_a_later_version_is_left_alone(tmp_path):

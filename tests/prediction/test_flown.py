@@ -56,6 +56,14 @@ def test_waiting_armed_on_the_ground_is_no_part_of_the_flight(watts: float) -> N
     assert is_flying(untold) and untold.mean_W > 250.0
 
 
+def test_a_burst_in_the_first_minutes_is_no_new_flight() -> None:
+    """A racer: each burst was taken for the take-off, and the charge of the take-off with it."""
+    past = after(Flown(), 20, 100.0, armed=True)
+    for _ in range(10):
+        past = after(after(past, 5, 800.0, armed=True), 10, 50.0, armed=True)
+    assert past.took_off_s < 30.0 and past.mean_W == pytest.approx(300.0, rel=0.1)
+
+
 def test_an_aeroplane_that_climbs_is_no_new_flight() -> None:
     cruising = after(Flown(), 900, 40.0, armed=True, is_aloft=True)
     assert after(cruising, 20, 300.0, armed=True, is_aloft=True).mean_W < 60.0
@@ -82,3 +90,12 @@ def test_where_it_is_says_that_it_flies() -> None:
     assert not at(30.0, 0.0).is_aloft(200.0)  # long ago
     assert not NOWHERE.is_aloft(0.0)
     assert Navigation(landed=False).is_aloft(0.0) and not Navigation(landed=True).is_aloft(0.0)
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_a_flag_that_is_wrong_for_a_moment_under_full_load_begins_no_flight(rows: int) -> None:
+    """One damaged heartbeat took the learned load away: the time left leapt by half, and for minutes."""
+    flown = after(Flown(), 300, 300.0, armed=True)
+    flapped = after(after(flown, rows, 300.0, armed=False), 5, 300.0, armed=True)
+    assert flapped.took_off_s == flown.took_off_s and flapped.flown_s == flown.flown_s + rows + 5
+    assert flapped.load.variance == pytest.approx(after(flown, rows + 5, 300.0, armed=True).load.variance)

@@ -272,21 +272,21 @@ def share_of_first(load: LearnedLoad, at: Now) -> float:
 def test_a_past_flight_that_went_like_this_one_counts_most() -> None:
     """Both had a mean of 330 W; only the first went up and down where this one does, and ends in a climb."""
     load = library(past(UP_AND_DOWN * 11 + [600.0] * 12), past(STEADY * 11 + [330.0] * 12))
-    assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0)) > 0.9
-    assert share_of_first(load, flown_like(STEADY, 600.0)) < 0.1
+    assert share_of_first(load, flown_like(UP_AND_DOWN, 600.0)) > 0.85
+    assert share_of_first(load, flown_like(STEADY, 600.0)) < 0.15
     assert share_of_first(load, flown_like(STEADY, 20.0)) == pytest.approx(0.5)  # nothing shown yet
 
 
 def test_no_past_flight_is_forgotten() -> None:
     load = library(past(UP_AND_DOWN * 12), past(STEADY * 12))
-    assert 0.04 < share_of_first(load, flown_like(STEADY, 600.0)) < 0.06
+    assert 0.09 < share_of_first(load, flown_like(STEADY, 600.0)) < 0.11
 
 
-def test_the_likeness_does_not_hang_on_the_level() -> None:
-    """A payload of a fifth scales both past flights; what went up and down stays the more like."""
+@pytest.mark.parametrize("payload", [0.8, 1.2, 1.5])
+def test_the_likeness_does_not_hang_on_the_level(payload: float) -> None:
     load = library(past(UP_AND_DOWN * 12), past(STEADY * 12))
-    heavier = flown_like([1.2 * W for W in UP_AND_DOWN], 600.0)._replace(flight_W=396.0)
-    assert share_of_first(load, heavier) > 0.9
+    shares = [share_of_first(load, flown_like([f * W for W in UP_AND_DOWN], 600.0)) for f in (1.0, payload)]
+    assert shares[1] == pytest.approx(shares[0], abs=1e-6)
 
 
 def test_a_flight_with_a_gap_is_like_any_other() -> None:

@@ -57,6 +57,8 @@ FALSE_ALARMS = {
     "49.7 days": [(at_s, (at_s + 2**32 / 1000.0 - 30.0) % (2**32 / 1000.0)) for at_s, _ in fresh(60.0)],
     "a clock that stands": [(at_s, BOOT_S) for at_s, _ in fresh(60.0)],
     "another clock": [*fresh(60.0), *((at_s, at_s + 1e6) for at_s, _ in fresh(60.0, 60.0))],
+    "one damaged frame, a minute ahead": [*fresh(60.0), (60.0, BOOT_S + 120.0), *fresh(60.0, 60.25)],
+    "one damaged frame, the first of all": [(0.0, BOOT_S + 60.0), *fresh(60.0, 0.25)],
     "a clock that was set back": [(at_s, boot_s + 1e5) for at_s, boot_s in fresh(60.0)] + fresh(60.0, 60.0),
 }
 

@@ -5,11 +5,13 @@
     f = v² / (v² + 8²)           the share of fast flight, in which climbing costs more and sinking saves more
 
 v is the airspeed and v_h the induced velocity in hover [m/s]. The law is linear in the learned shares, so that least
-squares with a prior finds them; with few data they stay near theory and other aircraft.
+squares with a prior finds them; with few data they stay near theory and other aircraft. The level of a flight (its
+payload and pack) scales all of it except the drag b: a payload must be lifted, but it does not change the drag.
 
-An aircraft that turns and accelerates to V passes through a hover, and within T gains the kinetic energy m V² / 2:
+An aircraft that turns and accelerates to V passes through a hover, and within T gains the kinetic energy m V² / 2 with
+the efficiency of its rotors in hover, η = m g v_h / P_hover:
 
-    P_turn / P_hover = 1 + c V² / (2 g v_h T)        with m g v_h = c P_hover, c the share that is induced, a
+    P_turn = (P_hover + P(V)) / 2 + P_hover V² / (2 g v_h T)
 
 Reference: Leishman, Principles of Helicopter Aerodynamics, 2nd ed. (2006), eq. 2.14 (hover) and 2.141 (forward
 flight); the share of fast flight is ours, measured on 40 flights of a Matrice 100.
@@ -96,12 +98,32 @@ def terms(
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
-def power(powers: Powers, columns: Array) -> Array:
-    """Return the power [W] for columns of `terms`; never less than a fifth of the hover's."""
-    return np.asarray(powers.hover_W * np.maximum(1.0 + columns @ powers.shares, 0.2))
+def power(powers: Powers, columns: Array, level: float = 1.0) -> Array:
+    """Return the power [W] for columns of `terms` at a level; never less than a fifth of the hover's."""
+    lifted, dragged = _shares(powers, columns)
+    return np.asarray(powers.hover_W * np.maximum(level * lifted + dragged, 0.2 * level))
 
 
-def turning_power(powers: Powers, speed_ms: ArrayLike) -> Array:
-    """Return the mean power [W] over TURN_S in which an aircraft turns and gains the ground speed `speed_ms` [m/s]."""
-    gained = powers.induced * np.square(speed_ms) / (2.0 * GRAVITY_MS2 * powers.induced_ms * TURN_S)
-    return np.asarray(powers.hover_W * (1.0 + np.maximum(gained, 0.0)))
+def level_of(powers: Powers, columns: Array, power_W: float) -> float:
+    """Return the level at which these columns of `terms` ask `power_W` [W]."""
+    lifted, dragged = _shares(powers, columns)
+    return (power_W / powers.hover_W - float(dragged)) / max(float(lifted), 0.2)
+
+
+def _shares(powers: Powers, columns: Array) -> tuple[Array, Array]:
+    """The share of the hover's power that the level scales, and what the air drags at any level.
+
+    Of an aircraft that nobody knows the level is the hover itself, and scales all.
+    """
+    dragged = columns[..., TERMS.index("drag")] * (powers.drag if powers.flights else 0.0)
+    return np.asarray(1.0 + columns @ powers.shares - dragged), np.asarray(dragged)
+
+
+def turning_power(powers: Powers, flown_W: Array, gained_ms: ArrayLike, level: float = 1.0) -> Array:
+    """Return the mean power [W] over TURN_S in which an aircraft turns and speeds up from rest.
+
+    flown_W : the power at its new speed [W]; gained_ms : that speed over ground [m/s]
+    """
+    hover_W = powers.hover_W * level
+    gained = np.square(gained_ms) / (2.0 * GRAVITY_MS2 * powers.induced_ms * TURN_S)
+    return np.asarray(0.5 * (hover_W + flown_W) + hover_W * gained)

@@ -159,7 +159,9 @@ def _lines(found: Diagnosis, closed: ClosedLoop) -> list[str]:
 
     said = {
         "no_missing_effect": "nothing is missing: the residual is what this battery's model leaves anyway",
-        "effect_found": "an effect is missing",
+        "effect_found": f"{len(found.classes)} effects are missing together"
+        if found.classes[1:]
+        else "an effect is missing",
         "undeclared_effect": "something is missing that no candidate explains",
     }
     lines = [f"{found.verdict}: {said[found.verdict]}"]

@@ -99,8 +99,8 @@ def _check_places(config: Config) -> None:
     folder, state = config.record.folder, config.state.file
     if folder and Path(folder).exists() and not Path(folder).is_dir():
         raise UsageError(f"--record {folder}: expected a folder, it is a file")
-    if state and Path(state).is_dir():
-        raise UsageError(f"--state {state}: expected a file, it is a folder")
+    if state and Path(state).exists() and not Path(state).is_file():  # the new state takes its place
+        raise UsageError(f"--state {state}: expected a file, it is a folder, a device or a pipe")
     if state and not Path(state).parent.is_dir():
         raise UsageError(f"--state {state}: expected an existing folder to write into")
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -31,27 +30,33 @@ NOT_FLOWN = {"filterpy.stats": ("logpdf",), "filterpy.discrete_bayes": ()}
 
 
 def run(config: Config) -> None:
-    """Run the companion process until SIGTERM or SIGINT."""
+    """Run the companion process until SIGTERM or SIGINT, or SIGHUP while the vehicle is not armed."""
     load_filterpy()
     from uavbatt.battery import battery_file
+    from uavbatt.live import clock
     from uavbatt.live.daemon import Daemon
+    from uavbatt.live.log import tell
 
     content = battery_file.read_battery(config.pack.battery, allow_uncertified=config.pack.allow_uncertified)
     if content.status == "edited":
-        print(terminal_line(f"uavbatt: {config.pack.battery}: {content.caveat}"), file=sys.stderr, flush=True)
+        tell(f"{config.pack.battery}: {content.caveat}")
     options, settings = stated(config.pack)
     link, stations = _links(config)
-    stopped: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda signum, frame: stopped.append(signum))
     daemon = Daemon(config, content, options, settings, link, stations)
+    told: set[int] = set()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):  # until here each ends the process, whatever it reads
+        signal.signal(number, lambda signum, frame: told.add(signum))
     if config.http.listen:
         from uavbatt.live.web import serve
 
-        serve(config.http, lambda: daemon.board, time.monotonic)
-    said = f"uavbatt: waiting for telemetry from {config.link.endpoint}; {_feeds(config)}"
-    print(terminal_line(said), file=sys.stderr, flush=True)
-    daemon.run(lambda: bool(stopped))
+        serve(config.http, lambda: daemon.board, clock.now_s)
+    tell(f"waiting for telemetry from {config.link.endpoint}; {_feeds(config)}")
+
+    def is_stopped() -> bool:
+        """The terminal may be gone (a lost connection of ssh): no flight ends with it."""
+        return bool(told - {signal.SIGHUP}) or (bool(told) and daemon.armed is not True)
+
+    daemon.run(is_stopped)
 
 
 def load_filterpy() -> None:

@@ -10,7 +10,6 @@ throughout.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -38,7 +37,7 @@ from uavbatt.fitting.observed import Observed
 Verdict = Literal["no_missing_effect", "effect_found", "undeclared_effect"]
 LEFT = 1.25  # chi-square per number that the model may leave; see scripts/diagnose_cases_chance.py
 USUAL = 1.05  # what it leaves of the voltage of effect-free flights, at most
-FAR = 2.0  # a residual of so many times the file's own is not explained, whatever errors its tables may have
+FAR = 2.0  # times the error that the model is expected to have: no wander; 1.8 at most in healthy sets
 RESISTANCE_KNOT_SD, OCV_KNOT_SD_V = 0.03, 0.01
 
 
@@ -116,7 +115,7 @@ def diagnose(
     tell("residual")
     steady = all(f.steady for f in findings)
     left = left_per_number(problem, best)
-    reasons = doubts(problem, findings, best, left, floor_V(file, problem))
+    reasons = doubts(problem, findings, best, left)
     found = tuple(class_of(problem, f, believed(left, reasons)) for f in findings)
     if problem.evidence.charged_in_part.any() and "initial_charge" not in without:
         found = (start_class(problem, nothing), *found)
@@ -167,18 +166,13 @@ def _searched(problem: Problem, file: BatteryFile, without: tuple[str, ...], tel
     known = ("initial_charge",) if problem.evidence.charged_in_part.any() else ()
     options = options_of(problem, file, (*without, *known))
     nothing = refit(problem, [NOTHING], iterations=SETTLED)[0]
-    floor = floor_V(file, problem)
-
-    def explained(fit: Refit, is_named: bool) -> bool:
-        return explains(problem, fit, floor if is_named else math.inf)
-
-    return _Searched(problem, nothing, *search(problem, options, nothing, explained, tell))
+    return _Searched(problem, nothing, *search(problem, options, nothing, lambda fit: explains(problem, fit), tell))
 
 
-def explains(problem: Problem, fit: Refit, floor: float) -> bool:
-    """Return True if a refit leaves no more than the file's own model does; raw no more than FAR times `floor` [V]."""
-    after, left = residual.residuals(problem.evidence, at_best(problem, fit)), left_per_number(problem, fit)
-    return residual.size_V(after) <= FAR * floor and not max(left.voltage, left.temperature) > LEFT
+def explains(problem: Problem, fit: Refit) -> bool:
+    """Return True if a refit leaves no more than the file's own model does."""
+    left = left_per_number(problem, fit)
+    return not max(left.voltage, left.temperature) > LEFT
 
 
 def floor_V(file: BatteryFile, problem: Problem) -> float:
@@ -216,17 +210,24 @@ def per_number(problem: Problem, fit: Refit) -> LeftPerNumber:
     return LeftPerNumber(float(squares[0] / numbers[0]), float(squares[1] / numbers[1]) if numbers[1] else float("nan"))
 
 
+def times_expected(problem: Problem, after: list[Residual]) -> float:
+    """Return the voltage residual under load as a multiple of the error that the model is expected to have there.
+
+    Chi-square per number hardly sees what lasts for a whole flight, which is one error to it.
+    """
+    shares = [r.voltage_V / v.sd for r, v in zip(after, problem.evidence.volts, strict=True)]
+    return float(np.sqrt(np.mean([np.mean(s[~r.rest] ** 2) for s, r in zip(shares, after, strict=True)])))
+
+
 def believed(left: LeftPerNumber, reasons: tuple[str, ...]) -> float:
     """Return how likely the cause is one of the candidates: the less, the nearer the model is to being doubted."""
     return SUSPECT if reasons else float(np.interp(left.voltage, (USUAL, LEFT), (NEVER_SURE, SUSPECT)))
 
 
-def doubts(
-    problem: Problem, findings: list[FoundEffect], best: Refit, left: LeftPerNumber, floor: float
-) -> tuple[str, ...]:
+def doubts(problem: Problem, findings: list[FoundEffect], best: Refit, left: LeftPerNumber) -> tuple[str, ...]:
     """List the reasons why the model is not believed to be complete after all; empty when it is.
 
-    left : chi-square per number (`left_per_number`); floor : what the file's own model leaves [V] (`floor_V`).
+    left : chi-square per number (`left_per_number`).
     """
     found = []
     after = residual.residuals(problem.evidence, at_best(problem, best))
@@ -237,10 +238,10 @@ def doubts(
             f"battery's model leaves (chi-square); it goes with {shape.variable} ({shape.share:.0%} of it) and lasts "
             f"about {shape.time_scale_s:.0f} s"
         )
-    elif findings and residual.size_V(after) > FAR * floor:
+    elif findings and (times := times_expected(problem, after)) > FAR:
         found.append(
-            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV where this battery's model leaves "
-            f"{1000 * floor:.0f} mV: what is named is the smaller part of it, or none"
+            f"the voltage residual is still {1000 * residual.size_V(after):.0f} mV, {times:.1f} times what this "
+            "battery's model leaves there: what is named is the smaller part of it, or none"
         )
     if left.temperature > LEFT:
         found.append(

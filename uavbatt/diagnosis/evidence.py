@@ -49,12 +49,13 @@ Rows = NDArray[np.intp]
 class Whitener:
     """Whitener holds the rows of one record that count, and the inverse Cholesky factor of their covariance.
 
-    `rest` marks those at rest before take-off.
+    `rest` marks those at rest before take-off; `sd` is the error that the model is expected to have in each row.
     """
 
     rows: Rows
     rest: NDArray[np.bool_]
     inverse: Array
+    sd: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +272,8 @@ def _temperature_whitener(stack: Stack, j: int, known: Wander) -> Whitener | Non
 
 def _whitener(rows: Rows, rest: NDArray[np.bool_], kernel: Array, noise: float) -> Whitener:
     factor = cholesky(kernel + noise**2 * np.eye(len(kernel)), lower=True)
-    return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True))
+    sd = np.sqrt(np.sum(factor**2, axis=1))
+    return Whitener(rows, rest, solve_triangular(factor, np.eye(len(kernel)), lower=True), sd)
 
 
 def _shifted(records: list[Observed], stack: Stack) -> Array:

@@ -16,7 +16,7 @@ from uavbatt.battery.scaling import Pack
 from uavbatt.diagnosis.candidates import NOTHING, QUANTITIES, UNITS, Candidate
 from uavbatt.diagnosis.classes import COVERAGE, EffectClass, Interval, class_of
 from uavbatt.diagnosis.course import Course, FlightValues, courses, on_course, own_values
-from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, floor_V, left_per_number, options_of, problem_of
+from uavbatt.diagnosis.diagnosis import Verdict, believed, doubts, left_per_number, options_of, problem_of
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import related
@@ -98,7 +98,7 @@ def follow(
         best = trace.effect.members[0]
     tell("residual")
     left = left_per_number(problem, best)
-    why = doubts(problem, [t.effect for t in traces], best, left, floor_V(file, problem))
+    why = doubts(problem, [t.effect for t in traces], best, left)
     verdict: Verdict = "undeclared_effect" if why else "effect_found" if traces else "no_missing_effect"
     return Follow(
         verdict=verdict,

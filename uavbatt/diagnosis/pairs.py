@@ -18,9 +18,9 @@ from uavbatt.diagnosis.rivals import family, related
 from uavbatt.diagnosis.trial import EARNED_EACH, FURTHER_TURNS, Trial, likeliness
 from uavbatt.diagnosis.worth import at_bound, is_steady, left_out_chi2, worth
 
-EARNED_BESIDE = 12.0  # each of two: what is not quite the one named leaves most of that
-EARNED_IN_PART = 24.0  # beside a start in part
-EARNED_TOGETHER = 36.0  # chi-square by which two leave less than the best single effect
+EARNED_BESIDE = 12.0  # the lesser of two, where two leave EARNED_TOGETHER less; what leaves more may be worth less
+EARNED_IN_PART = 24.0  # each of two, beside a start in part
+EARNED_TOGETHER = 36.0  # chi-square by which two, or one that drifts, leave less than the best single effect
 SEEDS, SEEDS_IN_ALL = 4, 7  # singles that pairs are built on: by what they explain, and with the other families
 SEED_SHARE = 0.3  # of what the best explains: the least of a seed
 TRIED = 12  # pairs that are weighed against each other
@@ -40,22 +40,15 @@ class Pair:
         return float(np.sum(self.likely[those]) / np.sum(self.likely))
 
 
-def earned_beside(problem: Problem, pair: Candidate, *, is_explained: bool) -> float:
-    """Return what each of two effects must be worth.
-
-    It is more beside a start in part, which the file has never seen, and less where no single effect explains the
-    flights.
-    """
-    if "initial_charge" in pair.names or problem.evidence.charged_in_part.any():
-        return EARNED_IN_PART
-    return EARNED_BESIDE if is_explained else EARNED_EACH
+def asked_of_each(problem: Problem, pair: Candidate) -> float:
+    """Return what each of two effects must be worth: more beside a start in part, which the file has never seen."""
+    in_part = "initial_charge" in pair.names or problem.evidence.charged_in_part.any()
+    return EARNED_IN_PART if in_part else EARNED_EACH
 
 
-def best_pair(
-    problem: Problem, options: list[Candidate], singles: Trial, best: Refit, is_explained: bool
-) -> Pair | None:
+def best_pair(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> Pair | None:
     """Return the two effects that explain most, each worth enough beside the other; None if no pair passes."""
-    earned = _earned(problem, options, singles, best, is_explained)[:TRIED]
+    earned = whole(problem, _earned(problem, options, singles, best)[:TRIED], singles)
     if not earned:
         return None
     likely = likeliness(problem, earned)
@@ -81,7 +74,7 @@ def _seeds(singles: Trial) -> list[Refit]:
     return seeds
 
 
-def _earned(problem: Problem, options: list[Candidate], singles: Trial, best: Refit, is_explained: bool) -> list[Refit]:
+def _earned(problem: Problem, options: list[Candidate], singles: Trial, best: Refit) -> list[Refit]:
     """The pairs of which each effect earns its place beside the other, by chi-square."""
     tried: list[Candidate] = []
     starts: list[Refit] = []
@@ -93,14 +86,36 @@ def _earned(problem: Problem, options: list[Candidate], singles: Trial, best: Re
                 starts.append(seed)
     fits = sorted(refit(problem, tried, start=starts, iterations=FURTHER_TURNS), key=lambda f: f.total)
     alone = {f.candidate.name: f for f in singles.fits}
-    one_leaves, together = float(np.sum(left_out_chi2(best))), EARNED_TOGETHER if is_explained else EARNED_BESIDE
+    one_leaves = float(np.sum(left_out_chi2(best)))
     earned = []
     for fit in fits:
         one, other = fit.candidate.names
-        if at_bound(fit) or one_leaves - float(np.sum(left_out_chi2(fit))) < together:
+        saves = one_leaves - float(np.sum(left_out_chi2(fit)))
+        if at_bound(fit):
             continue
-        least = earned_beside(problem, fit.candidate, is_explained=is_explained)
         beside = [worth(fit, alone[a], b) for a, b in ((one, other), (other, one))]
-        if all(w.value > least and is_steady(w.constancy) for w in beside):
+        lesser = min(w.value for w in beside)
+        enough = lesser > asked_of_each(problem, fit.candidate) and are_two(lesser, saves)
+        if enough and all(is_steady(w.constancy) for w in beside):
             earned.append(fit)
     return earned
+
+
+def are_two(lesser: float, saves: float) -> bool:
+    """Return True if two effects are no chance: the less the lesser is worth, the more both have to save together."""
+    return saves > 0.0 and lesser * saves > EARNED_BESIDE * EARNED_TOGETHER
+
+
+def whole(problem: Problem, pairs: list[Refit], singles: Trial) -> list[Refit]:
+    """Return the pairs beside which the worthiest single effect is worth little: else it is one of two, or of three."""
+    worths = [-np.inf if at_bound(f) else w.value for f, w in zip(singles.fits, singles.worths, strict=True)]
+    worthiest = singles.fits[int(np.argmax(worths))].candidate
+    without = [fit for fit in pairs if not related(worthiest.names, fit.candidate.names)]
+    if not without:
+        return pairs
+    tried = [fit.candidate.plus(worthiest) for fit in without]
+    three = refit(problem, tried, start=without, iterations=FURTHER_TURNS)
+    lacking = [
+        one for one, all_three in zip(without, three, strict=True) if worth(all_three, one).value > EARNED_BESIDE
+    ]
+    return [fit for fit in pairs if not any(fit is one for one in lacking)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from uavbatt.diagnosis.candidates import Candidate
 from uavbatt.diagnosis.drift import WARMS, drifting, saved
-from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, best_pair, earned_beside
+from uavbatt.diagnosis.pairs import EARNED_BESIDE, EARNED_IN_PART, EARNED_TOGETHER, Pair, asked_of_each, best_pair
 from uavbatt.diagnosis.problem import Problem, Refit
 from uavbatt.diagnosis.refit import SETTLED, refit
 from uavbatt.diagnosis.rivals import FARTHEST, members_of_class, same
@@ -52,13 +52,13 @@ def search(
     problem: Problem,
     options: list[Candidate],
     nothing: Refit,
-    explains: Callable[[Refit, bool], bool],
+    explains: Callable[[Refit], bool],
     tell: Callable[[str], None],
 ) -> tuple[Refit, list[FoundEffect], Trial]:
     """Search for the missing effect, or two; return the best model, what was found and the trial of single effects.
 
-    What was found comes with most evidence first. explains : asked with a model, and True if it is more than a suspect,
-    says if it leaves no more than the file's own; two effects are asked for less where no single one does.
+    What was found comes with most evidence first. explains : says of a model if it leaves no more than the
+    file's own; then no pair is built on a suspect.
     """
     tell(f"{len(options)} candidate effects")
     singles = trial(problem, nothing, options, FIRST_TURNS)
@@ -68,14 +68,13 @@ def search(
     if singles.largest_worth >= least:
         found = [finding(problem, singles, max(least, EVEN))]
         best = found[0].members[0]
-    is_explained = explains(best, singles.largest_worth >= EVEN)
     found = [replace(found[0], drift=_drift(problem, found[0].members, singles))] if found else _warms(problem, singles)
     drift = found[0].drift if found else None
     # Nothing, or a suspect: no ground to build a pair on.
-    if drift is None and is_explained and singles.largest_worth < EVEN:
+    if drift is None and singles.largest_worth < EVEN and explains(best):
         return best, found, singles
     tell("pairs of effects")
-    pair = best_pair(problem, options, singles, drift or best, is_explained)
+    pair = best_pair(problem, options, singles, drift or best)
     two = _two(problem, options, singles, pair) if pair is not None else []
     if not two:
         return best, found, singles
@@ -91,7 +90,7 @@ def _two(problem: Problem, options: list[Candidate], singles: Trial, pair: Pair)
         beside = trial(problem, alone, options, FURTHER_TURNS, known)
         if not beside.rivals:  # refitted beside the other, it stands at a bound or is worth nothing
             return []
-        found = finding(problem, beside, earned_beside(problem, pair.fit.candidate, is_explained=True))
+        found = finding(problem, beside, max(asked_of_each(problem, pair.fit.candidate), EARNED_BESIDE))
         share = max(pair.share(member.candidate.name) for member in found.members)
         both.append(replace(found, probability=min(found.probability, share)))
     if any(f.worth.value < EARNED_EACH for f in both):

@@ -1,9 +1,9 @@
 """The `[powers]` of a vehicle file: power over airspeed and climb, from flights that logged both or flew a known route.
 
 It is a least-squares fit with a prior (momentum theory and other aircraft). Power is a share of each flight's own hover
-power, which is fitted in turn with the shape, so that flights with and without payload give the same shape. The model
-of the shape has an error of its own, which limits the weight of many blocks at the same airspeed and climb: so the few
-blocks at high airspeed count too.
+power, which is fitted in turn with the shape, so that flights with a payload also give the shape (a payload scales all
+but the drag). The model of the shape has an error of its own, which limits the weight of many blocks at the same
+airspeed and climb: so the few blocks at high airspeed count too.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 from uavbatt.battery.model import Array
 from uavbatt.battery.pack import Installation, true_power
 from uavbatt.battery.powers import PRIOR_SD, TERMS, UNKNOWN, Powers, terms
-from uavbatt.navigation import Position
 from uavbatt.prediction.route_progress import Progress
 from uavbatt.records import Flight, Sample
 
@@ -25,7 +24,6 @@ SHORTEST_S = 120.0
 INDUCED_MS = (4.0, 5.0, 6.0, 7.0)
 TURNS, NOISE, LEAST_NOISE, NOISE_MEMORY_S = 6, 0.1, 0.02, 10.0
 SHAPE_SD = 0.01  # of the shape itself within a cell of 1 m/s airspeed and climb
-STEADY_MS2 = 0.3
 STEADY_SHARE = 0.3  # of the flight's median power: less is not flight
 AS_METERED = Installation(1, 1.0)
 
@@ -56,14 +54,13 @@ def powers(flights: list[Flight], sensors: Installation = AS_METERED) -> Powers 
 def flown_rows(flight: Flight, sensors: Installation = AS_METERED) -> PowerRows | None:
     """Return the means of one flight in blocks of BLOCK_S; None when too little of it is known."""
     progress, rows = Progress(), []
-    before_s, before = math.nan, None
+    before_s = math.nan
     for sample in flight.samples:
         navigation = flight.navigation_at(sample.time_s)
-        steady, before = _is_steady(before, navigation.position), navigation.position
         progress = progress.after(sample.time_s, navigation)
         flown, power_W = progress.flown(sample.time_s, navigation), _power_W(sensors, sample)
         row_s, before_s = sample.time_s - before_s, sample.time_s
-        if flown is not None and steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
+        if flown is not None and progress.is_steady and math.isfinite(power_W) and 0.0 < row_s <= LONGEST_ROW_S:
             rows.append((sample.time_s, power_W, *map(float, flown), row_s))
     table = np.array(rows)
     if not len(table):
@@ -89,20 +86,12 @@ def _blocks(table: Array) -> PowerRows:
     return PowerRows(power_W, airspeed_ms, climb_ms, taking_off, landing, lengths_s)
 
 
-def _is_steady(before: Position | None, now: Position | None) -> bool:
-    """Return True if the aircraft keeps its velocity: in a corner the power is that of the turn, not of airspeed."""
-    if before is None or now is None or not now.time_s > before.time_s:
-        return now is None or now is before
-    change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
-    return change_ms <= STEADY_MS2 * (now.time_s - before.time_s)
-
-
 def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
     """The shape of all flights and the hover of each in turns; the misfit and the powers."""
-    columns = [terms(*rows[1:5], induced_ms) for rows in told]
+    columns = plain = [terms(*rows[1:5], induced_ms) for rows in told]
     prior, shares = UNKNOWN.shares, UNKNOWN.shares
     counts = [np.minimum(rows.length_s / NOISE_MEMORY_S, 1.0) for rows in told]
-    design, count, crowd = np.concatenate(columns), np.concatenate(counts), _crowds(told, counts)
+    count, crowd = np.concatenate(counts), _crowds(told, counts)
     ends = np.cumsum([len(c) for c in columns])[:-1]
     hovers_W, noise = np.ones(len(told)), NOISE
     for _ in range(TURNS):
@@ -114,6 +103,8 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
                 for r, c, w in zip(told, columns, np.split(weight, ends), strict=True)
             ]
         )
+        columns = [_dragged(c, h / hovers_W.mean()) for c, h in zip(plain, hovers_W, strict=True)]
+        design = np.concatenate(columns)
         seen = np.concatenate([r.power_W / hover_W - 1.0 for r, hover_W in zip(told, hovers_W, strict=True)])
         normal = (design.T * weight) @ design + np.diag(PRIOR_SD**-2)
         shares = np.linalg.solve(normal, (design.T * weight) @ seen + prior / PRIOR_SD**2)
@@ -131,6 +122,11 @@ def _fit(told: list[PowerRows], induced_ms: float) -> tuple[float, Powers]:
         flights=len(told),
         seconds=_rounded(sum(float(r.length_s.sum()) for r in told), 0),
     )
+
+
+def _dragged(columns: Array, level: float) -> Array:
+    """The columns of a flight at this level, per hover power of its own: the air drags at a payload's no more."""
+    return columns / np.where(np.array(TERMS) == "drag", level, 1.0)
 
 
 def _crowds(told: list[PowerRows], counts: list[Array]) -> Array:

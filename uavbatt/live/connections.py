@@ -4,11 +4,15 @@ A connection uses a file descriptor of the flying process before its token is ch
 most, and one without a request for REQUEST_WITHIN_S is closed, even if it sends its header a byte at a time. If all
 places are taken, a new connection gets the place of the one that has been idle for longest, else of the oldest stream
 (a browser opens its stream again). So idle connections never keep anybody from the page.
+
+Little is held for a reader that is slower than its stream (SENT_AHEAD): data in a buffer would be late. The stream
+waits instead, and continues with what is known then.
 """
 
 from __future__ import annotations
 
 import asyncio
+import socket
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -16,6 +20,7 @@ MOST_CONNECTIONS = 64
 MOST_WAITING = 256  # connections not yet accepted; the server accepts all of them at once
 REQUEST_WITHIN_S = 10.0
 LOOK_PERIOD_S = 1.0
+SENT_AHEAD = 4096  # bytes, some events; the system takes twice as much for its own needs
 
 
 class Connection(H11Protocol):
@@ -29,6 +34,8 @@ class Connection(H11Protocol):
             min(self.table, key=lambda other: (other.is_asking, self.table[other])).drop()
         self.table[self] = self.loop.time()
         super().connection_made(transport)
+        transport.set_write_buffer_limits(high=0)
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT_AHEAD)
         self.loop.call_later(LOOK_PERIOD_S, self._look)
 
     def connection_lost(self, exc: Exception | None) -> None:

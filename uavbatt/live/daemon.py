@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 
 from uavbatt.battery.battery_file import BatteryFile
 from uavbatt.battery.sizing import PackOptions
-from uavbatt.live import state
+from uavbatt.live import clock, state
 from uavbatt.live.batteries import Batteries
 from uavbatt.live.config import Config, signing_key
 from uavbatt.live.headline import Headline
@@ -55,7 +55,7 @@ class Daemon:
         link: Link,
         stations: Sequence[Link] = (),
         *,
-        clock_s: Callable[[], float] = time.monotonic,
+        clock_s: Callable[[], float] = clock.now_s,
         wall_s: Callable[[], float] = time.time,
         is_clock_set: Callable[[float], bool] = state.is_clock_set,
     ) -> None:
@@ -81,6 +81,11 @@ class Daemon:
         self._sender = Sender(config, link, stations, key)
         self._headline = Headline()
         self._status_s = self._state_s = self._watch_s = -math.inf
+
+    @property
+    def armed(self) -> bool | None:
+        """Return the armed bit of the followed vehicle's last heartbeat; None before it."""
+        return self._reader.armed
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
         """Run the loop until told to stop, then close everything."""

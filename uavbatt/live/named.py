@@ -3,7 +3,8 @@
 Names of the first battery: REM_S, REM_LO_S, REM_HI_S [s] and SOC [0..1]. If a route or home is known, also TURN_S [s],
 the time until it must turn back, and HOME_SOC [0..1], the charge at home after turning back now. Names of battery N end
 in `_N`. An unknown value is NaN, never 0. The first battery may change in flight (`headline`): names that are no longer
-used are sent once as NaN. Alarms are sent by `announced`.
+used stay NaN, because a ground station keeps the last value it heard, and a single message may be lost. Alarms are sent
+by `announced`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class NamedFeed:
     def __init__(self, rate_Hz: float) -> None:
         self._period_s = 1.0 / rate_Hz
         self._next_s = -math.inf
-        self._names: dict[str, None] = {}  # names that were sent last, in order
+        self._names: dict[str, None] = {}  # names that were sent so far, in order
 
     def frames(self, now_s: float, reports: Sequence[Report], out: Outgoing) -> list[bytes]:
         """Return the frames that are due; `now_s` on the monotonic clock [s]."""
@@ -40,10 +41,9 @@ class NamedFeed:
             }
             if (route := report.route_at(now_s)) is not None:
                 values |= {f"TURN_S{tail}": route.turn_back_s, f"HOME_SOC{tail}": route.home_soc}
-        # A ground station keeps the last value it heard: a name that is no longer used is set to unknown.
-        gone = dict.fromkeys((name for name in self._names if name not in values), math.nan)
+        values = dict.fromkeys(self._names, math.nan) | values
         self._names = dict.fromkeys(values)
-        return [out.named_value(name, value, int(now_s * 1000)) for name, value in (values | gone).items()]
+        return [out.named_value(name, value, int(now_s * 1000)) for name, value in values.items()]
 
     def ended(self, now_s: float, out: Outgoing) -> list[bytes]:
         """Return frames that set all names to unknown, for a vehicle that is no longer followed."""

@@ -23,17 +23,18 @@ import signal
 import socket
 import struct
 import sys
-import time
 from contextlib import suppress
 from typing import NamedTuple
 
-from uavbatt.errors import UavbattError, terminal_line
+from uavbatt.errors import UavbattError
+from uavbatt.live import clock
+from uavbatt.live.log import tell
 from uavbatt.live.rewriter import Rewriter
 from uavbatt.mavlink.endpoint import Link
 from uavbatt.mavlink.framing import Frames, Splitter, header
 from uavbatt.mavlink.links import open_autopilot, open_link
 from uavbatt.mavlink.originated import may_reach_autopilot
-from uavbatt.mavlink.pipe import Pipe, takes_bytes, wait
+from uavbatt.mavlink.pipe import Pipe, wait
 
 HOLD_S = 0.020
 LOG_PERIOD_S = 10.0
@@ -182,9 +183,7 @@ class Proxy:
         told, self.rewriter.replaced = self.rewriter.replaced, {}
         for (system, component, battery), (own_s, left_s) in told.items():
             place = f"system {system} component {component} battery {battery}"
-            with suppress(OSError, ValueError):
-                if takes_bytes(sys.stderr.fileno()):  # else the pipe is full, and writing would block
-                    print(f"uavbatt proxy: {place}: its own {own_s} s replaced by {left_s} s", file=sys.stderr)
+            tell(f"{place}: its own {own_s} s replaced by {left_s} s", "uavbatt proxy")
 
     def close(self) -> None:
         """Release all sockets."""
@@ -269,11 +268,11 @@ def main() -> int:
     try:
         proxy = Proxy(ProxySettings(**json.loads(sys.argv[1])))
     except (UavbattError, OSError) as error:
-        print(terminal_line(f"uavbatt proxy: {error}"), file=sys.stderr)
+        tell(str(error), "uavbatt proxy")
         return 2
     while not (stopped or proxy.is_asked_to_quit):
         proxy.wait()
-        proxy.turn(time.monotonic())
+        proxy.turn(clock.now_s())
     proxy.close()
     return 0
 

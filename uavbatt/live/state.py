@@ -3,7 +3,7 @@
     {"version", "boot_id", "monotonic_s", "wall_s", "is_clock_set", "battery_sha256", "link",
      "vehicle": {"system", "component", "hardware"}, "parameters": {...}, "batteries": {id: {...}}}
 
-Within one boot its age comes from the monotonic clock. Across boots it comes from the wall clock, if that was set both
+Within one boot its age comes from the boot's clock. Across boots it comes from the wall clock, if that was set both
 times: a computer without a battery-backed clock goes on with the old time after hours without power. A state that is
 damaged, too old, of another battery file or of another process (with another endpoint) is not resumed, and the reason
 is given.

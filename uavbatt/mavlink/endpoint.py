@@ -40,7 +40,7 @@ class Link(Protocol):
         """Return all that has come in, each chunk with its sender; `now_s` is a monotonic clock [s]."""
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Send without waiting; what cannot be sent is lost."""
+        """Send without waiting; what cannot be sent, or would come late, is lost."""
 
     def close(self) -> None:
         """Release the sockets."""

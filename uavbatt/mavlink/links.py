@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint, Link, parse
-from uavbatt.mavlink.pipe import LARGEST_READ, Pipe
+from uavbatt.mavlink.pipe import LARGEST_READ, Pipe, watched
 from uavbatt.mavlink.resolver import Resolver
 from uavbatt.mavlink.tcp_server import TcpServer
 
@@ -161,7 +161,7 @@ class StreamLink:
     def write(self, data: bytes, now_s: float) -> None:
         """Send the bytes, opening the line if it is closed; what cannot be sent is lost."""
         pipe = self._opened(now_s)
-        if pipe is not None and not pipe.write(data):
+        if pipe is not None and not pipe.offer(data, now_s):
             self._broken(now_s, f"lost {self._name}")
 
     def close(self) -> None:
@@ -208,8 +208,7 @@ class StreamLink:
         if code not in (0, errno.EISCONN):
             raise OSError(code, os.strerror(code))
         made, self._connecting = self._connecting, None
-        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return Pipe(made.fileno(), made)
+        return watched(made)
 
 
 def _speed(at: Endpoint) -> int:
@@ -223,18 +222,26 @@ def _speed(at: Endpoint) -> int:
 
 
 def _serial(at: Endpoint) -> int:
-    """A raw, non-blocking serial line; OSError when it is not there or is no serial line."""
+    """A raw, non-blocking serial line; OSError when it is not there, is no serial line, or another program reads it.
+
+    Of two readers each would get a part of every frame.
+    """
+    import fcntl
     import termios
     import tty
 
     speed = _speed(at)
     fd = os.open(at.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         tty.setraw(fd)
         mode = termios.tcgetattr(fd)
         mode[2] = (mode[2] | termios.CLOCAL | termios.CREAD) & ~termios.CRTSCTS
         mode[4] = mode[5] = speed
         termios.tcsetattr(fd, termios.TCSANOW, mode)
+    except BlockingIOError:
+        os.close(fd)
+        raise OSError(errno.EBUSY, "another program has it open") from None
     except termios.error as error:
         os.close(fd)
         raise OSError(errno.ENOTTY, f"no serial line ({error.args[-1]})") from None

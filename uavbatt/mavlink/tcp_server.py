@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from uavbatt.errors import UsageError
 from uavbatt.mavlink.endpoint import Chunk, Endpoint
-from uavbatt.mavlink.pipe import Pipe
+from uavbatt.mavlink.pipe import Pipe, watched
 
 MOST_CLIENTS = 32
 QUIET_S = 5.0  # heartbeats come every second
@@ -58,10 +58,10 @@ class TcpServer:
         return found
 
     def write(self, data: bytes, now_s: float) -> None:
-        """Send to every client, also to one that has just connected."""
+        """Send to every client that is not behind, also to one that has just connected."""
         self._accept(now_s)
         for client in list(self._clients):
-            if not client.write(data):
+            if not client.offer(data, now_s):
                 self._drop(client)
 
     def close(self) -> None:
@@ -80,9 +80,7 @@ class TcpServer:
             if not self._has_place(now_s):
                 made.close()
                 continue
-            made.setblocking(False)
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._clients[Pipe(made.fileno(), made)] = (False, now_s)
+            self._clients[watched(made)] = (False, now_s)
 
     def _has_place(self, now_s: float) -> bool:
         """Return True if there is room for one more; make it where a client may be dropped."""

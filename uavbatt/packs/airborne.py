@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from uavbatt.packs.ledger import Ledger
+from uavbatt.packs.rows import reading
 from uavbatt.records import NAN, Sample
 
 ROW_S = 2.0
@@ -60,7 +61,7 @@ def left_over(ledger: Ledger) -> list[LeftOver]:
     """Return the flights that are still open in the ledger."""
     with ledger.reading() as connection:
         found = connection.execute("SELECT * FROM airborne ORDER BY id").fetchall()
-        return [LeftOver(int(row["id"]), _airborne(row), _rows(connection, int(row["id"]))) for row in found]
+        return [_left_over(connection, row) for row in found]
 
 
 def delete_flight(ledger: Ledger, number: int) -> None:
@@ -69,8 +70,10 @@ def delete_flight(ledger: Ledger, number: int) -> None:
         connection.execute("DELETE FROM airborne WHERE id = ?", (number,))
 
 
-def _airborne(row: sqlite3.Row) -> Airborne:
-    return Airborne(row["name"], _known(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
+def _left_over(connection: sqlite3.Connection, row: sqlite3.Row) -> LeftOver:
+    with reading(row):
+        pack = Airborne(row["name"], _known(row["start_utc_s"]), row["cells"], row["capacity_Ah"], row["cycles"])
+        return LeftOver(int(row["id"]), pack, _rows(connection, int(row["id"])))
 
 
 def _rows(connection: sqlite3.Connection, number: int) -> tuple[Sample, ...]:

@@ -24,6 +24,7 @@ PATIENCE_S = 10.0  # for another writer
 SHOWN_FINDINGS = 5
 LONGEST_NAME = 64
 OF_PACK = "SELECT flights.* FROM flights JOIN packs ON packs.id = flights.pack WHERE packs.name = :name"
+_BROKEN = (sqlite3.DatabaseError, UnicodeDecodeError)  # the second for a text, in a row or an error, that is damaged
 LATEST = "ORDER BY start_utc_s IS NULL DESC, start_utc_s DESC, flights.id DESC LIMIT 1"
 # A log of the same flight that began earlier does not count; without a clock, all flights count that were saved before.
 BEFORE = f"""
@@ -81,7 +82,7 @@ class Ledger:
             yield
         except rows.DamagedRow as error:
             raise BadInput(self.path, "", f"a pack ledger whose rows are whole, found {error}") from None
-        except sqlite3.DatabaseError as error:
+        except _BROKEN as error:
             raise BadInput(self.path, "", _words(error)) from None
 
     @contextmanager
@@ -197,13 +198,13 @@ def _opened(path: Path, only_read: bool) -> sqlite3.Connection:
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = FULL")  # a commit is on the disk
         connection.execute("PRAGMA foreign_keys = ON")
-    except sqlite3.DatabaseError as error:
+    except _BROKEN as error:
         raise BadInput(path, "", _words(error)) from None
     return connection
 
 
-def _words(error: sqlite3.DatabaseError) -> str:
-    text = str(error)
+def _words(error: Exception) -> str:
+    text = "text that is no text" if isinstance(error, UnicodeDecodeError) else str(error)
     if "locked" in text:
         return f"a pack ledger that nobody else writes for {PATIENCE_S:.0f} s, found it locked"
     if "full" in text:
@@ -217,7 +218,10 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
     """Return the number of the pack; add the pack if it is new."""
     flight = flights[0]
     row = connection.execute("SELECT id, cells FROM packs WHERE name = ?", (name,)).fetchone()
-    cells = flight.cells if row is None else int(row["cells"])
+    cells = flight.cells
+    if row is not None:
+        with rows.reading(row):
+            number, cells = int(row["id"]), int(row["cells"])
     for index, other in enumerate(flights):
         if other.cells != cells:
             raise AnotherSize(path, name, cells, other.cells, index)
@@ -225,8 +229,8 @@ def _pack_id(connection: sqlite3.Connection, path: Path, name: str, flights: Seq
         nothing = outlook(ageing.first_known(flight), flight.rated_Ah, 0)
         pack = PackRow(name, flight.cells, flight.rated_Ah, flight.type_ohm, math.nan, nothing, ())
         found = connection.execute(*inserted("packs", rows.pack_row(pack)))
-        return int(found.lastrowid or 0)
-    return int(row["id"])
+        number = int(found.lastrowid or 0)
+    return number
 
 
 def _kept(connection: sqlite3.Connection, pack: int, flight: FlightRecord) -> str:
@@ -271,7 +275,8 @@ def _work_out(connection: sqlite3.Connection, pack: int, name: str) -> list[Ledg
 
 def _moment(row: sqlite3.Row) -> tuple[float, int]:
     """Return the sort key of a flight: its start; flights without a clock come last, in the order they were saved."""
-    return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
+    with rows.reading(row):
+        return (math.inf if row["start_utc_s"] is None else float(row["start_utc_s"]), int(row["id"]))
 
 
 def _known(value: float, other: float) -> float:

@@ -27,12 +27,12 @@ class DamagedRow(Exception):
 
 
 @contextmanager
-def _reading(row: sqlite3.Row) -> Iterator[None]:
-    """Turn errors of a row's values into a `DamagedRow` that names the row."""
+def reading(row: sqlite3.Row) -> Iterator[None]:
+    """Yield for the reading of a row's values. Raises DamagedRow, which names the row by its first column, a number."""
     try:
         yield
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise DamagedRow(f"row {row['id']}: {error}") from None
+    except (ValueError, TypeError, LookupError, RecursionError) as error:  # a column that is not there is an IndexError
+        raise DamagedRow(f"row {row[0]}: {error}") from None
 
 
 def flight_row(flight: FlightRecord) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def flight_row(flight: FlightRecord) -> dict[str, Any]:
 
 def flight_of(row: sqlite3.Row) -> FlightRecord:
     """Return a flight as it was flown. Raises DamagedRow."""
-    with _reading(row):
+    with reading(row):
         told = FlightEvidence(*(float(row[f"told_{name}"]) for name in FlightEvidence._fields))
         there = set(row.keys())  # an older ledger that is only read lacks the newer columns
         values = {f.name: row[f.name] for f in fields(FlightRecord) if f.name in there}
@@ -63,7 +63,7 @@ def remembered_row(found: LedgerFlight) -> dict[str, Any]:
 
 def remembered_of(row: sqlite3.Row) -> LedgerFlight:
     """Return a flight with the belief after it. Raises DamagedRow."""
-    with _reading(row):
+    with reading(row):
         covariance = np.zeros((4, 4))
         covariance[UPPER] = json.loads(row["known_covariance"])
         covariance = covariance + np.triu(covariance, 1).T
@@ -84,7 +84,7 @@ def pack_row(pack: PackRow) -> dict[str, Any]:
 
 def pack_of(row: sqlite3.Row) -> PackRow:
     """Return a pack as it stands. Raises DamagedRow."""
-    with _reading(row):
+    with reading(row):
         outlook = {name: row[name] for name in OUTLOOK}
         outlook |= {name: math.inf for name in RETIRE if row[name] is None}
         last_utc_s = NAN if row["last_utc_s"] is None else float(row["last_utc_s"])

@@ -201,6 +201,7 @@ def _leg_ends(ahead: Ahead, flying: Flying, end_s: Array) -> tuple[LegEnd, ...]:
     """Return when and with what charge each leg ends: a wait belongs to the leg before it."""
     pieces = ahead.pieces
     goes_on = (pieces.end[1:] != pieces.end[:-1]).any(axis=1) | (pieces.seq[1:] != pieces.seq[:-1])
+    goes_on &= pieces.gained_ms[:-1] == 0.0  # after it speeds up the same leg goes on
     last = np.append(np.flatnonzero(goes_on), pieces.seq.size - 1)
     ends_s: Array = pieces.ends_s[last]
     draws = start_draws(flying.pack, flying.x, flying.ambient_C)

@@ -16,6 +16,7 @@ FLYING_TAU_S = 3.0
 LANDED_AFTER_S = 90.0  # a descent may idle for a minute; an armed flag, where there is one, ends the flight at once
 LONGEST_ROW_S, ROW_MEMORY = 30.0, 0.9
 SPOOLED_UP, SPOOL_UP_S = 1.5, 180.0
+NEW_PIECES = 2  # of the powers flown: they may hold the rise itself
 WAITED, WAITING_C = 3.0, 0.75  # armed on the ground with its heaters or its radios on, before the motors take it up
 
 
@@ -74,10 +75,14 @@ class Flown(NamedTuple):
         )
 
     def _with_flag(self, sample: Sample) -> Flown:
-        """Return the past with the row's armed flag. An arming begins a flight: the load before it was a payload's."""
+        """Return the past with the row's armed flag.
+
+        An arming begins a flight, for the load before it was a payload's, unless the load carries the aircraft: then
+        the flag was wrong for a moment (one damaged heartbeat).
+        """
         if sample.armed is None or sample.armed is self.armed:
             return self
-        if self.armed is False:
+        if self.armed is False and not math.isfinite(self.flying_since_s):
             self = Flown(rate_c=self.rate_c, time_s=self.time_s, row_s=self.row_s)
         return self._replace(armed=sample.armed, armed_since_s=sample.time_s)
 
@@ -104,8 +109,12 @@ class Flown(NamedTuple):
         return self._replace(time_s=time_s, row_s=row_s, rate_c=rate_c, flying_since_s=since_s, loaded_s=loaded_s)
 
     def _spooled_up(self, power_W: float, times: float) -> Flown:
-        """Begin the flight at this row if the power is so many times the mean: all before was spool-up, or waiting."""
-        if not self.load.gust_W * self.flown_s > times * self.flown_J:
+        """Begin the flight at this row if the power is so many times any before: that was spool-up, or waiting.
+
+        The mean alone would be exceeded by every burst of a motor that runs by turns.
+        """
+        before_W = max((self.mean_W, *self.load.flown.pieces_W[:-NEW_PIECES]))
+        if not (self.flown_s > 0.0 and self.load.gust_W > times * before_W):
             return self
         fresh = RecentLoad().after(self.time_s, power_W)
         return self._replace(load=fresh, took_off_s=self.time_s, flown_s=0.0, flown_J=0.0)

@@ -16,7 +16,7 @@ import numpy as np
 from uavbatt.battery.model import Array
 
 SHORTEST_PIECE_S = 5.0  # the mean that ends a flight
-MOST_PIECES = 128
+MOST_PIECES = 256
 LONGEST_ROW_S = 30.0  # nobody knows what was asked in a longer gap
 # Before a flight has shown its own: manoeuvres of 15 % move the mean of a minute by a tenth. It counts as two minutes.
 MINUTE_S, PRIOR_MINUTE_SD, PRIOR_MINUTES = 60.0, 0.095, 2.0
@@ -80,8 +80,8 @@ class PowersFlown(NamedTuple):
 
     def _drawn(self) -> tuple[Array, Array]:
         """Return the ends of the pieces [s], from 0 on, and the energy [J] drawn until each."""
-        drawn_J = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
-        return self.piece_s * np.arange(drawn_J.size, dtype=float), drawn_J
+        drawn_J: Array = self.piece_s * np.concatenate([[0.0], np.cumsum(self.pieces_W)])
+        return self.piece_s * np.arange(float(drawn_J.size)), drawn_J
 
     @property
     def minute_sd(self) -> float:

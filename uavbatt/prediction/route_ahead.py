@@ -97,7 +97,8 @@ def home_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead
         return elsewhere
     if navigation.mode is Mode.RETURN_BY_TRACK and not _heads_home(here, navigation):
         return "the aircraft returns along its own track, which is not known"
-    return Ahead(here, way_of(progress).pieces(legs_table(_legs_home(here, navigation))))
+    legs = legs_table(_legs_home(here, navigation))
+    return Ahead(here, way_of(progress).pieces(legs, is_flying=navigation.mode in RETURNS))
 
 
 def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ahead | str:
@@ -106,7 +107,8 @@ def _return_now(progress: Progress, navigation: Navigation, time_s: float) -> Ah
     if isinstance(home, str) or not navigation.settings.return_final_m > 0.0:
         return home
     flown = returned(list(_legs_home(home.begin, navigation)), navigation.settings)
-    return Ahead(home.begin, way_of(progress).pieces(flown.table), flown.lands) if flown.legs else home
+    pieces = way_of(progress).pieces(flown.table, is_flying=True)
+    return Ahead(home.begin, pieces, flown.lands) if flown.legs else home
 
 
 def _legs_home(here: Point, navigation: Navigation) -> tuple[Leg, ...]:
@@ -151,7 +153,7 @@ def _rest_by_plan(way: Way, progress: Progress, time_s: float) -> Pieces:
 def _rest_from(way: Way, progress: Progress, here: Point, time_s: float) -> Pieces:
     """The rest of the route from where the aircraft is."""
     later = progress.path.table.of(slice(progress.at + progress.behind + 1, None))
-    return way.pieces(legs_table([_present(progress, here, time_s)]).followed_by(later))
+    return way.pieces(legs_table([_present(progress, here, time_s)]).followed_by(later), is_flying=True)
 
 
 def _present(progress: Progress, here: Point, time_s: float) -> Leg:

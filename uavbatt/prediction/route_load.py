@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.powers import Powers, power, terms
+from uavbatt.battery.powers import Powers, power, terms, turning_power
 from uavbatt.prediction import sampling
 from uavbatt.prediction.load import LOWEST_POWER_W, Now, Scenarios, stretches_s, swinging
 from uavbatt.prediction.route_ahead import Ahead
@@ -38,7 +38,13 @@ class RouteLoad:
     @property
     def piece_W(self) -> Array:
         """Return the middle power of each piece [W]."""
-        return self.level * power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms))
+        gained_ms, flown_W = self.ahead.pieces.gained_ms, self.flown_W
+        return np.where(gained_ms > 0.0, turning_power(self.powers, flown_W, gained_ms, self.level), flown_W)
+
+    @property
+    def flown_W(self) -> Array:
+        """Return the power of each piece [W] once its speed is gained."""
+        return power(self.powers, piece_terms(self.ahead.pieces, self.powers.induced_ms), self.level)
 
     def scenarios(self, now: Now, dt_s: float, steps: int) -> Scenarios:
         """Return equally likely ways to fly the pieces, and a hover after them, with the noise of rows on them."""
@@ -79,7 +85,7 @@ def roughness(load: RouteLoad, wind_ms: float) -> Array:
     """Return the relative sd of the power within each piece: of the rows, and of gusts where airspeed changes it."""
     pieces = load.ahead.pieces
     faster = replace(load, ahead=load.ahead._replace(pieces=pieces._replace(airspeed_ms=pieces.airspeed_ms + 1.0)))
-    return np.hypot(load.powers.row_sd, (faster.piece_W / load.piece_W - 1.0) * GUSTS * wind_ms)
+    return np.hypot(load.powers.row_sd, (faster.flown_W / load.flown_W - 1.0) * GUSTS * wind_ms)
 
 
 def fast_shares(pieces: Pieces) -> Array:

@@ -1,7 +1,7 @@
 """Legs become pieces: some seconds of one kind of flight each, with airspeed and climb, as columns.
 
-A leg gives two pieces, its movement and the wait at its end. A route has hundreds of them and the wind changes with
-every row, so that they are worked out as columns at every forecast.
+A leg gives up to three pieces: the aircraft turns and speeds up, flies on, and waits at its end. A route has hundreds
+of them and the wind changes with every row, so that they are worked out as columns at every forecast.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavbatt.battery.model import Array
+from uavbatt.battery.powers import TURN_S
 from uavbatt.prediction.flight_lessons import SHORT_LEG_S, Timing
 from uavbatt.prediction.route_legs import LegsTable, Phase, Point
 
 Column = NDArray[Any]
+THROUGH = 0.5  # cosine of the sharpest corner that is flown through: 60 degrees; before others the aircraft stops
 CURVE = 1.5  # a leg so many times longer than the straight line is a curve: the wind meets it from all sides
 
 
@@ -30,6 +32,7 @@ class Pieces(NamedTuple):
     seq: Array  # of the mission item; -1 on the way home
     end: Array  # [pieces, 3]: where they end, as a `Point`
     length_sd_s: Array
+    gained_ms: Array  # the ground speed that is gained in it from rest; 0: it flies on
 
     @property
     def ends_s(self) -> Array:
@@ -49,7 +52,7 @@ def joined(*several: Pieces) -> Pieces:
 def waiting(at: Point, length_s: float) -> Pieces:
     """Return one piece of `length_s` [s] in which the aircraft stays where it is."""
     none, no = np.zeros(1), np.zeros(1, bool)
-    return Pieces(np.array([length_s]), none, none, no, no, np.array([-1.0]), np.array([at]), none)
+    return Pieces(np.array([length_s]), none, none, no, no, np.array([-1.0]), np.array([at]), none, none)
 
 
 class Way(NamedTuple):
@@ -59,28 +62,40 @@ class Way(NamedTuple):
     long: Timing = Timing()
     wind: tuple[float, float] = (0.0, 0.0)
 
-    def pieces(self, leg: LegsTable) -> Pieces:
-        """Return the pieces of these legs in order."""
-        found, _ = self.pieces_with_leg(leg)
+    def pieces(self, leg: LegsTable, is_flying: bool = False) -> Pieces:
+        """Return the pieces of these legs in order; `is_flying` if the aircraft is on the first one already."""
+        found, _ = self.pieces_with_leg(leg, is_flying)
         return found
 
-    def pieces_with_leg(self, leg: LegsTable) -> tuple[Pieces, Column]:
+    def pieces_with_leg(self, leg: LegsTable, is_flying: bool = False) -> tuple[Pieces, Column]:
         """Return the pieces of these legs in order, and the index of the leg of each."""
         moving_s, sd_s = self._moving_s(leg)
         with np.errstate(invalid="ignore", divide="ignore"):
             climb_ms = np.where(moving_s > 0.0, leg.rise_m / moving_s, 0.0)
             air_ms = np.where(moving_s > 0.0, self._airspeed_ms(leg, moving_s), np.hypot(*self.wind))
+            speed_ms = np.where(moving_s > 0.0, leg.run_m / moving_s, 0.0)
         none, landing = np.zeros_like(moving_s), leg.phase == Phase.LANDING
-        moved = Pieces(moving_s, air_ms, climb_ms, leg.phase == Phase.TAKE_OFF, landing, leg.seq, leg.end, sd_s)
+        gained_ms = np.where(_stops_before(leg), speed_ms, 0.0)
+        if is_flying:
+            gained_ms[:1] = 0.0
+        speeding_s = np.where(gained_ms > 0.0, np.minimum(moving_s, TURN_S), 0.0)
+        share = np.divide(speeding_s, moving_s, out=none.copy(), where=moving_s > 0.0)
+        moved = Pieces(
+            moving_s - speeding_s, air_ms, climb_ms, leg.phase == Phase.TAKE_OFF, landing, leg.seq, leg.end,
+            (1.0 - share) * sd_s, none,
+        )  # fmt: skip
+        left_m = (1.0 - share)[:, None] * np.stack([leg.north_m, leg.east_m, leg.rise_m], axis=1)
+        speeding = moved._replace(
+            length_s=speeding_s, end=leg.end - left_m, length_sd_s=share * sd_s, gained_ms=gained_ms
+        )
         held = moved._replace(
             length_s=leg.hold_s, airspeed_ms=none + np.hypot(*self.wind), climb_ms=none,
             taking_off=np.zeros_like(landing), length_sd_s=none,
         )  # fmt: skip
-        both = Pieces(
-            *(np.stack(pair, axis=1).reshape(-1, *pair[0].shape[1:]) for pair in zip(moved, held, strict=True))
-        )
-        last = np.flatnonzero(both.length_s > 0.0)
-        return both.of(last), last // 2
+        kinds = (speeding, moved, held)
+        every = Pieces(*(np.stack(c, axis=1).reshape(-1, *c[0].shape[1:]) for c in zip(*kinds, strict=True)))
+        flown = np.flatnonzero(every.length_s > 0.0)
+        return every.of(flown), flown // len(kinds)
 
     def _moving_s(self, leg: LegsTable) -> tuple[Array, Array]:
         """Return how long each movement takes, and its sd [s]."""
@@ -96,3 +111,12 @@ class Way(NamedTuple):
         north_ms, east_ms = leg.north_m / moving_s - self.wind[0], leg.east_m / moving_s - self.wind[1]
         on_curve_ms = np.hypot(leg.run_m / moving_s, np.hypot(*self.wind))
         return np.where(leg.run_m > CURVE * np.hypot(leg.north_m, leg.east_m), on_curve_ms, np.hypot(north_ms, east_ms))
+
+
+def _stops_before(leg: LegsTable) -> Column:
+    """True for each leg that begins from rest: after a wait, and round a sharp corner."""
+    north_m, east_m = leg.north_m, leg.east_m
+    length_m = np.hypot(north_m, east_m)
+    along_m2 = north_m[1:] * north_m[:-1] + east_m[1:] * east_m[:-1]
+    is_through = (along_m2 > THROUGH * length_m[1:] * length_m[:-1]) & ~(leg.hold_s[:-1] > 0.0)
+    return np.concatenate([np.ones(min(length_m.size, 1), bool), ~is_through])

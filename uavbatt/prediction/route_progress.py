@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from uavbatt.battery.powers import Powers, power, terms
-from uavbatt.navigation import Home, Mission, Mode, Navigation, ReturnSettings
+from uavbatt.battery.powers import Powers, level_of, terms
+from uavbatt.navigation import Home, Mission, Mode, Navigation, Position, ReturnSettings
 from uavbatt.prediction.flight_lessons import FlightLessons
 from uavbatt.prediction.route_item import is_behind, is_there, item_end
 from uavbatt.prediction.route_legs import Leg, Phase, Point
@@ -20,6 +20,7 @@ SILENT_PROGRESS_S = 60.0
 AIRBORNE_M = 1.0
 ASTRAY, ASTRAY_S = 0.1, 4.0  # the autopilot's word of a new item may be some seconds old
 TOLD_PERIOD_S, LONGEST_ROW_S = 1.0, 30.0
+STEADY_MS = 0.3  # the velocity of a hover in gusts changes by about so much in TOLD_PERIOD_S
 
 
 class Movement(NamedTuple):
@@ -44,6 +45,8 @@ class Progress(NamedTuple):
     arrived_s: float = NAN  # since when the aircraft waits at that leg's end
     time_s: float = NAN
     told_s: float = NAN  # when the power was last held against the level
+    moved: Position | None = None  # the place and velocity of TOLD_PERIOD_S ago
+    is_steady: bool = True  # it keeps its velocity: the power belongs to airspeed and climb, not to a turn
     lessons: FlightLessons = FlightLessons()
 
     def after(
@@ -52,16 +55,28 @@ class Progress(NamedTuple):
         """Return the memory with one more row at `time_s` [s] that drew `power_W` [W]."""
         row_s = min(max(time_s - self.time_s, 0.0), LONGEST_ROW_S) if math.isfinite(self.time_s) else 0.0
         moved = self._on_path(time_s, navigation)
-        moved = moved._replace(time_s=time_s, lessons=moved.lessons.with_wind(navigation.wind, row_s))
+        moved = moved._replace(
+            time_s=time_s,
+            lessons=moved.lessons.with_wind(navigation.wind, row_s),
+            moved=self.moved
+            if 0.0 <= _since_s(self.moved, navigation.position) < TOLD_PERIOD_S
+            else navigation.position,
+            is_steady=_is_steady(self.moved, navigation.position),
+        )
         moved = moved._followed(time_s, navigation) if navigation.mode is Mode.MISSION else moved._paused(row_s)
         if powers is None or not power_W > 0.0 or time_s - self.told_s < TOLD_PERIOD_S:
             return moved
         flown, told_s = moved.flown(time_s, navigation), min(time_s - self.told_s, LONGEST_ROW_S)
         moved = moved._replace(told_s=time_s)
-        if flown is None or not told_s > 0.0:
+        if flown is None or not moved.is_steady or not told_s > 0.0:
             return moved
-        ratio = power_W / float(power(powers, terms(*flown, powers.induced_ms)))
+        ratio = level_of(powers, terms(*flown, powers.induced_ms), power_W)
         return moved._replace(lessons=moved.lessons.with_power_ratio(ratio, told_s))
+
+    def _steadied(self, now: Position | None) -> Progress:
+        """Whether the aircraft keeps its velocity, by that of a second ago."""
+        is_recent = 0.0 <= _since_s(self.moved, now) < TOLD_PERIOD_S
+        return self._replace(moved=self.moved if is_recent else now, is_steady=_is_steady(self.moved, now))
 
     def _on_path(self, time_s: float, navigation: Navigation) -> Progress:
         """The leg by what the autopilot says that it flies to, and the timing of those behind."""
@@ -227,3 +242,15 @@ def overdue(progress: Progress, time_s: float, navigation: Navigation) -> str:
     if late_s > OVERDUE_LEGS * planned_s + OVERDUE_S:
         return f"item {legs[0].seq} is overdue: {late_s:.0f} s on a leg of {planned_s:.0f} s"
     return ""
+
+
+def _since_s(before: Position | None, now: Position | None) -> float:
+    return now.time_s - before.time_s if before is not None and now is not None else math.inf
+
+
+def _is_steady(before: Position | None, now: Position | None) -> bool:
+    """True if the aircraft keeps its velocity, or nobody says it: in a corner the power is that of the turn."""
+    if before is None or now is None:
+        return now is None
+    change_ms = math.dist((before.north_ms, before.east_ms, before.up_ms), (now.north_ms, now.east_ms, now.up_ms))
+    return change_ms <= STEADY_MS * max(_since_s(before, now) / TOLD_PERIOD_S, 1.0)

@@ -1,9 +1,9 @@
 """The turn-back: how long the aircraft may fly on and still come home, from the draws of the forecast itself.
 
 Each draw of battery, level and wind flies on; at some instants t it turns and flies home as its autopilot does, and the
-voltage's least height above the cut-off on that way home is noted: as it turns and speeds up, and then under the
-highest power of each step; a charge near the reserve counts as such a height, for it ends a flight as well. A draw's
-turn-back is the last t at which it has not met its end before and that height is not negative.
+voltage's least height above the cut-off on that way home is noted, in each step under the highest power of gusts; a
+charge near the reserve counts as such a height, for it ends a flight as well. A draw's turn-back is the last t at which
+it has not met its end before and that height is not negative.
 """
 
 from __future__ import annotations
@@ -15,21 +15,20 @@ from typing import NamedTuple
 import numpy as np
 
 from uavbatt.battery.model import Array
-from uavbatt.battery.powers import TURN_S, turning_power
 from uavbatt.navigation import ReturnSettings
 from uavbatt.prediction import sampling
 from uavbatt.prediction.long_steps import STEP_S, FlyingDraws, Source, above_cutoff_V, source_of, step_draws
 from uavbatt.prediction.route_ahead import Ahead
-from uavbatt.prediction.route_legs import Leg, legs_table
+from uavbatt.prediction.route_legs import legs_table
 from uavbatt.prediction.route_load import RouteLoad, factors, fast_shares, roughness
 from uavbatt.prediction.route_path import way_home
 from uavbatt.prediction.route_pieces import Column, Pieces, Way, waiting
-from uavbatt.prediction.route_progress import OVER_HOME_M
 from uavbatt.prediction.time_to_end import SOC_IN_VOLTS
 
 TURNS, CROWDED = 16, 1.5  # instants, closer together the sooner they come
 CLIMB_STEPS = 3  # at least: a climb ends where its sag is deepest
 FASTEST_CLIMB_MS = 0.3
+TURN_STEPS = 2  # as it speeds up, too: in the middle of it
 ROUGH = 1.0  # sds: the highest mean over five seconds, by which the cut-off is judged, is hardly above one
 
 
@@ -70,7 +69,6 @@ class Homewards(NamedTuple):
     power_W: Array
     fast_shares: Array
     rough: Array  # relative sd of the power within the step
-    turn_W: Array  # [turns] while it turns and speeds up; a hover where it is over home
 
     def drawn_W(self, k: int, turns: Column, scenarios: Array) -> Array:
         """Return the power of step `k` on the ways of these turns [turns, draws]; `scenarios` as in `_fly_home`."""
@@ -98,10 +96,10 @@ def _fly_home(
 
     scenarios : factors of level, fast flight and time of each draw [3, draws]
     """
-    levels, _, stretch = scenarios
+    stretch = scenarios[2]
     steps = np.count_nonzero(home.length_s > 0.0, axis=0)
     normals = sampling.wander_home(int(steps.max()))
-    least_V, soc = _turning_V(at_turn, home.turn_W[:, None] * levels, reserve_soc), np.empty(at_turn.bias_V.shape)
+    least_V, soc = np.full(at_turn.bias_V.shape, np.inf), np.empty(at_turn.bias_V.shape)
     flying = np.arange(turn_at_s.size)  # the turns whose ways are not over yet: each has a length of its own
     for k in range(int(steps.max()) + 1):
         is_asked = _is_asked(least_V)[flying]
@@ -142,12 +140,6 @@ def _above_V(draws: FlyingDraws, at: Source, power_W: Array, reserve_soc: float)
     return np.asarray(np.minimum(above_V, (draws.state.soc - reserve_soc) * SOC_IN_VOLTS))
 
 
-def _turning_V(at_turn: FlyingDraws, power_W: Array, reserve_soc: float) -> Array:
-    """Return the height above the end of flight while the draws turn, in the middle of it."""
-    halfway = step_draws(at_turn, source_of(at_turn), power_W, 0.5 * TURN_S, np.zeros_like(power_W))
-    return _above_V(halfway, source_of(halfway), power_W, reserve_soc)
-
-
 def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settings: ReturnSettings) -> Homewards:
     """The way home from where each instant finds the aircraft."""
     legs = [way_home(point, settings) for point in flown.points(turn_at_s)]
@@ -163,19 +155,12 @@ def _homewards(flown: Ahead, turn_at_s: Array, load: RouteLoad, way: Way, settin
     step = np.arange(counts.max())[:, None]
     is_flown, index = step < counts, np.minimum(ends - counts + step, ends - 1)
     length_s, power_W, fast, rough = told[:, index]  # a way that is over goes on as it ended, in no time
-    speeds_ms = np.array([_speed_home_ms(those) for those in legs])
-    turn_W = load.level * turning_power(load.powers, speeds_ms)
-    return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough, turn_W)
-
-
-def _speed_home_ms(legs: tuple[Leg, ...]) -> float:
-    """Return the speed that has to be gained for the way home; 0 over home."""
-    return max((leg.speed_ms for leg in legs if leg.run_m > OVER_HOME_M), default=0.0)
+    return Homewards(np.where(is_flown, length_s, 0.0), power_W, fast, rough)
 
 
 def _in_steps(pieces: Pieces, turn_of: Column) -> tuple[Pieces, Column]:
     """The pieces, and the turn of each, in steps short enough for their sag."""
-    least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, 1)
+    least = np.where(pieces.climb_ms > FASTEST_CLIMB_MS, CLIMB_STEPS, np.where(pieces.gained_ms > 0.0, TURN_STEPS, 1))
     count = np.maximum(np.ceil(pieces.length_s / STEP_S).astype(int), least)
     pieces = pieces._replace(length_s=pieces.length_s / count)
     return Pieces(*(np.repeat(column, count, axis=0) for column in pieces)), np.repeat(turn_of, count)

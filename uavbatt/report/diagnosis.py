@@ -50,6 +50,7 @@ ANSWERS = {
     "effect_found": ("bad", "Something is missing in the battery file, and it has a name."),
     "undeclared_effect": ("unsure", "Something is missing that none of the known effects explains."),
 }
+TOGETHER = "Several things are missing in the battery file together, and they have names."
 MAY_HIDE = "If something small is missing all the same, it is most likely this, and no larger than the interval says:"
 ROOM_FOR_NAMES = 120.0
 COLOURS = (plot.BLUE, plot.RED, plot.GREEN, plot.PINK, plot.AMBER, plot.SKY)
@@ -62,12 +63,20 @@ def diagnosis_report(found: Diagnosis, closed: ClosedLoop, old: BatteryFile, new
     after
     """
     mood, answer = ANSWERS[found.verdict]
+    several = len(found.classes) > 1
+    answer = TOGETHER if several and found.verdict == "effect_found" else answer
     may_hide = [paragraph(MAY_HIDE)] if found.may_hide else []
     notes = _notes(found, old)
     return page(
         f"{old.battery.name}: what the battery file lacks",
         "uavbatt diagnose",
-        element("div", paragraph(strong(answer)), *may_hide, *map(_suspect, found.classes), css=f"answer {mood}"),
+        element(
+            "div",
+            paragraph(strong(answer)),
+            *may_hide,
+            *(_suspect(c, several) for c in found.classes),
+            css=f"answer {mood}",
+        ),
         *([section("Doubts", bullets(found.reasons))] if found.reasons else []),
         *([section("Where the evidence lies", evidence_figure(found.blocks))] if found.blocks else []),
         section("Error before and after", _errors(closed, found.floor_V), *_worse(closed)),
@@ -90,14 +99,16 @@ def _notes(found: Diagnosis, old: BatteryFile) -> list[str]:
     return notes
 
 
-def _suspect(one: EffectClass) -> Html:
-    """Return the part on one class of effects, which the records cannot tell apart."""
+def _suspect(one: EffectClass, several: bool) -> Html:
+    """Return the part on one class of effects; `several`: other classes have been found too."""
     rows = []
     for quantity, i in one.parameters.items():
         scale, unit = (100.0, "%") if quantity in SHARES else (1.0, unit_words(i.unit))
-        value, lo, hi = (number(scale * v, _decimals(scale * v)) for v in (i.value, i.lo, i.hi))
+        decimals = _decimals(scale * (i.hi - i.lo) / 2.0)
+        value, lo, hi = (number(scale * v, decimals) for v in (i.value, i.lo, i.hi))
         rows.append((QUANTITY.get(quantity, quantity), value, f"{lo} to {hi}", unit, quantity))
-    sure = f"The cause is {'among these' if one.members[1:] else 'this'} with a probability of {one.probability:.0%}."
+    cause, these = "One cause" if several else "The cause", "among these" if one.members[1:] else "this"
+    sure = f"{cause} is {these} with a probability of {one.probability:.0%}."
     head = ("if it is so", "value", "95 % interval", "unit", "in the file")
     return element("div", *suspect(one.members, "", sure, "records"), table(head, rows, text_columns=(0, 3, 4)))
 
@@ -137,10 +148,9 @@ def evidence_figure(blocks: tuple[EvidenceBlock, ...]) -> Html:
     return figure(drawn, "Evidence")
 
 
-def _decimals(value: float) -> int:
-    """Return the decimals for two significant digits, which is as good as these intervals are."""
-    size = abs(value)
-    return 0 if size == 0.0 else int(np.clip(1 - np.floor(np.log10(size)), 0, 5))
+def _decimals(half_width: float) -> int:
+    """Return the decimals that show half an interval with two digits: 0.991 between 0.988 and 0.995 is not 0.99."""
+    return 0 if half_width <= 0.0 else int(np.clip(1 - np.floor(np.log10(half_width)), 0, 5))
 
 
 def _errors(closed: ClosedLoop, floor_V: float) -> Html:

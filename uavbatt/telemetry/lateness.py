@@ -2,11 +2,12 @@
 
     offset = time of reception - time since its boot     delay = least offset in LOOK_S - base
 
-The base is the least offset that was ever seen, which is the fastest that this link gets. It rises by DRIFT, because
-two clocks never run alike. So a link that was late from its first frame on looks fresh. A clock that stands still shows
-nothing. If the clock falls back to less than the time of silence before it, or to its first minute, it has begun anew
-(a reboot, or 49.7 days are over), and the base begins anew too. If it falls back to more, the same frames came by a
-slower way. A clock that is off by more than any link delays is that of another source, such as a replayed log.
+The base is the least offset that two frames in a row have shown, which is the fastest that this link gets (a single
+damaged frame with a good checksum would make all others late). It rises by DRIFT, because two clocks never run alike.
+So a link that was late from its first frame on looks fresh. A clock that stands still shows nothing. If the clock falls
+back to less than the time of silence before it, or to its first minute, it has begun anew (a reboot, or 49.7 days are
+over), and the base begins anew too. If it falls back to more, the same frames came by a slower way. A clock that is off
+by more than any link delays is that of another source, such as a replayed log.
 """
 
 from __future__ import annotations
@@ -53,21 +54,21 @@ class Lateness(NamedTuple):
         seen = SeenOffset(at_s, at_s - boot_s)
         if boot_s == self.boot_s:
             return self
-        if self.base is None or self._is_another(seen, boot_s):
-            return Lateness(boot_s, seen, (seen,))
-        risen_s = self.base.offset_s + DRIFT * (at_s - self.base.at_s)
+        if not self.recent or self._is_another(seen, boot_s):
+            return Lateness(boot_s, None, (seen,))
+        shown_twice_s = max(seen.offset_s, self.recent[-1].offset_s)
+        risen_s = self.base.offset_s + DRIFT * (at_s - self.base.at_s) if self.base is not None else math.inf
         lower = (was for was in self.recent if at_s - was.at_s <= LOOK_S and was.offset_s < seen.offset_s)
-        return Lateness(boot_s, SeenOffset(at_s, min(risen_s, seen.offset_s)), (*lower, seen))
+        return Lateness(boot_s, SeenOffset(at_s, min(risen_s, shown_twice_s)), (*lower, seen))
 
     def _is_another(self, seen: SeenOffset, boot_s: float) -> bool:
-        """Return True if the clock has begun anew, or if it is another clock."""
-        assert self.base is not None
-        silent_s = seen.at_s - self.recent[-1].at_s
-        has_begun = boot_s < self.boot_s and boot_s <= max(silent_s + BEGUN_S, JUST_BOOTED_S)
-        return has_begun or seen.offset_s - self.base.offset_s > LONGEST_S
+        """Return True if the clock has begun anew, or is no longer the one that was heard."""
+        last, base = self.recent[-1], self.base or self.recent[-1]
+        has_begun = boot_s < self.boot_s and boot_s <= max(seen.at_s - last.at_s + BEGUN_S, JUST_BOOTED_S)
+        return has_begun or seen.offset_s - base.offset_s > LONGEST_S
 
     def late_s(self, now_s: float) -> float:
         """Return the delay of the frames [s]; 0 if the clock has not been heard lately."""
         if self.base is None or now_s - self.recent[-1].at_s > KNOWN_S:
             return 0.0
-        return min(seen.offset_s for seen in self.recent) - self.base.offset_s
+        return max(min(seen.offset_s for seen in self.recent) - self.base.offset_s, 0.0)

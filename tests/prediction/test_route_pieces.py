@@ -1,0 +1,92 @@
+"""Legs as pieces of flight: where the aircraft turns and speeds up, and that nothing else of the way changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from route_rig import HOME, POWERS, SETTINGS, mission, to
+
+from uavbatt.battery.powers import TURN_S
+from uavbatt.navigation import Mode, Navigation, Position
+from uavbatt.prediction.route_ahead import Ahead, ahead, home_now
+from uavbatt.prediction.route_legs import Point
+from uavbatt.prediction.route_load import RouteLoad
+from uavbatt.prediction.route_path import METRES_PER_DEGREE, path
+from uavbatt.prediction.route_pieces import Pieces, Way
+from uavbatt.prediction.route_progress import Progress
+
+SPEED_MS = 8.0
+FAST = replace(SETTINGS, cruise_ms=SPEED_MS)
+
+
+def pieces(*places_m: tuple[float, float], hold_s: float = 0.0) -> Pieces:
+    """The pieces of a way at one height from home along these places north and east."""
+    items = [to(k, north_m, east_m, 30.0, hold_s=hold_s) for k, (north_m, east_m) in enumerate(places_m, start=1)]
+    found = Way().pieces(path(mission(*items), HOME, FAST).table)
+    return found.of(found.seq <= len(places_m))
+
+
+def speeding_up(found: Pieces, seq: int) -> bool:
+    return bool((found.gained_ms[found.seq == seq] > 0.0).any())
+
+
+def test_an_aircraft_speeds_up_after_a_sharp_corner_and_flies_through_a_gentle_one() -> None:
+    """The power as it speeds up ends flights: one flight's last minute was 133 s too long without it."""
+    found = pieces((0.0, 500.0), (100.0, 1000.0), (600.0, 900.0))
+    assert [speeding_up(found, seq) for seq in (1, 2, 3)] == [True, False, True]
+    assert speeding_up(pieces((0.0, 500.0), (0.0, 1000.0), hold_s=5.0), 2)
+
+
+def test_speeding_up_is_the_first_seconds_of_a_leg_and_ends_nowhere_else() -> None:
+    found = pieces((0.0, 500.0))
+    level = found.of((found.seq == 1) & (found.length_s > 0.0))
+    first = int(np.flatnonzero(level.gained_ms > 0.0)[0])
+    assert level.length_s[first] == TURN_S
+    assert level.gained_ms[first] == pytest.approx(SPEED_MS, rel=0.15)
+    share = TURN_S / (TURN_S + level.length_s[first + 1])
+    assert level.end[first, 1] == pytest.approx(500.0 * share, abs=1.0)
+    assert level.end[first + 1, 1] == pytest.approx(500.0, abs=0.5)
+
+
+def test_it_asks_more_than_a_hover_and_more_than_the_flight_after_it() -> None:
+    found = pieces((0.0, 500.0))
+    load = RouteLoad(Ahead(Point(0.0, 0.0, 0.0), found), POWERS, 1.1, 0.05)
+    first = int(np.flatnonzero(found.gained_ms > 0.0)[0])
+    assert load.piece_W[first] > 1.1 * POWERS.hover_W > load.piece_W[first + 1]
+
+
+def flying(mode: Mode) -> Navigation:
+    """An aircraft at its speed on the way to item 1, or home."""
+    lat_deg = HOME.lat_deg + 200.0 / METRES_PER_DEGREE
+    speed_ms = SPEED_MS if mode is Mode.MISSION else -SPEED_MS
+    position = Position(0.0, lat_deg, HOME.lon_deg, 30.0, speed_ms, 0.0, 0.0)
+    return Navigation(
+        mode=mode, mission=mission(to(1, 1000.0, 0.0, 30.0)), current=1, current_since_s=0.0, current_heard_s=0.0,
+        home=HOME, settings=FAST, position=position,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("mode", [Mode.MISSION, Mode.RETURN])
+def test_the_leg_that_is_flown_has_its_speed_already(mode: Mode) -> None:
+    now = flying(mode)
+    progress = Progress().after(0.0, now)
+    rest = ahead(progress, now, 0.0) if mode is Mode.MISSION else home_now(progress, now, 0.0)
+    assert isinstance(rest, Ahead)
+    assert rest.pieces.gained_ms[0] == 0.0
+
+
+def test_the_power_of_a_turn_tells_no_payload() -> None:
+    """Surveys turn every half minute: their level was 2 % too high, and so was the power of the way home."""
+
+    def level(turning_W: float) -> float:
+        progress = Progress()
+        for k in range(200):
+            turns = k % 20 < 4
+            position = Position(float(k), HOME.lat_deg, HOME.lon_deg, 30.0, 2.0 * (k % 20) if turns else 8.0, 0.0, 0.0)
+            known = replace(flying(Mode.MANUAL), position=position)
+            progress = progress.after(float(k), known, turning_W if turns else 160.0, POWERS)
+        return progress.lessons.level(POWERS)[0]
+
+    assert level(300.0) == pytest.approx(level(160.0), abs=1e-6)
